@@ -165,6 +165,8 @@ struct Summary<'a> {
     servos: Vec<&'a str>,
     feet: Vec<&'a str>,
     imu: Option<&'a str>,
+    /// Why it cannot be trained to walk; `None` where it can.
+    cannot_walk: Option<String>,
 }
 
 impl<'a> Summary<'a> {
@@ -186,6 +188,9 @@ impl<'a> Summary<'a> {
             imu: model
                 .imu_site()
                 .map(|site| model.links()[site.link].name.as_str()),
+            cannot_walk: caudata_config::can_walk(model)
+                .err()
+                .map(|error| error.to_string()),
         }
     }
 }
@@ -208,6 +213,9 @@ fn print(model: &RobotModel, summary: &Summary<'_>) {
             .map_or("none".to_owned(), |link| format!("on {link}")),
     ));
     say::line(format!("hash {}", summary.hash));
+    if let Some(why) = &summary.cannot_walk {
+        say::line(format!("no preset trains it: {why}"));
+    }
     let row = |(index, name): (usize, &&str)| {
         let (lower, upper) = model.joint_limits_rad()[index];
         let degrees = |x: f64| format!("{:.1}", x.to_degrees());

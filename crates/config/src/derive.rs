@@ -7,6 +7,7 @@
 use std::fmt::Write;
 
 use caudata_model::{BaseKind, Pose, RobotModel};
+use caudata_task::{Mirror, ObservationLayout};
 
 use crate::ConfigError;
 
@@ -80,9 +81,26 @@ impl Size {
         walks.min(0.2 * self.servo_radps * self.leg_m)
     }
 
-    /// Strides per second: about a leg's length each.
+    /// Strides per second: about a leg's length each. What stands on two feet must catch itself more often
+    /// than what always has three on the ground.
     fn stride_hz(&self) -> f64 {
-        (self.speed_mps() / self.leg_m).clamp(1.25, 2.0)
+        let least = if self.balances() { 1.25 } else { 0.9 };
+        (self.speed_mps() / self.leg_m).clamp(least, 2.0)
+    }
+
+    /// Whether it tips over when it stands still on one foot of a stride.
+    fn balances(&self) -> bool {
+        matches!(self.feet, 1 | 2)
+    }
+
+    /// Cut-off of the action filter, Hz: below the stride's frequency, so that steps come of it instead of
+    /// vibration; but what balances must act several times as fast as it falls, at √(g/height).
+    fn filter_hz(&self) -> f64 {
+        let falls_hz = (GRAVITY_MPS2 / self.com_m).sqrt() / std::f64::consts::TAU;
+        match self.balances() {
+            true => 3.5 * falls_hz,
+            false => 0.8 * self.stride_hz(),
+        }
     }
 }
 
@@ -92,25 +110,48 @@ fn round(x: f64) -> f64 {
     (x * scale).round() / scale
 }
 
-/// The layer for a robot; every value with the rule that it comes from.
+/// Whether a robot can be trained to walk at all; training and `caudata robot check` ask the same.
+///
+/// # Errors
+/// [`ConfigError::Robot`] for a robot that is held.
+pub fn can_walk(model: &RobotModel) -> Result<(), ConfigError> {
+    match model.base() {
+        BaseKind::Free => Ok(()),
+        BaseKind::Fixed => Err(ConfigError::Robot(format!(
+            "robot '{}' is held (base = \"fixed\"), so it cannot be trained to walk",
+            model.name()
+        ))),
+    }
+}
+
+/// Whether the networks of a training may treat left and right alike: the robot is its own mirror image, and
+/// so is what it sees, which is known of the built-in observation alone.
+fn symmetric(model: &RobotModel, own_observation: bool) -> bool {
+    let feet: Vec<String> = model.feet().iter().map(|f| f.name.clone()).collect();
+    let layout = ObservationLayout::new(model.actuated().len(), &feet, false);
+    !own_observation && Mirror::new(model, &layout).is_ok()
+}
+
+/// The layer for a robot; every value with the rule that it comes from. `own_observation`: what lies on top
+/// lists the terms of the observation itself.
 ///
 /// # Errors
 /// [`ConfigError::Robot`] for a robot that cannot walk: one that is held, or whose pose cannot be worked out.
-pub(crate) fn derived(model: &RobotModel) -> Result<String, ConfigError> {
-    if model.base() == BaseKind::Fixed {
-        return Err(ConfigError::Robot(format!(
-            "robot '{}' is held (base = \"fixed\"), so it cannot be trained to walk",
-            model.name()
-        )));
-    }
+pub(crate) fn derived(model: &RobotModel, own_observation: bool) -> Result<String, ConfigError> {
+    can_walk(model)?;
     let size = Size::of(model)?;
     let mut out = String::new();
     // Writing to a string cannot fail.
-    let _ = write_layer(&mut out, model.name(), &size);
+    let _ = write_layer(&mut out, model, own_observation, &size);
     Ok(out)
 }
 
-fn write_layer(out: &mut String, name: &str, size: &Size) -> std::fmt::Result {
+fn write_layer(
+    out: &mut String,
+    model: &RobotModel,
+    own_observation: bool,
+    size: &Size,
+) -> std::fmt::Result {
     let (speed, stride_hz) = (round(size.speed_mps()), round(size.stride_hz()));
     let weight_n = size.mass_kg * GRAVITY_MPS2;
     let (walks, swing_m) = match size.feet {
@@ -122,7 +163,8 @@ fn write_layer(out: &mut String, name: &str, size: &Size) -> std::fmt::Result {
     write!(
         out,
         include_str!("robot_preset.toml.in"),
-        name = name,
+        name = model.name(),
+        symmetric = symmetric(model, own_observation),
         speed = speed,
         swing_m = swing_m,
         feet = size.feet,
@@ -135,12 +177,13 @@ fn write_layer(out: &mut String, name: &str, size: &Size) -> std::fmt::Result {
         clearance = round(0.6 * swing_m),
         vibration = round(4.5 * stride_hz),
         duty = if size.feet <= 2 {
-            "[0.0, 1.0]"
+            "[0.35, 0.85]"
         } else {
             "[0.35, 0.75]"
         },
         scale = if size.feet == 2 { 0.5 } else { 0.8 },
-        alpha = round(1.0 - (-std::f64::consts::TAU * 0.8 * stride_hz * PERIOD_S).exp()),
+        alpha = round(1.0 - (-std::f64::consts::TAU * size.filter_hz() * PERIOD_S).exp()),
+        filter_hz = size.filter_hz(),
         hz_low = round(0.95 * stride_hz),
         hz_high = round(1.05 * stride_hz),
         vx_low = round(0.3 * speed),

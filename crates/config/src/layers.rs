@@ -134,7 +134,8 @@ fn with_derived(
     .robot_path();
     let model = RobotModel::load(&path).map_err(|error| ConfigError::Robot(error.to_string()))?;
     let origin = format!("what follows from {}", path.display());
-    let mut below = vec![(origin.clone(), parse(&origin, &derived(&model)?)?)];
+    let own = layers.iter().any(|(_, layer)| lists_terms(layer));
+    let mut below = vec![(origin.clone(), parse(&origin, &derived(&model, own)?)?)];
     if let Some(any) =
         Preset::find(Preset::ANY).filter(|any| source.preset.as_deref() != Some(any.name))
     {
@@ -143,6 +144,12 @@ fn with_derived(
     }
     below.append(&mut layers);
     Ok(below)
+}
+
+/// Whether a layer lists the terms of the observation.
+fn lists_terms(layer: &Table) -> bool {
+    let task = layer.get("task").and_then(|task| task.get("observation"));
+    task.is_some_and(|observation| observation.get("term").is_some())
 }
 
 /// The robot file that the last layer with one names, else the default.

@@ -26,6 +26,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 pub use args::ConfigArgs;
+pub use derive::can_walk;
 pub use error::ConfigError;
 pub use layers::Source;
 pub use presets::{PRESETS, Preset};
@@ -95,7 +96,7 @@ impl Config {
     /// # Errors
     /// [`ConfigError::Robot`] for a robot that cannot walk.
     pub fn derived(model: &caudata_model::RobotModel) -> Result<String, ConfigError> {
-        derive::derived(model)
+        derive::derived(model, false)
     }
 
     /// SHA-256 of what decides how training goes: seed, actors, learner, engine, terrain and task.

@@ -18,6 +18,8 @@ pub(crate) const STAND: &str = "stand";
 pub(crate) const ROUGH: [&str; 3] = ["rough easy", "rough medium", "rough hard"];
 pub(crate) const OMNI: &str = "omni";
 pub(crate) const PUSH: &str = "push 0.5 m/s";
+/// Change of speed by a push, m/s.
+const PUSH_MPS: f32 = 0.5;
 pub(crate) const NOMINAL: &str = "robust: nominal";
 pub(crate) const WORST_CORNER: &str = "robust: worst corner";
 pub(crate) const INTO_WATER: &str = "shore: into the water";
@@ -45,7 +47,8 @@ pub enum Suite {
     Rough,
     /// A grid of vx, vy and yaw rate on flat ground.
     Omni,
-    /// Pushes of 0.5 m/s in random directions, every 3 s.
+    /// Pushes of 0.5 m/s (in proportion to the speed that the robot is judged at) in random directions,
+    /// every 3 s.
     Push,
     /// The worst corners of the randomisation, one by one and all together.
     Robust,
@@ -142,17 +145,24 @@ fn flat(speed_mps: f32) -> Vec<Scenario> {
             ..Scenario::walk(STAND, [0.0; 3])
         },
     ];
-    for command in [0.1_f32, 0.2, 0.4, 0.5, 0.6, 0.7, 0.8] {
-        let command = command * times(speed_mps);
-        let name = match speed_mps == PAPER_COMMAND_MPS {
-            true => format!("flat {command:.1} m/s"),
-            false => format!("flat {command:.3} m/s"),
-        };
+    for command in [0.1, 0.2, 0.4, 0.5, 0.6, 0.7, 0.8] {
+        let (name, command) = scaled("flat", command, speed_mps);
         all.push(Scenario::walk(&name, [command, 0.0, 0.0]));
     }
-    all.push(Scenario::walk(BACK, [-0.2 * times(speed_mps), 0.0, 0.0]));
+    let (name, back) = scaled("back", 0.2, speed_mps);
+    all.push(Scenario::walk(&name, [-back, 0.0, 0.0]));
     all.push(changing(speed_mps));
     all
+}
+
+/// A velocity of the paper's robot, m/s, as it is asked of one that is judged at `speed_mps`, and its name.
+fn scaled(what: &str, mps: f32, speed_mps: f32) -> (String, f32) {
+    let mps = mps * times(speed_mps);
+    let name = match speed_mps == PAPER_COMMAND_MPS {
+        true => format!("{what} {mps:.1} m/s"),
+        false => format!("{what} {mps:.3} m/s"),
+    };
+    (name, mps)
 }
 
 /// Commands that change every 4 s, within what the paper's robot was asked for.
@@ -212,9 +222,9 @@ fn omni(speed_mps: f32) -> Scenario {
 }
 
 fn push(mass_kg: f64, speed_mps: f32) -> Scenario {
-    const SPEED_MPS: f64 = 0.5;
     const DURATION_S: f32 = 0.2;
-    let force_n = (mass_kg * SPEED_MPS) as f32 / DURATION_S;
+    let (name, change_mps) = scaled("push", PUSH_MPS, speed_mps);
+    let force_n = (mass_kg * f64::from(change_mps)) as f32 / DURATION_S;
     Scenario {
         push: Some(PushConfig {
             enabled: true,
@@ -224,7 +234,7 @@ fn push(mass_kg: f64, speed_mps: f32) -> Scenario {
             full_after_env_steps: 0,
         }),
         judged: false,
-        ..Scenario::walk(PUSH, [speed_mps, 0.0, 0.0])
+        ..Scenario::walk(&name, [speed_mps, 0.0, 0.0])
     }
 }
 
@@ -386,6 +396,12 @@ mod tests {
             (biped[0].name.as_str(), biped[4].name.as_str()),
             ("flat 0.15 m/s", "flat 0.200 m/s")
         );
+        // 0.8 kg · 0.25 m/s / 0.2 s = 1 N
+        let push = &Suite::Push.scenarios(0.8, 0.15)[0];
+        assert_eq!(push.name, "push 0.250 m/s");
+        assert!((push.push.unwrap().force_n[0] - 1.0).abs() < 1e-5);
+        let paper = Suite::Push.scenarios(2.6, PAPER_COMMAND_MPS);
+        assert_eq!(paper[0].name, PUSH);
         assert_eq!(flat_name(PAPER_COMMAND_MPS), FLAT);
     }
 

@@ -1,6 +1,11 @@
-//! Policies made by hand, whose verdict is known.
+//! Policies whose verdict is known: made by hand, and those of other robots that ship.
 
+use std::path::Path;
+use std::sync::Arc;
+
+use caudata_config::{Config, PRESETS, Source};
 use caudata_evaluation::{Scenario, ScenarioResult, Settings, Suite, run_scenario};
+use caudata_model::RobotModel;
 use caudata_policy::PolicyFile;
 use caudata_task::PolicyContract;
 
@@ -92,4 +97,29 @@ fn swimming_at_the_shore_is_measured_in_the_water() {
     assert!(transition.swim_speed_mps.unwrap().mean > 0.03);
     assert_eq!(transition.foot_contact[1], Some(0.0));
     assert!(transition.wave_in_water.unwrap().travels_to_the_tail);
+}
+
+/// The policies of other robots than the salamander that ship, each by the gates of its preset and for the
+/// robot file as it is.
+#[test]
+fn policies_of_other_robots_walk() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../policies");
+    let mut walked = 0;
+    for name in PRESETS.iter().filter(|p| p.derived).map(|p| p.name) {
+        let Ok(bytes) = std::fs::read(folder.join(format!("{name}.onnx"))) else {
+            continue;
+        };
+        let config = Config::load(&Source::preset(name)).unwrap();
+        let model = Arc::new(RobotModel::load(&config.robot_path()).unwrap());
+        let policy = PolicyFile::parse(Arc::from(bytes)).unwrap();
+        let robot = &policy.metadata().contract.robot_hash;
+        assert_eq!(*robot, model.hash_hex(), "{name}");
+        let command = [config.evaluation.command_mps as f32, 0.0, 0.0];
+        let walk = Scenario::walk(name, command);
+        let outcome = run_scenario(&config, &model, &policy, &walk, &settings(), &|| true).unwrap();
+        let missed = outcome.result.gates.as_ref().map(|gates| gates.missed());
+        assert_eq!(outcome.result.walks(), Some(true), "{name}: {missed:?}");
+        walked += 1;
+    }
+    assert!(walked > 0, "none ships");
 }

@@ -1,0 +1,47 @@
+//! What follows from a robot file.
+
+use std::path::Path;
+
+use caudata_config::{Config, PRESETS, Source, can_walk};
+use caudata_model::RobotModel;
+
+fn load(source: Source) -> Config {
+    Config::load(&source).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// Every preset for a robot of its own is whole, and these robots are their own mirror images.
+#[test]
+fn robots_that_ship_are_trained_alike_on_both_sides() {
+    for preset in PRESETS.iter().filter(|p| p.derived && p.robot.is_some()) {
+        let config = load(Source::preset(preset.name));
+        assert!(config.learner.network.symmetric, "{}", preset.name);
+    }
+    // What is not known to be the same in the mirror is not assumed to be; the user may say otherwise.
+    let own = Source::preset("quadruped").set("task.observation.term=[{name=\"gyro\"}]");
+    assert!(!load(own).learner.network.symmetric);
+    let off = Source::preset("hexapod").set("learner.network.symmetric=false");
+    assert!(!load(off).learner.network.symmetric);
+}
+
+/// A biped must act faster than it falls; what stands on four or six feet steps slowly through a slow filter.
+#[test]
+fn filters_follow_from_how_a_robot_falls() {
+    let alpha = |preset: &str| load(Source::preset(preset)).task.action.filter_alpha;
+    // √(9.81 m/s² / 0.15 m)/2π = 1.3 Hz; 3.5 times that are 4.5 Hz: 1 − e^(−2π·4.5·0.02) = 0.43
+    assert!((0.38..0.48).contains(&alpha("biped")), "{}", alpha("biped"));
+    assert!(alpha("quadruped") < 0.2 && alpha("hexapod") < 0.12);
+}
+
+#[test]
+fn a_robot_that_is_held_cannot_walk() {
+    let robots = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../robots");
+    let rig = robots.join("xl330_pendulum.robot.toml");
+    let model = RobotModel::load(&rig).unwrap();
+    let check = can_walk(&model).unwrap_err().to_string();
+    let walk = Source::preset("walk").set(format!("robot={}", rig.display()));
+    assert_eq!(Config::load(&walk).unwrap_err().to_string(), check);
+    assert!(
+        check.contains("xl330_pendulum") && check.contains("held"),
+        "{check}"
+    );
+}
