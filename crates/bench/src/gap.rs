@@ -111,8 +111,9 @@ pub fn run(plan: &Plan, program: &Path) -> Result<Option<Finding>, Failure> {
         examinee::write_report(case, options).or_exit(ExitCode::BadInput)?;
         return Ok(None);
     }
-    let temporary = std::env::temp_dir().join(format!("caudata-bench-gap-{}", std::process::id()));
-    let root = plan.keep.as_ref().unwrap_or(&temporary);
+    // Of nobody else, and gone in the end, whatever comes of it.
+    let temporary = tempfile::tempdir().or_exit(ExitCode::CannotCreate)?;
+    let root = plan.keep.as_deref().unwrap_or(temporary.path());
     if root.join(run::SEALED_NAME).exists() || root.join(run::CASES_NAME).exists() {
         let message = format!(
             "{} holds a set already; choose another folder",
@@ -120,12 +121,7 @@ pub fn run(plan: &Plan, program: &Path) -> Result<Option<Finding>, Failure> {
         );
         return Err(Failure::message(ExitCode::CannotCreate, message));
     }
-    let found = bench(plan, program, root);
-    if plan.keep.is_none() {
-        // nothing of value is lost if it stays
-        let _ = std::fs::remove_dir_all(&temporary);
-    }
-    found.map(Some)
+    bench(plan, program, root).map(Some)
 }
 
 fn bench(plan: &Plan, program: &Path, root: &Path) -> Result<Finding, Failure> {
