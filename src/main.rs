@@ -46,6 +46,9 @@ enum Command {
     Play(commands::play::PlayArgs),
     /// Measure a policy in simulation
     Eval(commands::eval::EvalArgs),
+    /// Runs of training side by side
+    #[command(subcommand)]
+    Runs(commands::runs::RunsCommand),
     /// Print or check the configuration in effect
     #[command(subcommand)]
     Config(commands::config::ConfigCommand),
@@ -103,6 +106,7 @@ fn dispatch(command: &Command, process: &Process) -> Result<(), Failure> {
         Command::Pki(command) => commands::cluster::pki::run(command),
         Command::Play(args) => commands::play::run(args, process),
         Command::Eval(args) => commands::eval::run(args, process),
+        Command::Runs(command) => commands::runs::run(command),
         Command::Config(command) => commands::config::run(command),
         Command::Sim(command) => commands::sim::run(command, process),
         Command::Policy(command) => commands::policy::run(command),

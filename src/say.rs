@@ -1,11 +1,13 @@
 //! Standard output for people and for programs.
 
 use std::fmt::Display;
-use std::io::Write;
+use std::io::{IsTerminal, Write};
+use std::time::{Duration, Instant};
 
 use caudata_studies::Table;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use serde_json::Value;
 
@@ -31,6 +33,78 @@ pub fn line(text: impl Display) {
 pub fn json(value: &impl Serialize) -> Result<(), Failure> {
     line(serde_json::to_string(value).or_exit(ExitCode::Internal)?);
     Ok(())
+}
+
+/// How often a line tells how far something is, where there is no terminal.
+const SHARE_EVERY: Duration = Duration::from_secs(10);
+
+/// How much of something long is done and how long the rest will take, on standard error: a bar on a terminal,
+/// elsewhere a line from time to time.
+pub struct Share {
+    bar: Option<ProgressBar>,
+    what: &'static str,
+    total: usize,
+    done: usize,
+    began: Instant,
+    told: Instant,
+}
+
+impl Share {
+    /// Of `total` equal parts, each of them one of `what`.
+    pub fn new(what: &'static str, total: usize) -> Self {
+        let bar = std::io::stderr().is_terminal().then(|| {
+            let bar = ProgressBar::new(total as u64);
+            // The template is a constant; a wrong one would only lose the layout.
+            if let Ok(style) =
+                ProgressStyle::with_template("{bar:24} {pos}/{len} {msg}, {eta} left")
+            {
+                bar.set_style(style);
+            }
+            bar.with_message(what)
+        });
+        let now = Instant::now();
+        Self {
+            bar,
+            what,
+            total,
+            done: 0,
+            began: now,
+            told: now,
+        }
+    }
+
+    /// One more part is done.
+    pub fn one_more(&mut self) {
+        self.done += 1;
+        if let Some(bar) = &self.bar {
+            bar.inc(1);
+        } else if self.told.elapsed() >= SHARE_EVERY {
+            self.told = Instant::now();
+            let (done, total, what) = (self.done, self.total, self.what);
+            let part_s = self.began.elapsed().as_secs_f64() / done as f64;
+            let left_s = part_s * total.saturating_sub(done) as f64;
+            let _ = writeln!(
+                std::io::stderr(),
+                "{done}/{total} {what}, {left_s:.0} s left"
+            );
+        }
+    }
+
+    /// Prints what a person shall keep, above the bar.
+    pub fn above(&self, print: impl FnOnce()) {
+        match &self.bar {
+            Some(bar) => bar.suspend(print),
+            None => print(),
+        }
+    }
+}
+
+impl Drop for Share {
+    fn drop(&mut self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
 }
 
 /// A value for a program, with `json`, or in words.

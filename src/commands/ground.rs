@@ -16,16 +16,18 @@ pub fn terrain_parser() -> impl TypedValueParser<Value = TerrainKind> {
 
 /// Reads `X,Y`.
 pub fn pair(text: &str) -> Result<[f32; 2], String> {
-    let parts: Vec<f32> = text
-        .split(',')
-        .map(|part| {
-            part.trim()
-                .parse()
-                .map_err(|_| format!("`{part}` is not a number"))
-        })
-        .collect::<Result<_, _>>()?;
-    match parts.as_slice() {
-        [x, y] if x.is_finite() && y.is_finite() => Ok([*x, *y]),
-        _ => Err("must be two numbers, like 0.5,-1".to_owned()),
-    }
+    numbers(text).ok_or_else(|| "must be two numbers, like 0.5,-1".to_owned())
+}
+
+/// Reads `X,Y,Z`.
+pub fn triple(text: &str) -> Result<[f32; 3], String> {
+    numbers(text).ok_or_else(|| "must be three numbers, like 0.3,0,-0.1".to_owned())
+}
+
+/// So many finite numbers with commas between them.
+fn numbers<const N: usize>(text: &str) -> Option<[f32; N]> {
+    let parts = text.split(',').map(|part| part.trim().parse::<f32>().ok());
+    let parts: Vec<f32> = parts.collect::<Option<_>>()?;
+    let parts: [f32; N] = parts.try_into().ok()?;
+    parts.iter().all(|part| part.is_finite()).then_some(parts)
 }

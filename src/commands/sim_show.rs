@@ -15,8 +15,9 @@ use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
 use clap::{Args, ValueEnum};
 use serde_json::json;
 
-use crate::commands::ground::{pair, terrain_parser};
-use crate::commands::robot;
+use crate::commands::ground::{pair, terrain_parser, triple};
+use crate::commands::sim_walk::{Moment, Walk};
+use crate::commands::{eval, robot};
 use crate::say;
 
 /// Pictures of one turn around a model or scene.
@@ -29,8 +30,8 @@ const WATERLINE_M: [f32; 2] = [1.6, 0.0];
 
 #[derive(Debug, Args)]
 pub struct ShowArgs {
-    /// Where the picture goes: `.png`, or `.gif` for an animation (of a log: all of it; otherwise one turn
-    /// around)
+    /// Where the picture goes: `.png`, or `.gif` for an animation (of a log: all of it; of a policy: its walk;
+    /// otherwise one turn around)
     #[arg(long, value_name = "FRAME.png|CLIP.gif")]
     out: PathBuf,
     /// Robot file; default: the configuration's
@@ -54,6 +55,15 @@ pub struct ShowArgs {
     /// Folder of a log to show, with its log.csv and log.toml
     #[arg(long, value_name = "DIR")]
     log: Option<PathBuf>,
+    /// A policy whose walk is drawn
+    #[arg(long, value_name = "P.onnx", conflicts_with = "log")]
+    policy: Option<PathBuf>,
+    /// What the policy is told: vx, vy (m/s), yaw rate (rad/s)
+    #[arg(long, value_name = "X,Y,YAW", value_parser = triple, default_value = "0.3,0,0", allow_hyphen_values = true)]
+    command: [f32; 3],
+    /// How long its walk is drawn after it has settled, s
+    #[arg(long, default_value_t = 4.0)]
+    seconds: f64,
     /// Moment of the log, s
     #[arg(long, value_name = "T")]
     at: Option<f64>,
@@ -111,15 +121,6 @@ impl From<ViewName> for View {
     }
 }
 
-/// One moment of a robot.
-struct Moment {
-    time_s: f64,
-    base: Pose,
-    /// `[J]`, model order.
-    joint_pos_rad: Vec<f64>,
-    contacts: Vec<bool>,
-}
-
 pub fn run(args: &ShowArgs, stop: &StopFlag) -> Result<(), Failure> {
     let animated = match args.out.extension().and_then(|e| e.to_str()) {
         Some("png") => false,
@@ -136,13 +137,33 @@ pub fn run(args: &ShowArgs, stop: &StopFlag) -> Result<(), Failure> {
             "--fps must be 1 to 50",
         ));
     }
-    let (mut config, model) = robot::configured(&args.config, args.robot.as_ref())?;
+    let policy = args.policy.as_deref().map(files::policy).transpose()?;
+    let (mut config, model) = match (&args.policy, &policy) {
+        (Some(path), Some(policy)) => {
+            eval::task_of(path, policy, &args.config, args.robot.as_deref())?
+        }
+        _ => robot::configured(&args.config, args.robot.as_ref())?,
+    };
     let log = args.log.as_deref().map(read_log).transpose()?;
     let seed = choose_terrain(args, log.as_ref(), &mut config)?;
     let terrain = Arc::new(Terrain::generate(&config.terrain, seed).or_exit(ExitCode::BadConfig)?);
-    let moments = match &log {
-        Some(log) => moments_of_log(args, log, &model, &terrain, animated)?,
-        None => vec![settled(args, &config, &model, seed)?],
+    let moments = match (&log, &policy) {
+        (Some(log), _) => moments_of_log(args, log, &model, &terrain, animated)?,
+        (None, Some(policy)) => {
+            let walk = Walk {
+                place_m: args.place.unwrap_or_default(),
+                command: args.command,
+                settle_s: args.settle_s.clamp(0.0, 60.0),
+                pictures: if animated {
+                    frame_count(args.seconds, args.fps)?
+                } else {
+                    1
+                },
+                fps: args.fps,
+            };
+            walk.moments(&config, &model, policy)?
+        }
+        (None, None) => vec![settled(args, &config, &model, seed)?],
     };
     let frames = draw(args, &config, &model, &terrain, &moments, animated, stop)?;
     let bytes = if animated {
@@ -267,6 +288,16 @@ fn settled(
     })
 }
 
+/// Pictures of an animation.
+fn frame_count(seconds: f64, fps: f64) -> Result<usize, Failure> {
+    let count = (seconds * fps).floor() as usize + 1;
+    if count > FRAMES_MAX {
+        let message = format!("{count} frames are more than {FRAMES_MAX}; lower --fps");
+        return Err(Failure::message(ExitCode::BadConfig, message));
+    }
+    Ok(count)
+}
+
 /// The moments of a log that are to be shown.
 fn moments_of_log(
     args: &ShowArgs,
@@ -289,11 +320,7 @@ fn moments_of_log(
         }
         return Ok(vec![reader.moment(at)]);
     }
-    let count = ((last - first) * args.fps).floor() as usize + 1;
-    if count > FRAMES_MAX {
-        let message = format!("{count} frames are more than {FRAMES_MAX}; lower --fps");
-        return Err(Failure::message(ExitCode::BadConfig, message));
-    }
+    let count = frame_count(last - first, args.fps)?;
     Ok((0..count)
         .map(|k| reader.moment(first + k as f64 / args.fps))
         .collect())
@@ -385,6 +412,7 @@ fn draw(
     };
     let mut frames = Vec::with_capacity(count);
     let mut heading = Smooth::default();
+    let mut share = say::Share::new("pictures", count);
     for k in 0..count {
         if stop.is_set() {
             return Err(stopped(stop));
@@ -413,6 +441,7 @@ fn draw(
             config.terrain.kind.name()
         ));
         frames.push(image);
+        share.one_more();
     }
     Ok(frames)
 }

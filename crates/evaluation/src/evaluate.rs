@@ -34,6 +34,21 @@ pub struct Evaluation<'a> {
 }
 
 impl Evaluation<'_> {
+    /// How many scenarios there are to run, on all engines.
+    #[must_use]
+    pub fn scenarios(&self) -> usize {
+        let speed_mps = self.config.evaluation.command_mps as f32;
+        let all = self
+            .suite
+            .scenarios(self.model.total_mass_kg(), speed_mps)
+            .len();
+        match (self.referee, self.suite) {
+            (Some(_), _) => 2 * all,
+            (None, Suite::Acceptance) => all + 1,
+            (None, _) => all,
+        }
+    }
+
     /// Runs it. `go_on` is asked before every control step; `done` is told about every scenario, with the
     /// name of the engine.
     ///

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use caudata_actor::build_env;
 use caudata_config::Config;
-use caudata_env::VecEnv;
+use caudata_env::{StartShift, VecEnv};
 use caudata_evaluation::report::{GroundScene, RobotScene, motion_row, pose_row};
 use caudata_evaluation::{
     EvaluationError, Frame, RobotPose, Scenario, Settings, Start, conditions,
@@ -130,11 +130,22 @@ impl Stage {
         Ok(ended.map(|episode| episode.reason.map_or("time", |reason| reason.name())))
     }
 
-    /// Pose, then motion, as the replay of an evaluation has them ([`pose_row`], [`motion_row`]).
+    /// Where every part of the robot is.
     #[must_use]
-    pub fn row(&self) -> Vec<f32> {
-        let mut row = pose_row(&RobotPose::read(&self.env, 0));
-        row.extend(motion_row(&Frame::read(&self.env, 0)));
+    pub fn pose(&self) -> RobotPose {
+        RobotPose::read(&self.env, 0)
+    }
+
+    /// What it does.
+    #[must_use]
+    pub fn frame(&self) -> Frame {
+        Frame::read(&self.env, 0)
+    }
+
+    /// Pose, then motion, as the replay of an evaluation has them ([`pose_row`], [`motion_row`]).
+    pub(crate) fn row(&self) -> Vec<f32> {
+        let mut row = pose_row(&self.pose());
+        row.extend(motion_row(&self.frame()));
         row
     }
 
@@ -186,6 +197,18 @@ impl Stage {
         let command = &self.config.task.command;
         [command.vx_mps, command.vy_mps, command.yaw_rate_radps]
             .map(|[least, most]| [least.min(0.0), most.max(0.0)])
+    }
+
+    /// Puts it at another place, at rest, m.
+    ///
+    /// # Errors
+    /// When the engine refuses.
+    pub fn place(&mut self, xy_m: [f32; 2]) -> Result<(), EvaluationError> {
+        self.env.shift_starts(StartShift {
+            xy_m,
+            ..StartShift::default()
+        })?;
+        Ok(())
     }
 
     /// What a client must know first.

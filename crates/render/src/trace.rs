@@ -1,5 +1,7 @@
 //! Turns a scene into pixels.
 
+use std::sync::{Mutex, PoisonError};
+
 use crate::camera::Camera;
 use crate::error::RenderError;
 use crate::image::Image;
@@ -57,17 +59,19 @@ pub fn render(scene: &Scene, camera: &Camera, quality: &Quality) -> Result<Image
             *pixel = scale(sum, 1.0 / f64::from(rays * rays)).map(srgb);
         }
     };
-    let row_bytes = width as usize * 3;
-    let share = (height as usize).div_ceil(threads.clamp(1, 64)).max(1);
-    std::thread::scope(|scope| {
-        for (part, rows) in image.rgb_mut().chunks_mut(share * row_bytes).enumerate() {
-            let paint = &paint;
-            scope.spawn(move || {
-                for (i, row) in rows.chunks_mut(row_bytes).enumerate() {
-                    paint(part * share + i, row);
-                }
-            });
+    // Each thread takes the next row: those with a robot in them take longest.
+    let rows = Mutex::new(image.rgb_mut().chunks_mut(width as usize * 3).enumerate());
+    let next = || rows.lock().unwrap_or_else(PoisonError::into_inner).next();
+    let work = || {
+        while let Some((number, row)) = next() {
+            paint(number, row);
         }
+    };
+    std::thread::scope(|scope| {
+        for _ in 1..threads.clamp(1, 64) {
+            scope.spawn(work);
+        }
+        work();
     });
     Ok(image)
 }

@@ -119,10 +119,12 @@ pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
         referee: args.engine.and_then(Engines::referee),
     };
     let go_on = || process.stop.reason().is_none();
+    let mut share = say::Share::new("scenarios", evaluation.scenarios());
     let mut show = |engine: &str, scenario: &ScenarioResult| {
         if !args.json {
-            show::print_on(engine, scenario);
+            share.above(|| show::print_on(engine, scenario));
         }
+        share.one_more();
     };
     if !args.json {
         say::line(format!(
@@ -133,6 +135,7 @@ pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
     let (result, outcomes) = evaluation
         .run(&go_on, &mut show)
         .map_err(|error| refused(error, &process.stop))?;
+    drop(share);
     finish(args, &evaluation, &result, &outcomes)
 }
 

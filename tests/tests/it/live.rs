@@ -4,10 +4,10 @@ mod browser;
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
-use std::process::{Child, ChildStdout, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use caudata_tests::{command, skipped};
+use caudata_tests::{FEW_SAMPLES, TINY, command, skipped};
 use nix::sys::signal::Signal;
 use serde_json::{Value, json};
 
@@ -19,27 +19,31 @@ const PAGE_BYTES_MAX: usize = 1_500_000;
 /// A program that serves a live page.
 struct Served {
     child: Child,
-    _output: BufReader<ChildStdout>,
     /// `127.0.0.1:port`
     host: String,
     token: String,
 }
 
 impl Served {
-    /// Starts `caudata play` with these flags.
+    /// `caudata play` with these flags.
     fn play(flags: &[&str]) -> Self {
         let mut command = command("caudata", &["play"]).unwrap();
-        let mut child = command.args(flags).stdout(Stdio::piped()).spawn().unwrap();
-        let mut output = BufReader::new(child.stdout.take().unwrap());
-        let mut line = String::new();
-        output.read_line(&mut line).unwrap();
-        let address = line.split("http://").nth(1).expect("an address").trim();
+        command.args(flags);
+        Self::start(command)
+    }
+
+    /// Waits for the address, and reads what else is printed, so that nothing waits for a reader.
+    fn start(mut command: Command) -> Self {
+        let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
+        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        let address = lines.find_map(|line| Some(line.ok()?.split_once("http://")?.1.to_owned()));
+        std::thread::spawn(move || lines.for_each(drop));
+        let address = address.expect("an address");
         let (host, token) = address.split_once("/?token=").expect("a token");
         Self {
             host: host.to_owned(),
-            token: token.to_owned(),
+            token: token.trim().to_owned(),
             child,
-            _output: output,
         }
     }
 
@@ -242,10 +246,39 @@ fn every_robot_that_ships_comes_onto_the_page() {
         );
         events.place(10);
     }
-    for policy in ["rough", "amphibious"] {
+    for policy in ["rough", "amphibious", "quadruped"] {
         let served = Served::play(&[&format!("policies/{policy}.onnx")]);
         served.events().place(10);
     }
+}
+
+#[test]
+fn a_training_is_watched_under_its_newest_policy() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut training = command("caudata", &["train"]).unwrap();
+    training.args(TINY.iter().filter(|flag| **flag != "--json"));
+    training
+        .args(FEW_SAMPLES)
+        .arg("--out")
+        .arg(folder.path().join("run"));
+    training.args([
+        "--iterations",
+        "1000000",
+        "--set",
+        "learner.publish_every=5",
+    ]);
+    let served = Served::start(training);
+    let stranger = served.ask("GET /events", "", "");
+    assert!(stranger.starts_with("HTTP/1.1 403"), "{stranger}");
+    let mut events = served.events();
+    events.named("robot");
+    let point = events.named("training");
+    assert!(point["reward_terms"].is_object(), "{point}");
+    let mut versions = std::iter::repeat_with(|| events.named("policy"))
+        .filter_map(|policy| policy["version"].as_u64());
+    let first = versions.next().unwrap();
+    assert!(versions.any(|version| version > first), "a newer one comes");
+    events.place(10);
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! What episodes hand to the engine: parameters, starts, targets; and what observations carry.
 
 use crate::support::{calm_task, env, model};
+use caudata_env::VecEnv;
 use caudata_sim::LaneParams;
 
 const ACT_DIM: usize = 16;
@@ -60,6 +61,25 @@ fn draws_become_parameters() {
     {
         assert_eq!(*p, 0.5 * n);
     }
+}
+
+#[test]
+fn a_joint_that_is_made_limp_stays_so_in_the_next_episode() {
+    let mut env = env(&calm_task(), 2, 1);
+    let mut strengths = [1.0; ACT_DIM];
+    strengths[3] = 0.0;
+    env.set_joint_strengths(&strengths).unwrap();
+    let torques = |env: &VecEnv| env.engine().params(1).torque_scale.clone();
+    assert_eq!(torques(&env), strengths);
+    // A step before the limit of twenty, so that an episode is under way.
+    env.step(&[0.0; 2 * ACT_DIM]).unwrap();
+    env.reset_all().unwrap();
+    assert_eq!(torques(&env), strengths);
+    env.set_joint_strengths(&[1.0; ACT_DIM]).unwrap();
+    assert_eq!(*env.engine().params(1), LaneParams::nominal(&model()));
+    assert!(env.set_joint_strengths(&[1.0]).is_err());
+    strengths[3] = f32::NAN;
+    assert!(env.set_joint_strengths(&strengths).is_err());
 }
 
 #[test]

@@ -1,0 +1,383 @@
+//! `caudata runs`: what is in run folders, side by side.
+
+use std::cmp::Ordering;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use caudata_config::{Config, Source};
+use caudata_studies::files;
+use caudata_telemetry::progress::{Event, Iteration};
+use caudata_telemetry::{ExitCode, Failure, FailureExt};
+use clap::{Args, Subcommand};
+use serde_json::{Value, json};
+
+use crate::commands::train::folder::PROGRESS;
+use crate::say::{self, WithJson};
+
+/// Points at which curves are compared.
+const POINTS: usize = 10;
+/// Keys that differ from run to run without deciding anything.
+const INCIDENTAL: [&str; 4] = ["run.name", "run.out_dir", "policy_server.", "telemetry."];
+
+#[derive(Debug, Subcommand)]
+pub enum RunsCommand {
+    /// The runs in a folder, the oldest first
+    List(WithJson<Within>),
+    /// Runs side by side: curves, gates, and the settings that differ
+    Compare(WithJson<Chosen>),
+    /// The run whose policy walks best: fewest gates missed, then nearest to its command
+    Best(WithJson<Within>),
+}
+
+#[derive(Debug, Args)]
+pub struct Within {
+    /// The folder that they lie in
+    #[arg(value_name = "DIR", default_value = "runs")]
+    folder: PathBuf,
+}
+
+#[derive(Debug, Args)]
+pub struct Chosen {
+    /// Their folders
+    #[arg(value_name = "RUN", num_args = 2..=12, required = true)]
+    runs: Vec<PathBuf>,
+}
+
+pub fn run(command: &RunsCommand) -> Result<(), Failure> {
+    match command {
+        RunsCommand::List(args) => {
+            let runs = within(&args.plan.folder)?;
+            let all: Vec<Value> = runs.iter().map(Run::summary).collect();
+            say::either(args.json, &json!({ "runs": all }), |_| {
+                say::records(&all, SUMMARY);
+            })
+        }
+        RunsCommand::Compare(args) => {
+            let runs: Vec<Run> = args
+                .plan
+                .runs
+                .iter()
+                .map(|dir| Run::read(dir))
+                .collect::<Result<_, _>>()?;
+            compare(&runs, args.json)
+        }
+        RunsCommand::Best(args) => {
+            let runs = within(&args.plan.folder)?;
+            let best = runs
+                .iter()
+                .filter(|run| run.rank().is_some())
+                .min_by(|a, b| a.by_rank(b));
+            let best = best.ok_or_else(|| {
+                let message = format!("no run in {} has an evaluation", args.plan.folder.display());
+                Failure::message(ExitCode::NoInput, message)
+            })?;
+            say::either(args.json, &best.summary(), |summary| {
+                say::fields(summary, SUMMARY);
+                say::line(format!(
+                    "policy {}",
+                    best.folder.join("policy.onnx").display()
+                ));
+            })
+        }
+    }
+}
+
+/// Columns of a list.
+const SUMMARY: &str = "run robot state iteration env_steps episode_return forward_mps power_w gates_missed fall_share";
+
+/// What is in one run folder.
+struct Run {
+    folder: PathBuf,
+    config: Config,
+    iterations: Vec<Iteration>,
+    /// `evaluation` of its report, or null.
+    evaluation: Value,
+    state: &'static str,
+}
+
+impl Run {
+    fn read(folder: &Path) -> Result<Self, Failure> {
+        let config = folder.join("config.toml");
+        if !folder.join("run_id.txt").is_file() || !config.is_file() {
+            let message = format!("{} is no run folder", folder.display());
+            return Err(Failure::message(ExitCode::NoInput, message));
+        }
+        let config = Config::load(&Source::file(&config)).or_exit(ExitCode::BadInput)?;
+        let text = std::fs::read_to_string(folder.join(PROGRESS)).unwrap_or_default();
+        let mut run = Self {
+            folder: folder.to_owned(),
+            config,
+            iterations: Vec::new(),
+            evaluation: Value::Null,
+            state: "stopped or running",
+        };
+        for line in text.lines() {
+            match serde_json::from_str(line) {
+                Ok(Event::Iteration(iteration)) => {
+                    // A run that went on from an earlier checkpoint tells its later part again.
+                    let again = |before: &Iteration| before.iteration >= iteration.iteration;
+                    while run.iterations.last().is_some_and(again) {
+                        run.iterations.pop();
+                    }
+                    run.iterations.push(*iteration);
+                }
+                Ok(Event::Finished(finished)) if finished.reason == "completed" => {
+                    run.state = "completed"
+                }
+                Ok(Event::Started(_)) => run.state = "stopped or running",
+                _ => {}
+            }
+        }
+        let report = folder.join("report.json");
+        if report.is_file() {
+            run.evaluation = files::read_json::<Value>(&report)?["evaluation"].take();
+        }
+        Ok(run)
+    }
+
+    fn name(&self) -> String {
+        let name = self.folder.file_name().unwrap_or(self.folder.as_os_str());
+        name.to_string_lossy().into_owned()
+    }
+
+    /// Gates that its policy missed; `None` where it was not asked.
+    fn missed(&self) -> Option<Vec<String>> {
+        let gates = self.evaluation["gates"]["gates"].as_array()?;
+        let missed = gates.iter().filter(|gate| gate["met"] == false);
+        Some(
+            missed
+                .filter_map(|gate| Some(gate["name"].as_str()?.to_owned()))
+                .collect(),
+        )
+    }
+
+    /// Gates missed, then how far its speed is off the command, m/s.
+    fn rank(&self) -> Option<(usize, f64)> {
+        let speed = self.evaluation["vx_mps"]["mean"].as_f64()?;
+        let off = (speed - self.evaluation["command"][0].as_f64()?).abs();
+        Some((self.missed()?.len(), off))
+    }
+
+    fn by_rank(&self, other: &Self) -> Ordering {
+        let key = |run: &Self| run.rank().unwrap_or((usize::MAX, f64::INFINITY));
+        let (a, b) = (key(self), key(other));
+        a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))
+    }
+
+    fn summary(&self) -> Value {
+        let last = self.iterations.last();
+        let robot = self.config.robot_path();
+        let robot = robot.file_name().unwrap_or_default().to_string_lossy();
+        json!({
+            "run": self.name(),
+            "folder": self.folder,
+            "robot": robot.trim_end_matches(".robot.toml"),
+            "state": self.state,
+            "iteration": last.map(|i| i.iteration),
+            "env_steps": last.map(|i| i.steps_total),
+            "episode_return": last.and_then(|i| i.mean_return),
+            "forward_mps": self.evaluation["vx_mps"]["mean"],
+            "power_w": self.evaluation["power_w"]["mean"],
+            "gates_missed": self.missed().map(|missed| missed.len()),
+            "fall_share": self.evaluation["fall_share"]["mean"],
+        })
+    }
+
+    /// Its value after so many environment steps: the last one until then.
+    fn at(&self, env_steps: u64, value: impl Fn(&Iteration) -> Option<f64>) -> Option<f64> {
+        let until = self
+            .iterations
+            .partition_point(|i| i.steps_total <= env_steps);
+        let reached = self.iterations.last()?.steps_total >= env_steps;
+        self.iterations[..until]
+            .last()
+            .filter(|_| reached)
+            .and_then(value)
+    }
+}
+
+/// The runs in a folder, by name: names begin with the time.
+fn within(folder: &Path) -> Result<Vec<Run>, Failure> {
+    let entries = std::fs::read_dir(folder).or_exit_with(ExitCode::NoInput, || {
+        format!("cannot read {}", folder.display())
+    })?;
+    let mut dirs: Vec<PathBuf> = entries
+        .flatten()
+        .map(|entry| entry.path())
+        .filter(|path| path.join("run_id.txt").is_file() && path.join("config.toml").is_file())
+        .collect();
+    dirs.sort();
+    let read = |dir: PathBuf| match Run::read(&dir) {
+        Ok(run) => Some(run),
+        Err(failure) => {
+            tracing::warn!("{} is left out: {failure}", dir.display());
+            None
+        }
+    };
+    Ok(dirs.into_iter().filter_map(read).collect())
+}
+
+fn compare(runs: &[Run], as_json: bool) -> Result<(), Failure> {
+    let longest = runs
+        .iter()
+        .filter_map(|run| run.iterations.last())
+        .map(|i| i.steps_total)
+        .max();
+    let steps: Vec<u64> = (1..=POINTS)
+        .map(|k| longest.unwrap_or(0) * k as u64 / POINTS as u64)
+        .collect();
+    let curve = |value: fn(&Iteration) -> Option<f64>| -> Vec<Vec<Option<f64>>> {
+        let of = |&at: &u64| runs.iter().map(|run| run.at(at, value)).collect();
+        steps.iter().map(of).collect()
+    };
+    let returns = curve(|i| i.mean_return);
+    let differing = differing(runs);
+    let found = json!({
+        "runs": runs.iter().map(Run::summary).collect::<Vec<_>>(),
+        "gates_missed": runs.iter().map(Run::missed).collect::<Vec<_>>(),
+        "env_steps": steps,
+        "episode_return": returns,
+        "settings": differing.iter().map(|(key, values)| json!({ "key": key, "values": values })).collect::<Vec<_>>(),
+    });
+    say::either(as_json, &found, |_| {
+        let names: Vec<String> = runs.iter().map(Run::name).collect();
+        let row = |first: String, cells: Vec<String>| [vec![first], cells].concat();
+        let head = |first: &str| row(first.to_owned(), names.clone());
+        say::line("return per episode after so many environment steps");
+        let rows = steps.iter().zip(&returns);
+        let rows = rows.map(|(at, values)| row(at.to_string(), values.iter().map(cell).collect()));
+        say::table(&[], std::iter::once(head("steps")).chain(rows));
+        say::line("\nevaluation at the end");
+        say::table(&[], std::iter::once(head("")).chain(evaluations(runs)));
+        say::line("\nsettings that differ");
+        let rows = differing.iter();
+        let rows = rows.map(|(key, values)| row(key.clone(), values.clone()));
+        say::table(&[], std::iter::once(head("key")).chain(rows));
+    })
+}
+
+/// A figure, or a dash where there is none.
+fn cell(value: &Option<f64>) -> String {
+    value.map_or_else(|| "-".to_owned(), say::short)
+}
+
+/// Rows of what the evaluations found, a run each column.
+fn evaluations(runs: &[Run]) -> Vec<Vec<String>> {
+    const FIGURES: [(&str, &str); 4] = [
+        ("forward, m/s", "vx_mps"),
+        ("power, W", "power_w"),
+        ("cost of transport", "cost_of_transport"),
+        ("falls", "fall_share"),
+    ];
+    let figure = |(name, key): (&str, &str)| {
+        let of = |run: &Run| cell(&run.evaluation[key]["mean"].as_f64());
+        std::iter::once(name.to_owned())
+            .chain(runs.iter().map(of))
+            .collect()
+    };
+    let missed = |run: &Run| match run.missed() {
+        Some(missed) if missed.is_empty() => "none".to_owned(),
+        Some(missed) => missed.join("; "),
+        None => "-".to_owned(),
+    };
+    let gates = std::iter::once("gates missed".to_owned()).chain(runs.iter().map(missed));
+    FIGURES
+        .into_iter()
+        .map(figure)
+        .chain([gates.collect()])
+        .collect()
+}
+
+/// The keys that do not have one value in all runs, with each run's.
+fn differing(runs: &[Run]) -> Vec<(String, Vec<String>)> {
+    let all: Vec<Vec<(String, String)>> = runs.iter().map(|run| run.config.entries()).collect();
+    let keys: BTreeSet<&String> = all.iter().flatten().map(|(key, _)| key).collect();
+    let value = |entries: &Vec<(String, String)>, key: &String| {
+        let found = entries.iter().find(|(name, _)| name == key);
+        found.map_or_else(|| "-".to_owned(), |(_, value)| value.clone())
+    };
+    keys.into_iter()
+        .filter(|key| !INCIDENTAL.iter().any(|prefix| key.starts_with(prefix)))
+        .map(|key| {
+            (
+                key.clone(),
+                all.iter()
+                    .map(|entries| value(entries, key))
+                    .collect::<Vec<_>>(),
+            )
+        })
+        .filter(|(_, values)| values.iter().any(|value| *value != values[0]))
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(dir: &Path, name: &str, gamma: &str, missed: bool, speed: f64) -> PathBuf {
+        let folder = dir.join(name);
+        std::fs::create_dir(&folder).unwrap();
+        std::fs::write(folder.join("run_id.txt"), name).unwrap();
+        std::fs::write(
+            folder.join("config.toml"),
+            format!("[learner.ppo]\ngamma = {gamma}\n"),
+        )
+        .unwrap();
+        let lines: Vec<String> = (1..=20)
+            .map(|number| {
+                let iteration = Iteration {
+                    iteration: number,
+                    iterations: 20,
+                    steps_total: 100 * number,
+                    mean_return: Some(number as f64),
+                    ..Iteration::default()
+                };
+                serde_json::to_string(&Event::Iteration(Box::new(iteration))).unwrap()
+            })
+            .collect();
+        std::fs::write(folder.join(PROGRESS), lines.join("\n")).unwrap();
+        let report = json!({ "evaluation": {
+            "vx_mps": { "mean": speed }, "command": [0.3, 0, 0],
+            "gates": { "gates": [{ "name": "slip", "met": !missed }] },
+        }});
+        std::fs::write(folder.join("report.json"), report.to_string()).unwrap();
+        folder
+    }
+
+    #[test]
+    fn the_best_misses_fewest_gates_and_then_keeps_its_command_best() {
+        let dir = tempfile::tempdir().unwrap();
+        run(dir.path(), "a", "0.97", true, 0.3);
+        run(dir.path(), "b", "0.97", false, 0.2);
+        run(dir.path(), "c", "0.97", false, 0.35);
+        std::fs::create_dir(dir.path().join("no run")).unwrap();
+        let runs = within(dir.path()).unwrap();
+        assert_eq!(runs.len(), 3);
+        let best = runs.iter().min_by(|a, b| a.by_rank(b)).unwrap();
+        assert_eq!((best.name().as_str(), best.rank().unwrap().0), ("c", 0));
+        assert_eq!(runs[0].missed(), Some(vec!["slip".to_owned()]));
+    }
+
+    #[test]
+    fn only_what_differs_is_compared_and_curves_end_where_a_run_ends() {
+        let dir = tempfile::tempdir().unwrap();
+        let folders = [
+            run(dir.path(), "a", "0.97", false, 0.3),
+            run(dir.path(), "b", "0.9", false, 0.3),
+        ];
+        let runs: Vec<Run> = folders
+            .iter()
+            .map(|folder| Run::read(folder).unwrap())
+            .collect();
+        let found = differing(&runs);
+        assert_eq!(
+            found,
+            [(
+                "learner.ppo.gamma".to_owned(),
+                vec!["0.97".to_owned(), "0.9".to_owned()]
+            )]
+        );
+        assert_eq!(runs[0].at(1000, |i| i.mean_return), Some(10.0));
+        assert_eq!(runs[0].at(3000, |i| i.mean_return), None);
+    }
+}
