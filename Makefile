@@ -15,7 +15,7 @@ ARGS ?=
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help setup build train test test-fast check lint doc deny advisories bench wheel dist install test-faults setup-arm test-arm fuzz siege soak mutants lines clean tools
+.PHONY: help setup build train test test-fast check lint doc deny advisories bench wheel dist install test-faults setup-arm test-arm fuzz siege soak mutants media lines clean tools
 
 help: ## list the targets
 	@echo 'caudata: make <target> [ARGS="..."]'
@@ -96,6 +96,9 @@ deny: tools ## licences, duplicate dependencies, sources (installs cargo-deny in
 
 advisories: tools ## known security advisories of the dependencies (fetches the advisory database with git)
 	@$(DENY) && cargo deny --locked --workspace check advisories
+
+media: build ## draw the pictures of the README again
+	@$(ENV) python3 setup/media.py
 
 lines: ## count the product: lines of Rust without tests, generated code and doc comments
 	@python3 setup/lines.py

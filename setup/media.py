@@ -1,0 +1,119 @@
+"""Draws the pictures of the README again, with the programs that are built (`make media`).
+
+The live page is drawn in a browser without a window; where there is none, that picture stays as it is.
+"""
+
+import base64
+import json
+import os
+import pathlib
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+
+ROOT = pathlib.Path(__file__).resolve().parent.parent
+MEDIA = ROOT / "docs" / "media"
+CAUDATA = ROOT / "target" / "release" / "caudata"
+BROWSERS = ["chromium-headless-shell", "chromium", "chromium-browser", "google-chrome"]
+# How long the browser may take to draw a picture worth keeping.
+PATIENCE_S = 180
+
+# What `caudata sim show` is told, by file.
+DRAWN = {
+    "walk.gif": "--policy policies/flat.onnx --view side --distance 1.7",
+    "walk-above.gif": "--policy policies/flat.onnx --view top --distance 1.9",
+    "swim.gif": "--policy policies/amphibious.onnx --terrain shore --place 2.6,0 --distance 2",
+    "rough.png": "--policy policies/rough.onnx --terrain rough_hard --settle-s 6 --width 480",
+}
+ANIMATED = "--width 320 --fps 10 --seconds 2.4 --settle-s 3"
+
+
+class Browser:
+    """A page in a browser, over its debugging pipe (descriptors 3 and 4)."""
+
+    def __init__(self, program, width, height):
+        self.home = tempfile.TemporaryDirectory()
+        command = [program, "--headless", "--no-sandbox", "--disable-dev-shm-usage", "--use-gl=angle",
+                   "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--remote-debugging-pipe",
+                   f"--window-size={width},{height}", f"--user-data-dir={self.home.name}", "about:blank"]
+        shell = ["sh", "-c", 'exec "$@" 3<&0 4>&1 1>/dev/null 2>/dev/null', "sh", *command]
+        self.process = subprocess.Popen(shell, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        self.session, self.calls = None, 0
+        target = self.call("Target.createTarget", url="about:blank", width=width, height=height)["targetId"]
+        self.session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+
+    def call(self, method, **parameters):
+        self.calls += 1
+        call = {"id": self.calls, "method": method, "params": parameters}
+        if self.session:
+            call["sessionId"] = self.session
+        self.process.stdin.write(json.dumps(call).encode() + b"\0")
+        self.process.stdin.flush()
+        while True:
+            answer = bytearray()
+            while not answer.endswith(b"\0"):
+                byte = self.process.stdout.read(1)
+                if not byte:
+                    sys.exit("media: the browser has ended")
+                answer += byte
+            answer = json.loads(answer[:-1])
+            if answer.get("id") == self.calls:
+                return answer.get("result", {})
+
+    def value(self, expression):
+        answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
+        return answer["result"].get("value")
+
+    def until(self, expression):
+        end = time.monotonic() + PATIENCE_S
+        while not self.value(f"!!({expression})"):
+            if time.monotonic() > end:
+                sys.exit(f"media: never true on the page: {expression}")
+            time.sleep(0.1)
+
+    def end(self):
+        self.process.kill()
+        self.process.wait()
+        self.home.cleanup()
+
+
+def draw(name, flags):
+    animated = ANIMATED.split() if name.endswith(".gif") else []
+    subprocess.run([CAUDATA, "sim", "show", "--out", MEDIA / name, *flags.split(), *animated], cwd=ROOT, check=True)
+
+
+def live_page():
+    program = next((found for found in map(shutil.which, BROWSERS) if found), None)
+    if not program:
+        print("media: live.png stays as it is: there is no Chromium here")
+        return
+    played = subprocess.Popen([CAUDATA, "play", "policies/flat.onnx"], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    browser = Browser(program, 1000, 735)
+    try:
+        address = played.stdout.readline().split()[-1]
+        browser.call("Page.navigate", url=address)
+        browser.until("caudata.live && caudata.live.film")
+        browser.value("caudata.live.drive.go([0.3, 0, 0.2])")
+        browser.until("caudata.live.film.frames > 550 && caudata.live.drawn > 20")
+        shot = browser.call("Page.captureScreenshot", format="png")
+        (MEDIA / "live.png").write_bytes(base64.b64decode(shot["data"]))
+        print(MEDIA / "live.png")
+    finally:
+        browser.end()
+        played.send_signal(signal.SIGINT)
+        played.wait()
+
+
+def main():
+    for name, flags in DRAWN.items():
+        draw(name, flags)
+    live_page()
+    for path in sorted(MEDIA.iterdir()):
+        print(f"{os.path.getsize(path) / 1000:8.0f} kB  {path.relative_to(ROOT)}")
+
+
+if __name__ == "__main__":
+    main()
