@@ -2,7 +2,7 @@
 //! tried in seconds, without what `sim` depends on.
 #![allow(dead_code, unused_imports, unused_macros)]
 
-#[path = "../sim/src/real.rs"]
+#[path = "../crates/lanes/src/real.rs"]
 pub mod real;
-#[path = "../sim/src/simd/mod.rs"]
+#[path = "../crates/lanes/src/simd/mod.rs"]
 pub mod simd;

@@ -1,11 +1,10 @@
 //! Collecting one chunk: `T` steps of all lanes under one policy.
 
-use std::time::Instant;
-
 use caudata_env::{EpisodeStats, StepOutput, VecEnv};
 use caudata_proto::{ActionHistory, EpisodeSummary, FinalObservation, RolloutChunk};
 use caudata_task::ACTION_HISTORY;
-use caudata_task::layout::Part;
+use caudata_task::layout::Part as Observed;
+use caudata_telemetry::spans::{Laps, Part};
 
 use crate::moments::moments_of;
 use crate::policy::LoadedPolicy;
@@ -55,14 +54,15 @@ pub(crate) fn collect(
     let mut chunk = empty_chunk(settings, env, policy, sequence, spare);
     let mut means = vec![0.0; lanes * act_dim];
     let mut actions = vec![0.0; lanes * act_dim];
+    let mut laps = Laps::new();
     for step in 0..settings.chunk_steps {
         if should_stop() {
             return Ok(None);
         }
         chunk.observations.extend_from_slice(env.observations());
-        let started = Instant::now();
+        laps.lap(Part::Recording);
         policy.run(env.observations(), lanes, &mut means)?;
-        let took = started.elapsed();
+        let took = laps.lap(Part::Inference);
         metrics.inference.observe(took.as_secs_f64());
         if let Some(trace) = &mut trace {
             trace.inferred(took);
@@ -75,9 +75,12 @@ pub(crate) fn collect(
         }
         chunk.actions.extend_from_slice(&actions);
         chunk.action_means.extend_from_slice(&means);
-        let started = Instant::now();
-        let output = env.step(&actions)?;
-        let took = started.elapsed();
+        laps.lap(Part::Recording);
+        let before = env.physics_time();
+        env.step(&actions)?;
+        let physics = env.physics_time() - before;
+        let took = laps.lap_with(Part::Task, (Part::Physics, physics));
+        let output = env.output();
         metrics.env_seconds.inc_by(took.as_secs_f64());
         metrics.steps.inc_by(lanes as u64);
         metrics.episodes.inc_by(output.episodes.len() as u64);
@@ -89,6 +92,7 @@ pub(crate) fn collect(
     let counted = chunk.observations.len();
     chunk.observations.extend_from_slice(env.observations());
     chunk.moments = moments_of(&chunk.observations[..counted], chunk.obs_dim);
+    laps.lap(Part::Recording);
     if let Some(trace) = &mut trace {
         trace.ended();
         chunk.trace = Some(trace.collected);
@@ -163,7 +167,7 @@ fn empty_chunk(
         episodes: Vec::new(),
         moments: moments_of(&[], obs_dim),
         action_history: Some(ActionHistory {
-            first: env.contract().observation.range(Part::Actions).start,
+            first: env.contract().observation.range(Observed::Actions).start,
             steps: ACTION_HISTORY,
             clip: env.task().action.clip,
         }),

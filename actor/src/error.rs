@@ -42,9 +42,6 @@ pub enum ActorError {
         /// Lane.
         lane: usize,
     },
-    /// Inference failed.
-    #[error("inference: {0}")]
-    Inference(PolicyError),
     /// No new policy, or no learner, for too long.
     #[error("{what} for {waited_s:.0} s; is the learner alive?")]
     Starved {
@@ -86,7 +83,7 @@ impl ActorError {
             Self::Ledger { source, .. } => ExitCode::of_io(source, true),
             Self::Snapshot(_) => ExitCode::CheckpointDamaged,
             Self::Env(EnvError::Sim(SimError::Mujoco(_))) => ExitCode::Unavailable,
-            Self::Env(_) | Self::NotFinite { .. } | Self::Inference(_) => ExitCode::Internal,
+            Self::Env(_) | Self::NotFinite { .. } => ExitCode::Internal,
         }
     }
 

@@ -18,6 +18,7 @@ mod ledger;
 mod link;
 mod metrics;
 pub mod moments;
+mod network;
 mod policy;
 mod pulse;
 pub mod quota;
@@ -36,6 +37,7 @@ pub use link::{
     decode_transport, encode_transport, transport_config, transport_of, with_certificates,
 };
 pub use metrics::ActorMetrics;
+pub use network::Network;
 pub use pulse::{ALIVE, JOINED, PulsedLink, say_alive};
 pub use run::{ActorReport, run};
 pub use settings::{ActorSettings, actor_key, build_env, tracer_of};

@@ -1,12 +1,12 @@
 //! A policy that an actor acts with: exactly the bytes that arrived, checked before use.
 
-use caudata_policy::{Inference, PolicyFile};
+use caudata_policy::PolicyFile;
 use caudata_task::PolicyContract;
 use caudata_transport::PolicyUpdate;
 use sha2::{Digest, Sha256};
 
-use crate::ActorError;
 use crate::gaussian::Density;
+use crate::{ActorError, Network};
 
 /// A checked policy, ready to run.
 pub(crate) struct LoadedPolicy {
@@ -22,15 +22,15 @@ pub(crate) struct LoadedPolicy {
     pub std: Vec<f32>,
     /// Density of the actions around their means.
     pub density: Density,
-    inference: Inference,
+    network: Network,
 }
 
 impl LoadedPolicy {
-    /// Checks hash, file, contract and version, then hands the bytes to ONNX Runtime.
+    /// Checks hash, file, contract and version, then takes up the weights, in the room of the policy `before`.
     pub fn load(
         update: &PolicyUpdate,
         expected: &PolicyContract,
-        threads: usize,
+        before: Option<Self>,
     ) -> Result<Self, ActorError> {
         let version = update.version;
         let refused = |source| ActorError::PolicyRefused { version, source };
@@ -49,7 +49,13 @@ impl LoadedPolicy {
         }
         let log_std = metadata.log_std.clone();
         let std = log_std.iter().map(|x| x.exp()).collect();
-        let inference = Inference::new(&file, threads).map_err(refused)?;
+        let network = match before {
+            None => Network::new(file.spec()),
+            Some(Self { mut network, .. }) => {
+                network.replace(file.spec());
+                network
+            }
+        };
         let env_steps = metadata.env_steps;
         Ok(Self {
             version,
@@ -58,7 +64,7 @@ impl LoadedPolicy {
             density: Density::new(&log_std),
             log_std,
             std,
-            inference,
+            network,
         })
     }
 
@@ -69,9 +75,7 @@ impl LoadedPolicy {
         lanes: usize,
         means: &mut [f32],
     ) -> Result<(), ActorError> {
-        self.inference
-            .run(observations, lanes, means)
-            .map_err(ActorError::Inference)?;
+        self.network.run(observations, lanes, means);
         match means.iter().position(|mean| !mean.is_finite()) {
             None => Ok(()),
             Some(at) => Err(ActorError::NotFinite {

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use caudata_telemetry::{Pulse, StopFlag};
-use caudata_transport::{ActorLink, LinkStats, PolicyUpdate, SendError, TransportError};
+use caudata_transport::{ActorLink, LinkStats, PolicyUpdate, SendError, TransportError, Value};
 
 /// What a process that is watched says on a line of its own.
 pub const ALIVE: &str = "alive";
@@ -39,6 +39,15 @@ impl ActorLink for PulsedLink {
     fn send(&mut self, frame: &[u8], timeout: Duration) -> Result<(), SendError> {
         self.pulse.beat();
         self.inner.send(frame, timeout)
+    }
+
+    fn takes_values(&self) -> bool {
+        self.inner.takes_values()
+    }
+
+    fn send_value(&mut self, value: Value, timeout: Duration) -> Result<(), (SendError, Value)> {
+        self.pulse.beat();
+        self.inner.send_value(value, timeout)
     }
 
     fn next_policy(&mut self, timeout: Duration) -> Result<Option<PolicyUpdate>, TransportError> {

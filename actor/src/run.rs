@@ -3,9 +3,10 @@
 use std::time::{Duration, Instant};
 
 use caudata_env::VecEnv;
-use caudata_proto::{ActorBye, ActorHello, Envelope, encode};
+use caudata_proto::{ActorBye, ActorHello, Envelope, RolloutChunk, encode};
 use caudata_telemetry::StopFlag;
-use caudata_transport::{ActorLink, Control, SendError};
+use caudata_telemetry::spans::{self, Laps, Part};
+use caudata_transport::{ActorLink, Control, SendError, Value};
 
 use crate::chunk::Spare;
 use crate::policy::LoadedPolicy;
@@ -108,6 +109,38 @@ struct Actor<'a> {
     greeted: bool,
 }
 
+/// A chunk on its way to the learner.
+enum Packed {
+    /// To another process.
+    Frame(Vec<u8>),
+    /// Within this one; `None` once it has been taken.
+    Value(Option<Value>),
+}
+
+impl Packed {
+    fn bytes(&self) -> usize {
+        match self {
+            Self::Frame(frame) => frame.len(),
+            Self::Value(value) => value.as_ref().map_or(0, |value| value.bytes),
+        }
+    }
+
+    fn send(&mut self, link: &mut dyn ActorLink) -> Result<(), SendError> {
+        match self {
+            Self::Frame(frame) => link.send(frame, WAIT_SLICE),
+            Self::Value(chunk) => match chunk.take() {
+                None => Ok(()),
+                Some(value) => link
+                    .send_value(value, WAIT_SLICE)
+                    .map_err(|(error, value)| {
+                        *chunk = Some(value);
+                        error
+                    }),
+            },
+        }
+    }
+}
+
 /// How an attempt to hand something over ended.
 enum Handed {
     Taken,
@@ -149,12 +182,7 @@ impl Actor<'_> {
             };
             self.quota.chunk_collected();
             let (sequence, policy_version) = (chunk.sequence, chunk.policy_version);
-            let envelope = Envelope::Chunk(Box::new(chunk));
-            let frame = encode(&envelope);
-            if let Envelope::Chunk(chunk) = envelope {
-                self.spare = Spare::from(*chunk);
-            }
-            self.send_chunk(&frame)?;
+            let bytes = self.send_chunk(chunk)?;
             if let Some(trace) = trace.filter(|_| self.sent > sequence) {
                 let chunk = SentChunk {
                     actor_id: self.settings.actor_id,
@@ -163,7 +191,7 @@ impl Actor<'_> {
                     policy_version,
                     steps: self.settings.chunk_steps,
                     lanes: self.env.lanes(),
-                    bytes: frame.len(),
+                    bytes,
                 };
                 trace.sent(&self.settings.traces, &chunk);
             }
@@ -185,12 +213,11 @@ impl Actor<'_> {
         if update.control == Control::Stop {
             return Ok(true);
         }
-        let threads = self.settings.inference_threads;
         let started = Instant::now();
-        let policy = LoadedPolicy::load(&update, self.env.contract(), threads)?;
-        self.metrics
-            .policy_seconds
-            .inc_by(started.elapsed().as_secs_f64());
+        let policy = LoadedPolicy::load(&update, self.env.contract(), self.policy.take())?;
+        let took = started.elapsed();
+        spans::add(Part::Loading, took);
+        self.metrics.policy_seconds.inc_by(took.as_secs_f64());
         self.quota.policy_arrived(policy.version);
         // Whatever grows with training follows the policy, so that it depends on nothing else.
         self.env.set_progress(policy.env_steps);
@@ -232,12 +259,14 @@ impl Actor<'_> {
         Ok(())
     }
 
-    /// Hands a chunk over, however long the learner is behind, until asked to stop.
-    fn send_chunk(&mut self, frame: &[u8]) -> Result<(), ActorError> {
+    /// Hands a chunk over, however long the learner is behind, until asked to stop; answers its size.
+    fn send_chunk(&mut self, chunk: RolloutChunk) -> Result<usize, ActorError> {
         let started = Instant::now();
+        let chunk = self.packed(chunk);
+        let bytes = chunk.bytes();
         // Written before: a process killed in between has counted one chunk too many, which shows as lost.
         self.write_ledger(self.sent + 1)?;
-        let result = self.hand_over(frame, started);
+        let result = self.hand_over(chunk, started);
         self.metrics
             .send_seconds
             .inc_by(started.elapsed().as_secs_f64());
@@ -245,17 +274,34 @@ impl Actor<'_> {
             Handed::Taken => {
                 self.sent += 1;
                 self.metrics.chunks.inc();
-                self.metrics.bytes.inc_by(frame.len() as u64);
-                Ok(())
+                self.metrics.bytes.inc_by(bytes as u64);
             }
-            Handed::Stopping => self.write_ledger(self.sent),
+            Handed::Stopping => self.write_ledger(self.sent)?,
         }
+        Ok(bytes)
     }
 
-    fn hand_over(&mut self, frame: &[u8], started: Instant) -> Result<Handed, ActorError> {
+    /// As the link takes it.
+    fn packed(&mut self, chunk: RolloutChunk) -> Packed {
+        if self.link.takes_values() {
+            let bytes = chunk.memory_bytes();
+            let content = Box::new(chunk);
+            return Packed::Value(Some(Value { content, bytes }));
+        }
+        let mut laps = Laps::new();
+        let envelope = Envelope::Chunk(Box::new(chunk));
+        let frame = encode(&envelope);
+        if let Envelope::Chunk(chunk) = envelope {
+            self.spare = Spare::from(*chunk);
+        }
+        laps.lap(Part::Encoding);
+        Packed::Frame(frame)
+    }
+
+    fn hand_over(&mut self, mut chunk: Packed, started: Instant) -> Result<Handed, ActorError> {
         loop {
             let attempt = match self.greeted {
-                true => self.link.send(frame, WAIT_SLICE).map(|()| true),
+                true => chunk.send(&mut *self.link).map(|()| true),
                 false => self.greet(WAIT_SLICE).map(|()| false),
             };
             match attempt {

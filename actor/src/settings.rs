@@ -29,8 +29,6 @@ pub struct ActorSettings {
     pub max_lead: u32,
     /// Whether a policy is taken only when the quotas of the one before are collected.
     pub lockstep: bool,
-    /// Threads of ONNX Runtime.
-    pub inference_threads: usize,
     /// Longest wait for a policy, or for the learner to come back.
     pub policy_timeout: Duration,
     /// Longest wait at the end for the learner to take what was sent.
@@ -56,7 +54,6 @@ impl ActorSettings {
             chunks_per_version: actors.chunks_per_version,
             max_lead: actors.max_lead,
             lockstep: actors.lockstep,
-            inference_threads: actors.inference_threads as usize,
             policy_timeout: Duration::from_secs_f64(actors.policy_timeout_s),
             flush_timeout: Duration::from_secs_f64(actors.flush_timeout_s),
             ledger: None,

@@ -3,6 +3,7 @@
 //! The batch is noise in the shape of the configuration: the time of an update does not depend on what is in
 //! it.
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use caudata_config::Config;
@@ -64,7 +65,7 @@ pub fn bench(config: &Config, seconds: f64) -> Result<LearnerBench, LearnerError
     let Task { networks: spec, .. } = Task::new(config)?;
     let network = &config.learner.network;
     tch::set_num_threads(1);
-    let batch = noise(config, &spec);
+    let batch = Arc::new(noise(config, &spec));
     let settings = PpoSettings::new(config);
     let mut thread_counts = vec![1, config.learner.threads as usize];
     thread_counts.dedup();
@@ -102,6 +103,7 @@ fn noise(config: &Config, spec: &NetworkSpec) -> Batch {
         rows,
         observations: draw((rows + chunks * lanes) * spec.obs_dim),
         actions: draw(rows * spec.act_dim),
+        action_means: Vec::new(),
         behaviour_log_probs: draw(rows),
         rewards: draw(rows),
         terminated: vec![false; rows],
@@ -123,7 +125,7 @@ fn noise(config: &Config, spec: &NetworkSpec) -> Batch {
 fn speed(
     mut ppo: Ppo,
     spec: &NetworkSpec,
-    batch: &Batch,
+    batch: &Arc<Batch>,
     threads: usize,
     seconds: f64,
 ) -> Result<LearnerSpeed, LearnerError> {

@@ -95,6 +95,17 @@ fn to_host(tensor: &Tensor) -> Result<Vec<f32>, LearnerError> {
     Ok(Vec::try_from(&flat)?)
 }
 
+/// The non-linearity as the vector lanes know it.
+pub(crate) fn in_lanes(of: Activation) -> caudata_lanes::dense::Activation {
+    use caudata_lanes::dense::Activation as InLanes;
+    match of {
+        Activation::Elu => InLanes::Elu,
+        Activation::Swish => InLanes::Swish,
+        Activation::Tanh => InLanes::Tanh,
+        Activation::Relu => InLanes::Relu,
+    }
+}
+
 pub(crate) fn activation(of: Activation) -> caudata_policy::Activation {
     match of {
         Activation::Elu => caudata_policy::Activation::Elu,

@@ -1,7 +1,7 @@
 //! `caudata bench`: how fast the parts are on this machine. The measuring is in `crates/bench`.
 
 use caudata_bench::transport::ingest;
-use caudata_bench::{gap, lag, learner, parts, sim, skill, transport};
+use caudata_bench::{gap, lag, learner, parts, sim, skill, train, transport};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Subcommand;
 
@@ -27,6 +27,9 @@ pub enum BenchCommand {
         #[arg(long)]
         each: bool,
     },
+    /// Where a second of training goes: per iteration and as shares of all cores' time; beside another build,
+    /// beside other work
+    Train(WithJson<train::Plan>),
     /// Trainings from nothing: wall time until the policy walks at a commanded speed with every gate met,
     /// median of seeds
     Skill(WithJson<skill::Plan>),
@@ -58,6 +61,9 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
             Some(found) => say::either(asked.json, &found, |found| show::gap(found, *each)),
             None => Ok(()),
         },
+        BenchCommand::Train(WithJson { plan, json }) => {
+            say::either(*json, &train::run(plan, &learner()?)?, show::train)
+        }
         BenchCommand::Skill(WithJson { plan, json }) => {
             let found = skill::run(plan, &own()?, &mut |one| {
                 if !*json {

@@ -3,7 +3,7 @@
 use caudata_bench::measure::Rate;
 use caudata_bench::sim::{DT_S, Speed};
 use caudata_bench::transport::ingest;
-use caudata_bench::{gap, lag, sim, skill, transport};
+use caudata_bench::{gap, lag, sim, skill, train, transport};
 use caudata_gap_benchmark::case::Answer;
 use caudata_gap_benchmark::score::{Outcome, summary::median_gain};
 use caudata_sim::batch::Phase;
@@ -147,6 +147,34 @@ pub fn skill(one: &skill::Skill) {
         one,
         "seed walks_after_s fast_after_s training_s last_speed_mps last_missed",
     );
+}
+
+/// Where a second of training goes.
+pub fn train(found: &train::Finding) {
+    say::record(found, "cores busy wall_ratio cpu_ratio");
+    say::records(
+        &found.builds,
+        "build starts_after_s iteration_ms cpu_ms steps_per_s",
+    );
+    let mut head = vec!["part".to_owned()];
+    for build in &found.builds {
+        head.push(format!("{}, ms", build.build));
+        head.push(format!("{}, share", build.build));
+    }
+    let head: Vec<&str> = head.iter().map(String::as_str).collect();
+    let parts = found.builds.first().map_or(0, |build| build.parts.len());
+    let rows = (0..parts).map(|at| {
+        let mut row = vec![found.builds[0].parts[at].part.to_owned()];
+        for build in &found.builds {
+            let part = &build.parts[at];
+            let unknown = || "-".to_owned();
+            row.push(part.ms.map_or_else(unknown, |ms| format!("{ms:.2}")));
+            let share = part.share.map(|share| format!("{:.1} %", 100.0 * share));
+            row.push(share.unwrap_or_else(unknown));
+        }
+        row
+    });
+    say::table(&head, rows);
 }
 
 /// Links, and rollouts over them.

@@ -7,7 +7,7 @@ use std::time::Duration;
 use crate::policy_cell::{PolicyCell, Seen};
 use crate::{
     ActorLink, Frame, InprocConfig, LearnerLink, LinkStats, PolicyUpdate, SendError,
-    TransportConfig, TransportError,
+    TransportConfig, TransportError, Value,
 };
 
 /// Makes the two kinds of ends of one in-process run. Cheap to clone.
@@ -95,7 +95,7 @@ struct State {
     learner: LearnerState,
     actors: usize,
     /// Frames of all actors in order of arrival, each with its actor's slot.
-    queue: VecDeque<(usize, Vec<u8>)>,
+    queue: VecDeque<(usize, Frame)>,
     /// Per slot: how many of its frames are in `queue`.
     waiting: Vec<usize>,
     /// Slots of dropped actors whose frames have all been read.
@@ -105,8 +105,8 @@ struct State {
 }
 
 impl State {
-    fn pop(&mut self) -> Option<Vec<u8>> {
-        let (slot, bytes) = self.queue.pop_front()?;
+    fn pop(&mut self) -> Option<Frame> {
+        let (slot, frame) = self.queue.pop_front()?;
         self.waiting[slot] -= 1;
         if self.waiting[slot] == 0
             && let Some(at) = self.leaving.iter().position(|&s| s == slot)
@@ -114,7 +114,7 @@ impl State {
             self.leaving.swap_remove(at);
             self.free.push(slot);
         }
-        Some(bytes)
+        Some(frame)
     }
 }
 
@@ -140,11 +140,12 @@ struct InprocActor {
 }
 
 impl InprocActor {
-    fn enqueue(&self, frame: &[u8], timeout: Duration) -> Result<(), SendError> {
+    /// Waits until a frame of `size` bytes has room, and keeps the queue until it has been put there.
+    fn room(&self, size: usize, timeout: Duration) -> Result<MutexGuard<'_, State>, SendError> {
         let limits = &self.shared.config.limits;
-        if frame.len() > limits.max_frame_bytes {
+        if size > limits.max_frame_bytes {
             return Err(SendError::TooLarge {
-                size: frame.len(),
+                size,
                 max: limits.max_frame_bytes,
             });
         }
@@ -164,25 +165,52 @@ impl InprocActor {
                 unacknowledged: state.waiting[self.slot],
             });
         }
+        Ok(state)
+    }
+
+    fn put(&self, mut state: MutexGuard<'_, State>, frame: Frame) {
         state.waiting[self.slot] += 1;
-        state.queue.push_back((self.slot, frame.to_vec()));
+        state.queue.push_back((self.slot, frame));
         drop(state);
         self.shared.arrived.notify_one();
-        Ok(())
+    }
+
+    fn count(&mut self, size: usize, taken: bool) {
+        if taken {
+            self.stats.frames += 1;
+            self.stats.bytes += size as u64;
+        } else {
+            self.stats.refused += 1;
+        }
     }
 }
 
 impl ActorLink for InprocActor {
     fn send(&mut self, frame: &[u8], timeout: Duration) -> Result<(), SendError> {
-        let result = self.enqueue(frame, timeout);
-        match result {
-            Ok(()) => {
-                self.stats.frames += 1;
-                self.stats.bytes += frame.len() as u64;
+        let sent = self.room(frame.len(), timeout).map(|state| {
+            let bytes = frame.to_vec();
+            self.put(state, Frame { bytes, value: None });
+        });
+        self.count(frame.len(), sent.is_ok());
+        sent
+    }
+
+    fn takes_values(&self) -> bool {
+        true
+    }
+
+    fn send_value(&mut self, value: Value, timeout: Duration) -> Result<(), (SendError, Value)> {
+        let size = value.bytes;
+        let sent = match self.room(size, timeout) {
+            Err(error) => Err((error, value)),
+            Ok(state) => {
+                let (bytes, value) = (Vec::new(), Some(value));
+                self.put(state, Frame { bytes, value });
+                Ok(())
             }
-            Err(_) => self.stats.refused += 1,
-        }
-        result
+        };
+        self.count(size, sent.is_ok());
+        sent
     }
 
     fn next_policy(&mut self, timeout: Duration) -> Result<Option<PolicyUpdate>, TransportError> {
@@ -241,14 +269,15 @@ impl LearnerLink for InprocLearner {
             .arrived
             .wait_timeout_while(self.shared.lock(), timeout, |state| state.queue.is_empty())
             .unwrap_or_else(PoisonError::into_inner);
-        let Some(bytes) = state.pop() else {
+        let Some(frame) = state.pop() else {
             return Ok(None);
         };
         drop(state);
         self.shared.room.notify_all();
         self.stats.frames += 1;
-        self.stats.bytes += bytes.len() as u64;
-        Ok(Some(Frame { bytes }))
+        let of_value = frame.value.as_ref().map_or(0, |value| value.bytes);
+        self.stats.bytes += (frame.bytes.len() + of_value) as u64;
+        Ok(Some(frame))
     }
 
     fn publish_policy(&mut self, update: PolicyUpdate) -> Result<(), TransportError> {
@@ -324,6 +353,32 @@ mod tests {
         assert_eq!(learner.recv(SOON).unwrap().unwrap().bytes, b"a");
         assert_eq!(learner.recv(SOON).unwrap().unwrap().bytes, b"b");
         assert_eq!(hub.shared.lock().free.len(), 1);
+    }
+
+    #[test]
+    fn values_and_frames_share_the_order_the_window_and_the_books() {
+        let hub = hub(2);
+        let mut learner = hub.learner().unwrap();
+        let mut actor = hub.actor().unwrap();
+        assert!(actor.takes_values());
+        let value = |content: u32, bytes| Value {
+            content: Box::new(content),
+            bytes,
+        };
+        actor.send(b"a", SOON).unwrap();
+        actor.send_value(value(7, 100), SOON).unwrap();
+        let (error, back) = actor.send_value(value(8, 100), SOON).unwrap_err();
+        assert_eq!(error, SendError::Full { unacknowledged: 2 });
+        assert_eq!(back.content.downcast_ref::<u32>(), Some(&8));
+        assert_eq!(learner.recv(SOON).unwrap().unwrap().bytes, b"a");
+        let taken = learner.recv(SOON).unwrap().unwrap().value.unwrap();
+        assert_eq!(taken.content.downcast_ref::<u32>(), Some(&7));
+        let (sent, read) = (actor.stats(), learner.stats());
+        assert_eq!((sent.frames, sent.bytes, sent.refused), (2, 101, 1));
+        assert_eq!((read.frames, read.bytes, read.depth), (2, 101, 0));
+        let large = value(9, Limits::default().max_frame_bytes + 1);
+        let (error, _) = actor.send_value(large, SOON).unwrap_err();
+        assert!(matches!(error, SendError::TooLarge { .. }));
     }
 
     #[test]

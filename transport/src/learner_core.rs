@@ -118,7 +118,7 @@ impl<D: Downlink> LearnerLink for RemoteLearner<D> {
         self.downlink.wake();
         self.stats.frames += 1;
         self.stats.bytes += bytes.len() as u64;
-        Ok(Some(Frame { bytes }))
+        Ok(Some(Frame { bytes, value: None }))
     }
 
     fn publish_policy(&mut self, update: PolicyUpdate) -> Result<(), TransportError> {

@@ -28,6 +28,6 @@ pub use config::{Iceoryx2Config, InprocConfig, Limits, TlsFiles, TransportConfig
 pub use error::{SendError, TransportError};
 pub use inproc::InprocHub;
 pub use link::{
-    ActorLink, Control, Frame, LearnerLink, LinkStats, PolicyUpdate, actor_link, clean_up,
+    ActorLink, Control, Frame, LearnerLink, LinkStats, PolicyUpdate, Value, actor_link, clean_up,
     learner_link,
 };

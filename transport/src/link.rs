@@ -1,5 +1,6 @@
 //! The trait pair that actors and learner are written against, the values that cross it, and the factories.
 
+use std::any::Any;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -16,6 +17,21 @@ pub trait ActorLink: Send {
     /// Err: the frame has not been taken and will not arrive. `Full` and `Disconnected` may be tried again
     /// with the same frame.
     fn send(&mut self, frame: &[u8], timeout: Duration) -> Result<(), SendError>;
+
+    /// Whether the learner is in this process, so that [`Self::send_value`] works.
+    fn takes_values(&self) -> bool {
+        false
+    }
+
+    /// As [`send`](Self::send), for a value that stays in this process: it counts as a frame, in order with the
+    /// others. What was not taken comes back with the error; a link to another process takes none.
+    ///
+    /// # Errors
+    /// As [`send`](Self::send).
+    fn send_value(&mut self, value: Value, _timeout: Duration) -> Result<(), (SendError, Value)> {
+        let unacknowledged = self.stats().depth;
+        Err((SendError::Disconnected { unacknowledged }, value))
+    }
 
     /// The newest policy not returned before, waiting at most `timeout` for one; older ones that were
     /// never looked at are skipped. `Ok(None)` when nothing new came, learner there or not.
@@ -55,10 +71,21 @@ pub trait LearnerLink: Send {
 }
 
 /// One rollout frame as the actor handed it over.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug)]
 pub struct Frame {
-    /// The bytes.
+    /// The bytes; none where a value came instead.
     pub bytes: Vec<u8>,
+    /// What [`ActorLink::send_value`] was given.
+    pub value: Option<Value>,
+}
+
+/// What an actor in the learner's process hands over without turning it into bytes.
+#[derive(Debug)]
+pub struct Value {
+    /// The value itself, opaque as the bytes of a frame are.
+    pub content: Box<dyn Any + Send>,
+    /// The memory that it takes, bytes: bounded and counted as a frame of that size is.
+    pub bytes: usize,
 }
 
 /// One published policy.

@@ -3,16 +3,15 @@
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 
 use caudata_config::{ConfigArgs, Returns};
-use caudata_studies::flags;
 use caudata_telemetry::progress::{Event, MeanSe};
-use caudata_telemetry::{ExitCode, Failure, FailureExt, PARENT_PID_VAR};
+use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Args;
 use serde::Serialize;
 
-use crate::parts;
+use crate::{parts, training};
 
 /// The words of `learner.staleness.correction`, and what they are called here.
 const LOSSES: [(&str, &str); 2] = [("decoupled", "decoupled"), ("none", "plain")];
@@ -133,18 +132,6 @@ fn train(
     seed: u64,
 ) -> Result<Run, Failure> {
     let folder = tempfile::tempdir().or_exit(ExitCode::CannotCreate)?;
-    let mut command = Command::new(learner);
-    command
-        .args(flags::as_words(&flags::or_preset(&plan.config, "quick")))
-        .args([
-            "--inproc",
-            "--log-filter",
-            "error",
-            "--run-id",
-            "lag",
-            "--run-dir",
-        ])
-        .arg(folder.path());
     let mut sets = vec![
         "transport.kind=inproc".to_owned(),
         "actors.lockstep=true".to_owned(),
@@ -157,13 +144,10 @@ fn train(
     if let Some(iterations) = plan.iterations {
         sets.push(format!("run.iterations={iterations}"));
     }
-    for set in &sets {
-        command.args(["--set", set]);
-    }
+    let mut command = training::command(learner, &plan.config, &sets, "lag", folder.path());
     let mut child = command
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
-        .env(PARENT_PID_VAR, std::process::id().to_string())
         .spawn()
         .or_exit(ExitCode::OsResource)?;
     let (mut finished, mut lag_seen, mut effective_share_min) = (None, 0, f64::INFINITY);

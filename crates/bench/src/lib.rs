@@ -12,5 +12,7 @@ pub mod measure;
 pub mod parts;
 pub mod sim;
 pub mod skill;
+pub mod train;
+mod training;
 pub mod transport;
 pub mod verify;

@@ -117,7 +117,6 @@ impl Config {
         rule!(self, actors.chunks_per_version in 1, 64);
         rule!(self, actors.max_lead in 0, 8);
         rule!(self, actors.threads in 1, 256);
-        rule!(self, actors.inference_threads in 1, 64);
         rule!(self, actors.policy_timeout_s to 86_400.0);
         rule!(self, actors.flush_timeout_s to 600.0);
         rule!(self, actors.restarts_per_minute in 0, 60);

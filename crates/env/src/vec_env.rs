@@ -1,6 +1,7 @@
 //! The vectorised environment.
 
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use caudata_model::RobotModel;
 use caudata_random::{Key, Purpose, Stream};
@@ -60,6 +61,7 @@ pub struct VecEnv {
     pub(crate) joint_strengths: Vec<f32>,
     /// Added to every drawn start.
     pub(crate) start_shift: StartShift,
+    physics_time: Duration,
 }
 
 impl VecEnv {
@@ -121,6 +123,7 @@ impl VecEnv {
             held_commands: Vec::new(),
             joint_strengths: vec![1.0; joints.len()],
             start_shift: StartShift::default(),
+            physics_time: Duration::ZERO,
             sees_truth: observer.check_sensed(&layout).is_err(),
             observer,
             own_rewards,
@@ -202,6 +205,11 @@ impl VecEnv {
         &mut self.lanes[lane].action_stream
     }
 
+    /// Time that the engine has taken for steps since it was made; no result depends on it.
+    pub fn physics_time(&self) -> Duration {
+        self.physics_time
+    }
+
     /// Tells how many environment steps the whole run has done; pushes and costs may grow with it.
     pub fn set_progress(&mut self, env_steps_total: u64) {
         self.progress = env_steps_total;
@@ -244,7 +252,9 @@ impl VecEnv {
         check_actions(actions, self.lanes.len(), self.act_dim())?;
         self.buffers.clear();
         self.prepare(actions);
+        let began = Instant::now();
         self.engine.step(&self.targets_rad, &self.wrenches)?;
+        self.physics_time += began.elapsed();
         self.ended.clear();
         for lane in 0..self.lanes.len() {
             self.settle(lane)?;
@@ -254,6 +264,11 @@ impl VecEnv {
             self.next_episode(self.ended[i], false)?;
         }
         Ok(&self.buffers.output)
+    }
+
+    /// What the last step gave.
+    pub fn output(&self) -> &StepOutput {
+        &self.buffers.output
     }
 
     /// Turns actions into position targets, and draws pushes.

@@ -37,6 +37,7 @@ pub mod progress;
 mod pulse;
 mod queue;
 mod serve;
+pub mod spans;
 mod stop;
 pub mod traces;
 

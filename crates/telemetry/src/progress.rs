@@ -94,6 +94,10 @@ pub struct Iteration {
     pub collection_s: f64,
     /// Seconds spent learning.
     pub learning_s: f64,
+    /// Seconds of all threads of the learner's process in this iteration, by part of the work
+    /// ([`crate::spans::Part`]).
+    #[serde(default)]
+    pub spans_s: std::collections::BTreeMap<String, f64>,
     /// Seconds that the rest of the run will take at the present speed.
     pub eta_s: f64,
     /// What has become of the chunks so far.

@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use caudata_proto::{DecodeLimits, Envelope, RolloutChunk, chunk_identity, decode};
+use caudata_proto::{ChunkIdentity, DecodeLimits, Envelope, RolloutChunk, chunk_identity, decode};
 
 use super::account::{Arrival, DropReason};
 use super::accounting::{Accounting, ActorKey};
@@ -185,7 +185,21 @@ impl Collector {
                 }
                 Outcome::Bye(actor)
             }
-            Err(error) => self.reject_undecodable(frame, error.reason_id(), &error.to_string()),
+            Err(error) => {
+                let identity = chunk_identity(frame);
+                self.reject_invalid(identity, error.reason_id(), &error.to_string())
+            }
+        }
+    }
+
+    /// Takes a chunk of an actor in this process, which has not been bytes in between; checked all the same.
+    pub fn offer_value(&mut self, chunk: RolloutChunk) -> Outcome {
+        match chunk.check(&self.settings.limits) {
+            Ok(()) => self.offer_chunk(chunk),
+            Err(error) => {
+                let identity = chunk.identity();
+                self.reject_invalid(Some(identity), error.reason_id(), &error.to_string())
+            }
         }
     }
 
@@ -377,8 +391,13 @@ impl Collector {
         Outcome::Rejected(None, reason, message.to_owned())
     }
 
-    fn reject_undecodable(&mut self, frame: &[u8], reason: &'static str, message: &str) -> Outcome {
-        let identity = chunk_identity(frame).filter(|id| id.run_id == self.settings.run_id);
+    fn reject_invalid(
+        &mut self,
+        identity: Option<ChunkIdentity>,
+        reason: &'static str,
+        message: &str,
+    ) -> Outcome {
+        let identity = identity.filter(|id| id.run_id == self.settings.run_id);
         let Some(identity) = identity else {
             return self.reject_unattributed(reason, message);
         };

@@ -19,6 +19,8 @@ pub struct Batch {
     pub observations: Vec<f32>,
     /// `[B, A]`.
     pub actions: Vec<f32>,
+    /// Means of the policies that acted, `[B, A]`; empty where nobody says.
+    pub action_means: Vec<f32>,
     /// Log-probability of each action under the policy that took it, `[B]`.
     pub behaviour_log_probs: Vec<f32>,
     /// `[B]`.
@@ -54,6 +56,15 @@ impl Batch {
     /// The chunks, in the order given.
     pub fn new(chunks: Vec<RolloutChunk>) -> Self {
         let mut batch = Self::default();
+        let values = |of: fn(&RolloutChunk) -> usize| chunks.iter().map(of).sum::<usize>();
+        let finals = values(|chunk| chunk.final_observations.len() * chunk.obs_dim);
+        batch
+            .observations
+            .reserve(values(|chunk| chunk.observations.len()) + finals);
+        batch.actions.reserve(values(|chunk| chunk.actions.len()));
+        batch
+            .action_means
+            .reserve(values(|chunk| chunk.action_means.len()));
         for chunk in &chunks {
             batch.push_samples(chunk);
         }
@@ -80,6 +91,7 @@ impl Batch {
         let acted_on = &chunk.observations[..samples * chunk.obs_dim];
         self.observations.extend_from_slice(acted_on);
         self.actions.extend_from_slice(&chunk.actions);
+        self.action_means.extend_from_slice(&chunk.action_means);
         self.behaviour_log_probs.extend_from_slice(&chunk.log_probs);
         self.rewards.extend_from_slice(&chunk.rewards);
         self.terminated.extend_from_slice(&chunk.terminated);
@@ -95,6 +107,13 @@ impl Batch {
         for last in &chunk.final_observations {
             self.observations.extend_from_slice(&last.observation);
         }
+    }
+
+    /// The means of π_prox, where actors have said them: those of policy version `version`, if it took every
+    /// action.
+    pub fn means_of(&self, version: u64) -> Option<&[f32]> {
+        let fresh = self.segments.iter().all(|s| s.policy_version == version);
+        (fresh && self.action_means.len() == self.actions.len()).then_some(&self.action_means)
     }
 
     /// Mean reward of a step.

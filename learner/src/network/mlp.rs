@@ -4,6 +4,7 @@
 //! cost more than the matrix products. Tests compare every gradient with autograd's.
 
 use caudata_config::Activation;
+use caudata_telemetry::spans::{Laps, Part};
 use tch::{Kind, Tensor};
 
 use super::layout::Layout;
@@ -73,38 +74,48 @@ impl Mlp {
     /// Outputs `[M, out]`, and what [`Mlp::backward`] needs.
     pub fn forward_with_tape(&self, x: &Tensor) -> (Tensor, Tape) {
         let (last, hidden) = self.split();
+        let mut laps = Laps::new();
         let mut tape = Tape {
             inputs: vec![x.shallow_clone()],
             pre: Vec::new(),
         };
         for layer in hidden {
             let z = tape.inputs[tape.inputs.len() - 1].linear(&layer.weight, Some(&layer.bias));
+            laps.lap(Part::Products);
             if self.activation == Activation::Swish {
                 tape.pre.push(z.shallow_clone());
                 tape.inputs.push(z.silu());
             } else {
                 tape.inputs.push(activate(self.activation, z));
             }
+            laps.lap(Part::ElementWise);
         }
         let input = &tape.inputs[tape.inputs.len() - 1];
-        (input.linear(&last.weight, Some(&last.bias)), tape)
+        let output = input.linear(&last.weight, Some(&last.bias));
+        laps.lap(Part::Products);
+        (output, tape)
     }
 
     /// Writes the gradient of a loss with respect to the parameters into `gradient`, which has the same views
     /// over a vector of its own, given the gradient `[M, out]` with respect to the outputs.
     pub fn backward(&self, tape: &Tape, grad_output: Tensor, gradient: &Mlp) {
         let mut grad = grad_output;
+        let mut laps = Laps::new();
         for index in (0..self.layers.len()).rev() {
             let input = &tape.inputs[index];
             let target = &gradient.layers[index];
             let _ = grad.tr().mm_out(&target.weight, input);
+            laps.lap(Part::Products);
             let _ = grad.sum_intlist_out(&target.bias, [0].as_slice(), false, Kind::Float);
+            laps.lap(Part::ElementWise);
             if index > 0 {
                 let upstream = grad.mm(&self.layers[index].weight);
+                laps.lap(Part::Products);
                 grad = match tape.pre.get(index - 1) {
                     Some(z) => z.silu_backward(&upstream),
                     None => activation_backward(self.activation, upstream, input),
                 };
+                laps.lap(Part::ElementWise);
             }
         }
     }

@@ -17,7 +17,7 @@ use caudata_policy::MlpSpec;
 use caudata_random::{Key, Purpose, Stream};
 use caudata_task::Mirror;
 use caudata_task::mirror::SignedPermutation;
-use tch::{Device, Kind, Tensor};
+use tch::{Device, Tensor};
 
 use crate::LearnerError;
 use mlp::{Indices, LayerIndices};
@@ -130,6 +130,32 @@ fn sizes(input: usize, hidden: &[usize], output: usize) -> Vec<usize> {
     [&[input], hidden, &[output]].concat()
 }
 
+/// Where the parameters of the networks lie in the flat vector.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// The policy's layers, input side first.
+    pub policy: Vec<LayerPlace>,
+    /// The value function's.
+    pub value: Vec<LayerPlace>,
+    /// First of the parameters of the log-std, `[A]`.
+    pub raw_log_std: usize,
+    /// P, padding included.
+    pub len: usize,
+}
+
+/// One layer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LayerPlace {
+    /// First of its weights, `[out, in]`.
+    pub weight: usize,
+    /// First of its biases, `[out]`.
+    pub bias: usize,
+    /// Inputs.
+    pub inputs: usize,
+    /// Outputs.
+    pub outputs: usize,
+}
+
 /// Policy and value networks over one flat vector of parameters.
 ///
 /// The log-std is `lo + (hi − lo)·σ(raw)` with the bounds' logarithms `lo`, `hi` and the learnt parameter
@@ -157,29 +183,19 @@ impl ActorCritic {
         let mirror = spec.mirror.as_ref();
         let symmetry = mirror.map(|m| {
             let sides = [&spec.policy_sides(m)[..], &spec.value_sides(m)[..]];
-            Symmetry::new(m, sides, &layout, &indices, device)
+            Symmetry::new(m, sides, &layout, &indices)
         });
         Self::over(spec, layout, indices, flat, symmetry)
     }
 
-    /// The same network, sharing the memory of the parameters: for another thread. Whoever changes them must
-    /// see to it that nobody reads at the same time.
-    pub fn share(&self) -> Self {
-        self.with_flat(self.flat.shallow_clone())
-    }
-
-    /// Same shapes over zeros of its own: room for a gradient.
+    /// Same shapes over zeros of its own.
     pub fn zeros_like(&self) -> Self {
-        self.with_flat(self.flat.zeros_like())
-    }
-
-    fn with_flat(&self, flat: Tensor) -> Self {
         Self::over(
             self.spec.clone(),
             self.layout.clone(),
             self.indices.clone(),
-            flat,
-            self.symmetry.as_ref().map(Symmetry::share),
+            self.flat.zeros_like(),
+            self.symmetry.clone(),
         )
     }
 
@@ -204,11 +220,49 @@ impl ActorCritic {
 
     /// The gradient `[P]` of a loss of which the network's mirror image would have as much: itself, unless
     /// the network is symmetric.
-    pub fn symmetric_gradient(&self, gradient: Tensor) -> Tensor {
+    pub fn symmetric_gradient(&self, gradient: Vec<f32>) -> Vec<f32> {
         match &self.symmetry {
             None => gradient,
             Some(symmetry) => symmetry.part_of(&gradient),
         }
+    }
+
+    /// Where the parameters of each layer lie.
+    pub fn place(&self) -> Place {
+        let layers = |indices: &LayerIndices| {
+            let layer = |&(weight, bias): &(usize, usize)| {
+                let (weight, bias) = (
+                    &self.layout.parameters()[weight],
+                    &self.layout.parameters()[bias],
+                );
+                LayerPlace {
+                    weight: weight.offset,
+                    bias: bias.offset,
+                    inputs: weight.numel() / bias.numel().max(1),
+                    outputs: bias.numel(),
+                }
+            };
+            indices.iter().map(layer).collect()
+        };
+        Place {
+            policy: layers(&self.indices.policy),
+            value: layers(&self.indices.value),
+            raw_log_std: self.layout.parameters()[self.indices.raw_log_std].offset,
+            len: self.layout.len(),
+        }
+    }
+
+    /// The log-std `[A]` of `parameters` `[P]`, and its slope with respect to its parameters: d log_std / d raw
+    /// = (log_std − lo)(hi − log_std)/(hi − lo).
+    pub fn log_std_of(&self, parameters: &[f32]) -> (Vec<f32>, Vec<f32>) {
+        let (lo, hi) = self.log_std_bounds();
+        let first = self.layout.parameters()[self.indices.raw_log_std].offset;
+        let raw = &parameters[first..][..self.spec.act_dim];
+        let value = |raw: &f32| lo + (hi - lo) / (1.0 + (-f64::from(*raw)).exp());
+        let values = raw.iter().map(value);
+        values
+            .map(|x| (x as f32, ((x - lo) * (hi - x) / (hi - lo)) as f32))
+            .unzip()
     }
 
     /// Sizes and bounds.
@@ -319,6 +373,12 @@ impl ActorCritic {
         Ok(Vec::try_from(&self.flat.to_device(Device::Cpu))?)
     }
 
+    /// Replaces all parameters by ones that come from this network.
+    pub(crate) fn set(&self, values: &[f32]) {
+        let values = Tensor::from_slice(values).to_device(self.device());
+        self.flat.shallow_clone().copy_(&values);
+    }
+
     /// Replaces all parameters.
     ///
     /// # Errors
@@ -332,17 +392,12 @@ impl ActorCritic {
                 self.layout.len()
             )));
         }
-        let values = Tensor::from_slice(values).to_device(self.device());
-        if self
-            .symmetry
-            .as_ref()
-            .is_some_and(|s| !s.holds_for(&values))
-        {
+        if self.symmetry.as_ref().is_some_and(|s| !s.holds_for(values)) {
             return Err(LearnerError::setting(
                 "it does not treat left and right alike: it was trained with learner.network.symmetric = false",
             ));
         }
-        self.flat.shallow_clone().copy_(&values);
+        self.set(values);
         Ok(())
     }
 }
@@ -416,11 +471,6 @@ fn raw_of_std(spec: &NetworkSpec) -> f64 {
     let share = (spec.init_std.ln() - lo) / (hi - lo);
     let share = share.clamp(STD_MARGIN, 1.0 - STD_MARGIN);
     (share / (1.0 - share)).ln()
-}
-
-/// Zeros `[n]` of the kind that parameters have.
-pub(crate) fn zeros(n: usize, device: Device) -> Tensor {
-    Tensor::zeros([n as i64], (Kind::Float, device))
 }
 
 #[cfg(test)]

@@ -8,28 +8,22 @@
 //! that of any other, in files too.
 //!
 //! Parameters are kept in full. Those that must be alike, up to a sign, begin alike and have the mean of
-//! their gradients, with which Adam moves them alike. It costs one gather per minibatch; a gradient that is
+//! their gradients, with which Adam moves them alike. It costs one pass per minibatch; a gradient that is
 //! averaged so is that of the minibatch and of its mirror image together.
 
 use caudata_task::Mirror;
 use caudata_task::mirror::SignedPermutation;
-use tch::{Device, Tensor};
 
 use super::layout::Layout;
 use super::mlp::{Indices, LayerIndices};
 
 /// How far parameters that ought to be alike may be apart, as a share of their size (or of 1): rounding of a
 /// long training.
-const ALIKE: f64 = 1e-3;
+const ALIKE: f32 = 1e-3;
 
-/// Which parameters of a flat vector mirror each other.
-#[derive(Debug)]
-pub(super) struct Symmetry {
-    /// Where the counterpart of each parameter lies, `[P]`.
-    source: Tensor,
-    /// 1 or −1 for each, `[P]`.
-    sign: Tensor,
-}
+/// Which parameters of a flat vector mirror each other: where the counterpart of each lies, and 1 or −1.
+#[derive(Clone, Debug)]
+pub(super) struct Symmetry(pub(super) SignedPermutation);
 
 impl Symmetry {
     /// `policy` and `value` are the mirror at the sides of their layers ([`sides`]).
@@ -38,7 +32,6 @@ impl Symmetry {
         [policy, value]: [&[SignedPermutation]; 2],
         layout: &Layout,
         indices: &Indices,
-        device: Device,
     ) -> Self {
         let mut all = SignedPermutation::identity(layout.len());
         let offset = |index: usize| layout.parameters()[index].offset;
@@ -63,33 +56,24 @@ impl Symmetry {
         for (i, from) in mirror.action.source.iter().enumerate() {
             all.source[raw + i] = raw + from;
         }
-        let source: Vec<i64> = all.source.iter().map(|&i| i as i64).collect();
-        Self {
-            source: Tensor::from_slice(&source).to_device(device),
-            sign: Tensor::from_slice(&all.sign).to_device(device),
-        }
-    }
-
-    pub fn share(&self) -> Self {
-        Self {
-            source: self.source.shallow_clone(),
-            sign: self.sign.shallow_clone(),
-        }
+        Self(all)
     }
 
     /// The symmetric part of `values` `[P]`: the mean of each and its counterpart. Exactly symmetric, to the
     /// bit.
-    pub fn part_of(&self, values: &Tensor) -> Tensor {
-        let counterpart = values.index_select(0, &self.source).g_mul_(&self.sign);
-        (counterpart + values).g_mul_scalar_(0.5)
+    pub fn part_of(&self, values: &[f32]) -> Vec<f32> {
+        let counterparts = self.0.source.iter().zip(&self.0.sign);
+        let mean =
+            |(value, (&from, sign)): (&f32, (&usize, &f32))| 0.5 * (value + sign * values[from]);
+        values.iter().zip(counterparts).map(mean).collect()
     }
 
-    /// Whether `values` `[P]` are those of a symmetric network.
-    pub fn holds_for(&self, values: &Tensor) -> bool {
-        let off = (self.part_of(values) - values).abs() / values.abs().clamp_min(1.0);
-        let worst = off.max().double_value(&[]);
-        // a value that is not finite is somebody else's business
-        worst.is_nan() || worst <= ALIKE
+    /// Whether `values` `[P]` are those of a symmetric network; what is not finite is somebody else's business.
+    pub fn holds_for(&self, values: &[f32]) -> bool {
+        let part = self.part_of(values);
+        let apart =
+            |(part, value): (&f32, &f32)| (part - value).abs() > ALIKE * value.abs().max(1.0);
+        !part.iter().zip(values).any(apart)
     }
 }
 

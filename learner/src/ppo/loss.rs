@@ -4,6 +4,8 @@
 //! With r = π_θ/π_prox, the policy before the update π_prox, the behaviour μ and w = min(w_max, π_prox/μ):
 //! `L = −E[w·min(r·A, clip(r, 1−ε, 1+ε)·A)] + c_v·¼·E[(V − target)²] − c_e·H`.
 //! m rows are one shard of a minibatch of M; sums and gradients of shards add up to those of the minibatch.
+//!
+//! Here in operations of libtorch, for its devices; [`super::row_loss`] is the same on the host.
 
 use std::f64::consts::PI;
 
@@ -11,7 +13,7 @@ use tch::{Kind, Tensor};
 
 /// The log of the ratio is kept within ± this, so that one absurd sample cannot make the whole sum infinite;
 /// PPO's clipping acts at |log r| ≈ 0.2.
-const LOG_RATIO_MAX: f64 = 20.0;
+pub(super) const LOG_RATIO_MAX: f64 = 20.0;
 
 /// Weights and ranges of the loss.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -141,22 +143,10 @@ pub fn loss_and_gradient(
     (all, gradient)
 }
 
-/// log N(a; μ, σ) summed over the actions, `[m, 1]`, of actions and means `[m, A]`.
-pub fn log_prob(actions: &Tensor, means: &Tensor, log_std: &Tensor) -> Tensor {
-    let z_squared = (actions - means).g_mul_(&log_std.neg().exp_()).square();
-    log_prob_of_squares(&z_squared, log_std)
-}
-
 fn log_prob_of_squares(z_squared: &Tensor, log_std: &Tensor) -> Tensor {
     let actions = log_std.numel() as f64;
     let constant = log_std.sum(Kind::Float) + 0.5 * actions * (2.0 * PI).ln();
     z_squared.sum_dim_intlist([1].as_slice(), true, Kind::Float) * -0.5 - constant
-}
-
-/// Entropy of the policy, nats: Σ(log σ + ½ log 2πe).
-pub fn entropy(log_std: &Tensor) -> f64 {
-    let actions = log_std.numel() as f64;
-    log_std.sum(Kind::Double).double_value(&[]) + 0.5 * actions * (1.0 + (2.0 * PI).ln())
 }
 
 /// Σ over the rows of KL(N(μ_p, σ_p) ‖ N(μ, σ)) = Σ_j [log σ/σ_p + (σ_p² + (μ_p − μ)²)/(2σ²) − ½].

@@ -1,13 +1,14 @@
 //! Proximal policy optimisation: from a [`Batch`](crate::batch::Batch) to changed weights.
 
+mod gradient;
+mod host;
 mod loss;
+mod minibatch;
 mod pool;
-mod shards;
+mod row_loss;
 mod targets;
+mod torch;
 mod update;
 
-pub use loss::{
-    LossSettings, OutputGradient, Outputs, Samples, entropy, log_prob, loss_and_gradient, sums,
-};
-pub use pool::{Pool, SHARD_ROWS, Worker};
+pub use pool::SHARD_ROWS;
 pub use update::{Ppo, PpoSettings, UpdateStats};

@@ -3,7 +3,6 @@
 
 use caudata_config::{AdvantageScale, PpoConfig, Returns, StalenessConfig};
 
-use super::shards::{Column, SAMPLE_COLUMNS};
 use crate::batch::{Batch, Segment};
 use crate::returns::{Trajectories, VtraceSettings, mean_and_std, vtrace, weighted_mean_and_std};
 
@@ -98,18 +97,6 @@ impl Targets {
             &mut self.advantages[cells.clone()],
             &mut self.targets[cells],
         );
-    }
-
-    /// Sample after sample, in the order of [`Column`].
-    pub fn columns(&self, prox_log_probs: &[f32]) -> Vec<f32> {
-        let mut columns = vec![0.0; prox_log_probs.len() * SAMPLE_COLUMNS];
-        for (i, row) in columns.chunks_exact_mut(SAMPLE_COLUMNS).enumerate() {
-            row[Column::ProxLogProb as usize] = prox_log_probs[i];
-            row[Column::Advantage as usize] = self.advantages[i];
-            row[Column::Target as usize] = self.targets[i];
-            row[Column::Weight as usize] = self.weights[i];
-        }
-        columns
     }
 }
 

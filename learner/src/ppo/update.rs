@@ -1,13 +1,16 @@
 //! One update: values and log-probabilities of the batch, advantages, then epochs of minibatches.
 
+use std::sync::Arc;
+
 use caudata_config::{Config, Correction, PpoConfig, StalenessConfig};
 use caudata_random::Stream;
 use caudata_telemetry::Pulse;
-use tch::Tensor;
+use caudata_telemetry::spans::{Laps, Part};
 
-use super::loss::{LossSettings, entropy, log_prob, sums};
-use super::pool::rows;
-use super::shards::{Draws, Head, Minibatch, SAMPLE_COLUMNS, Shards, host};
+use super::gradient::Networks;
+use super::loss::{LossSettings, sums};
+use super::minibatch::{Minibatch, Samples, advantage_scale};
+use super::row_loss::{entropy, log_probs};
 use super::targets::{Targets, effective_share, explained_variance};
 use crate::LearnerError;
 use crate::adam::Adam;
@@ -72,7 +75,7 @@ pub struct UpdateStats {
 pub struct Ppo {
     net: ActorCritic,
     adam: Adam,
-    shards: Shards,
+    networks: Networks,
     settings: PpoSettings,
     learning_rate: f64,
     /// Environment steps of the whole run so far.
@@ -82,16 +85,16 @@ pub struct Ppo {
 
 /// What is known of the batch before the epochs.
 struct Prepared {
-    draws: Draws,
+    samples: Arc<Samples>,
     effective_share: f64,
     explained_variance: f64,
 }
 
-/// How a minibatch's gradient is used.
-#[derive(Clone, Copy)]
-struct Step {
-    /// Factor on the learning rate.
-    rate_guard: f64,
+/// An update under way.
+struct Pass<'a> {
+    /// As the steps have made them, `[P]`.
+    parameters: &'a mut Vec<f32>,
+    tally: Tally,
     /// Whether the policy stays as it is.
     value_only: bool,
 }
@@ -117,8 +120,8 @@ impl Ppo {
         threads: usize,
     ) -> Result<Self, LearnerError> {
         Ok(Self {
-            adam: Adam::new(net.layout().len(), net.device()),
-            shards: Shards::new(&net, threads)?,
+            adam: Adam::new(net.layout().len()),
+            networks: Networks::new(&net, threads)?,
             learning_rate: settings.ppo.learning_rate,
             env_steps: 0,
             pulse: Pulse::new(),
@@ -187,7 +190,7 @@ impl Ppo {
     /// died.
     pub fn update(
         &mut self,
-        batch: &Batch,
+        batch: &Arc<Batch>,
         scaling: &Scaling,
         policy_version: u64,
         order: &mut Stream,
@@ -196,44 +199,49 @@ impl Ppo {
         let _no_grad = tch::no_grad_guard();
         self.check(batch)?;
         // What is saved after a failure must be what an update ended with, not half of the next one.
-        let parameters = self.net.flat().copy();
-        let (adam, rate, shuffles) = (self.adam.copy(), self.learning_rate, order.clone());
-        let updated = self.try_update(batch, scaling, policy_version, order, value_only);
-        if updated.is_err() {
-            self.net.flat().shallow_clone().copy_(&parameters);
-            (self.adam, self.learning_rate, *order) = (adam, rate, shuffles);
+        let mut parameters = self.net.to_vec()?;
+        let (adam, rate, shuffles) = (self.adam.clone(), self.learning_rate, order.clone());
+        let mut pass = Pass {
+            parameters: &mut parameters,
+            tally: Tally::default(),
+            value_only,
+        };
+        match self.try_update(&mut pass, batch, scaling, policy_version, order) {
+            Ok(stats) => {
+                self.net.set(&parameters);
+                Ok(stats)
+            }
+            Err(error) => {
+                (self.adam, self.learning_rate, *order) = (adam, rate, shuffles);
+                Err(error)
+            }
         }
-        updated
     }
 
     fn try_update(
         &mut self,
-        batch: &Batch,
+        pass: &mut Pass,
+        batch: &Arc<Batch>,
         scaling: &Scaling,
         policy_version: u64,
         order: &mut Stream,
-        value_only: bool,
     ) -> Result<UpdateStats, LearnerError> {
-        let prepared = self.prepare(batch, scaling, policy_version)?;
+        self.networks.set(pass.parameters);
+        let prepared = self.prepare(pass.parameters, batch, scaling, policy_version)?;
         let guard = if prepared.effective_share < self.settings.staleness.min_effective_share {
             0.5
         } else {
             1.0
         };
-        let mut tally = Tally::default();
-        let mut indices: Vec<i64> = (0..batch.rows as i64).collect();
+        let mut indices: Vec<u32> = (0..batch.rows as u32).collect();
         for _ in 0..self.settings.ppo.epochs {
             order.shuffle(&mut indices);
-            let pass = prepared.draws.shuffled(&indices);
-            for part in self.minibatches(batch.rows) {
-                let step = Step {
-                    rate_guard: guard,
-                    value_only,
-                };
-                self.minibatch(&pass, part, step, &mut tally)?;
+            for (first, rows) in self.minibatches(batch.rows) {
+                let samples = Arc::from(&indices[first..first + rows]);
+                self.minibatch(pass, &prepared.samples, samples, guard)?;
             }
         }
-        Ok(self.stats(&tally, &prepared))
+        Ok(self.stats(pass, &prepared))
     }
 
     fn check(&self, batch: &Batch) -> Result<(), LearnerError> {
@@ -258,120 +266,100 @@ impl Ppo {
 
     fn prepare(
         &mut self,
-        batch: &Batch,
+        parameters: &[f32],
+        batch: &Arc<Batch>,
         scaling: &Scaling,
         policy_version: u64,
     ) -> Result<Prepared, LearnerError> {
-        let device = self.net.device();
-        let (rows_all, obs_dim) = (
-            batch.observations.len() / batch.obs_dim,
-            batch.obs_dim as i64,
-        );
-        let raw = Tensor::from_slice(&batch.observations).view([rows_all as i64, obs_dim]);
-        let all = scaling.apply(&raw.to_device(device));
-        let observations = rows(&all, (0, batch.rows));
-        let actions = Tensor::from_slice(&batch.actions)
-            .view([batch.rows as i64, batch.act_dim as i64])
-            .to_device(device);
-
-        let values = host(&self.shards.forward(Head::Value, &all)?)?;
-        let prox_means = self.shards.forward(Head::Policy, &observations)?;
-        let prox_log_std = self.net.log_std();
+        // Actors compute what the learner would: the same weights in the same lanes.
+        let known = batch.means_of(policy_version);
+        let before = self.networks.begin(batch, scaling, known.is_none())?;
+        let prox_means = known.map_or(before.means, <[f32]>::to_vec);
+        let mut laps = Laps::new();
+        let (prox_log_std, _) = self.net.log_std_of(parameters);
         // Plain PPO clips against the policy that acted, whatever its age: then every ratio below is 1.
-        let prox_log_probs: Vec<f32> = match self.settings.staleness.correction {
-            Correction::Decoupled => host(&log_prob(&actions, &prox_means, &prox_log_std))?,
+        let prox_log_probs = match self.settings.staleness.correction {
+            Correction::Decoupled => log_probs(&batch.actions, &prox_means, &prox_log_std),
             Correction::None => batch.behaviour_log_probs.clone(),
         };
-
         let (ppo, staleness) = (&self.settings.ppo, &self.settings.staleness);
         let targets = Targets::new(
             ppo,
             staleness,
             batch,
-            &values,
+            &before.values,
             &prox_log_probs,
             policy_version,
         );
-        let effective_share = effective_share(&targets.weights);
-        let explained_variance = explained_variance(&values[..batch.rows], &targets.targets);
-        let samples = self.samples(&actions, &prox_means, &prox_log_probs, &targets);
-        Ok(Prepared {
-            draws: Draws {
-                observations,
-                samples,
+        let prepared = Prepared {
+            effective_share: effective_share(&targets.weights),
+            explained_variance: explained_variance(&before.values[..batch.rows], &targets.targets),
+            samples: Arc::new(Samples {
+                prox_means,
                 prox_log_std,
-            },
-            effective_share,
-            explained_variance,
-        })
-    }
-
-    /// As [`Draws::samples`].
-    fn samples(
-        &self,
-        actions: &Tensor,
-        prox_means: &Tensor,
-        prox_log_probs: &[f32],
-        targets: &Targets,
-    ) -> Tensor {
-        let columns = Tensor::from_slice(&targets.columns(prox_log_probs))
-            .view([-1, SAMPLE_COLUMNS as i64])
-            .to_device(self.net.device());
-        Tensor::cat(&[actions, prox_means, &columns], 1)
+                prox_log_probs,
+                advantages: targets.advantages,
+                targets: targets.targets,
+                weights: targets.weights,
+            }),
+        };
+        laps.lap(Part::Returns);
+        Ok(prepared)
     }
 
     /// Gradient of one minibatch, and the step that it gives.
     fn minibatch(
         &mut self,
-        pass: &Draws,
-        part: (usize, usize),
-        step: Step,
-        tally: &mut Tally,
+        pass: &mut Pass,
+        samples: &Arc<Samples>,
+        order: Arc<[u32]>,
+        rate_guard: f64,
     ) -> Result<(), LearnerError> {
         self.pulse.beat();
-        let minibatch_rows = part.1;
+        let rows = order.len();
         let ppo = &self.settings.ppo;
+        let (log_std, slope) = self.net.log_std_of(pass.parameters);
         let minibatch = Minibatch {
-            part,
+            advantage_scale: advantage_scale(ppo.advantage_scale, &samples.advantages, &order),
+            samples: order,
             loss: LossSettings {
                 clip: ppo.clip,
                 value_weight: ppo.value_loss_weight,
                 entropy_weight: ppo.entropy_weight,
             },
-            scale: ppo.advantage_scale,
+            log_std: log_std.into(),
+            log_std_slope: slope.into(),
         };
-        let total = self.shards.gradient(pass, &minibatch)?;
+        let total = self.networks.gradient(samples, &minibatch)?;
+        let mut laps = Laps::new();
         let sums = total.sums;
-        let Some(gradient) = total.gradient else {
-            return Ok(());
-        };
-        let gradient = self.net.symmetric_gradient(gradient);
-        if step.value_only {
-            let policy = self.net.policy_len() as i64;
-            let _ = gradient.narrow(0, 0, policy).zero_();
+        let mut gradient = self.net.symmetric_gradient(total.gradient);
+        if pass.value_only {
+            gradient[..self.net.policy_len()].fill(0.0);
         }
-        let norm = gradient.norm().double_value(&[]);
+        let norm = norm(&gradient);
         if !norm.is_finite() || sums.iter().any(|sum| !sum.is_finite()) {
-            tally.skipped += 1;
+            pass.tally.skipped += 1;
             return Ok(());
         }
-        let kl = sums[sums::KL] / minibatch_rows as f64;
-        if !step.value_only {
-            let target_kl = self.settings.ppo.target_kl_after(self.env_steps);
-            self.learning_rate =
-                adapted_rate(&self.settings.ppo, target_kl, self.learning_rate, kl);
+        if !pass.value_only {
+            let (target_kl, kl) = (
+                ppo.target_kl_after(self.env_steps),
+                sums[sums::KL] / rows as f64,
+            );
+            self.learning_rate = adapted_rate(ppo, target_kl, self.learning_rate, kl);
         }
-        self.step(gradient, norm, step.rate_guard);
-        tally.add(&sums, minibatch_rows, norm);
+        self.step(pass.parameters, &gradient, norm, rate_guard);
+        pass.tally.add(&sums, rows, norm);
+        self.networks.set(pass.parameters);
+        laps.lap(Part::Optimiser);
         Ok(())
     }
 
-    fn step(&mut self, mut gradient: Tensor, norm: f64, rate_guard: f64) {
+    fn step(&mut self, parameters: &mut [f32], gradient: &[f32], norm: f64, rate_guard: f64) {
         let rate = self.learning_rate * rate_guard;
         let largest = self.settings.ppo.max_grad_norm;
-        if norm > largest {
-            gradient = gradient.g_mul_scalar_(largest / norm);
-        }
+        let scale = if norm > largest { largest / norm } else { 1.0 };
         let policy = self.net.policy_len();
         let value = self.net.layout().len() - policy;
         let value_rate = match self.settings.ppo.value_learning_rate {
@@ -379,11 +367,13 @@ impl Ppo {
             own => own * rate_guard,
         };
         let rates = [(policy, rate), (value, value_rate)];
-        self.adam.step(self.net.flat(), &gradient, &rates);
+        self.adam.step(parameters, (gradient, scale), &rates);
     }
 
-    fn stats(&self, tally: &Tally, prepared: &Prepared) -> UpdateStats {
-        let log_std = self.net.log_std();
+    fn stats(&self, pass: &Pass, prepared: &Prepared) -> UpdateStats {
+        let (log_std, _) = self.net.log_std_of(pass.parameters);
+        let tally = &pass.tally;
+        let std = log_std.iter().map(|&x| f64::from(x).exp());
         let mean = |index: usize| tally.sums[index] / tally.rows.max(1.0);
         UpdateStats {
             surrogate: mean(sums::SURROGATE),
@@ -395,7 +385,7 @@ impl Ppo {
             effective_share: prepared.effective_share,
             explained_variance: prepared.explained_variance,
             learning_rate: self.learning_rate,
-            mean_std: log_std.exp().mean(tch::Kind::Double).double_value(&[]),
+            mean_std: std.sum::<f64>() / log_std.len() as f64,
             updates: tally.updates,
             skipped: tally.skipped,
         }
@@ -412,6 +402,17 @@ impl Tally {
         self.gradient_norm += norm;
         self.updates += 1;
     }
+}
+
+/// Euclidean norm, in f64; sums side by side, since one after the other would wait for each addition.
+fn norm(values: &[f32]) -> f64 {
+    let mut sums = [0.0_f64; 8];
+    for part in values.chunks(sums.len()) {
+        for (sum, value) in sums.iter_mut().zip(part) {
+            *sum += f64::from(*value).powi(2);
+        }
+    }
+    sums.iter().sum::<f64>().sqrt()
 }
 
 /// rsl_rl's rule; the rate stays when no target is set.

@@ -5,8 +5,9 @@ use std::time::{Duration, Instant};
 use caudata_config::LearnerConfig;
 use caudata_proto::RolloutChunk;
 use caudata_telemetry::StopFlag;
+use caudata_telemetry::spans::{Laps, Part};
 use caudata_telemetry::traces::now_ns;
-use caudata_transport::LearnerLink;
+use caudata_transport::{Frame, LearnerLink};
 
 use super::fleet::Fleet;
 use super::metrics::LearnerMetrics;
@@ -62,10 +63,7 @@ pub(super) fn collect(
             return Ok(Collected::Stopped);
         }
         if let Some(frame) = link.recv(SLICE)? {
-            let began_ns = now_ns();
-            let outcome = collector.offer(&frame.bytes);
-            traces.received(&frame.bytes, began_ns, word(&outcome));
-            tell(&outcome, metrics);
+            take_in(collector, frame, traces, metrics);
         } else if let Some(fleet) = fleet.as_deref_mut() {
             // Only when nothing is left to read: an actor's last frames come before its end.
             fleet.check()?;
@@ -75,22 +73,38 @@ pub(super) fn collect(
     }
 }
 
+/// A frame of bytes, or a chunk of an actor in this process as it is.
+fn take_in(collector: &mut Collector, frame: Frame, traces: &Traces, metrics: &LearnerMetrics) {
+    let (began_ns, mut laps) = (now_ns(), Laps::new());
+    let bytes = frame.bytes.len() + frame.value.as_ref().map_or(0, |value| value.bytes);
+    let value = frame
+        .value
+        .map(|value| value.content.downcast::<RolloutChunk>());
+    let (identity, outcome) = match value {
+        Some(Ok(chunk)) => (Some(chunk.identity()), collector.offer_value(*chunk)),
+        // What is no chunk is no frame either, and is refused as one without content.
+        Some(Err(_)) => (None, collector.offer(&[])),
+        None => (traces.identity(&frame.bytes), collector.offer(&frame.bytes)),
+    };
+    laps.lap(Part::Encoding);
+    traces.received(identity, bytes, began_ns, word(&outcome));
+    tell(&outcome, metrics);
+}
+
 /// Takes what still comes after the stop, until every actor has said goodbye or the time is up.
 pub(super) fn drain(
     collector: &mut Collector,
     link: &mut dyn LearnerLink,
     fleet: Option<&Fleet>,
     metrics: &LearnerMetrics,
+    traces: &Traces,
 ) {
     let deadline = Instant::now() + BYE_PATIENCE;
     collector.close();
     while Instant::now() < deadline {
         metrics.pulse.beat();
         match link.recv(SLICE) {
-            Ok(Some(frame)) => {
-                let outcome = collector.offer(&frame.bytes);
-                tell(&outcome, metrics);
-            }
+            Ok(Some(frame)) => take_in(collector, frame, traces, metrics),
             // Nothing waits: done when nobody is left to send.
             Ok(None) if collector.all_gone() || fleet.is_some_and(Fleet::is_gone) => return,
             Ok(None) => {}

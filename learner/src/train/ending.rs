@@ -84,7 +84,8 @@ impl Run<'_> {
         };
         note(self.link.publish_policy(stop).map_err(LearnerError::from));
         let (link, metrics) = (self.link.as_mut(), &self.reporter.metrics);
-        drain(&mut self.collector, link, self.fleet.as_ref(), metrics);
+        let fleet = self.fleet.as_ref();
+        drain(&mut self.collector, link, fleet, metrics, &self.traces);
         self.fleet = None;
         if let Some(versions) = &mut self.versions {
             note(versions.at_the_end(state.policy.metadata().version));

@@ -2,11 +2,13 @@
 //!
 //! None of it decides anything: what cannot be written is counted and said once, and training goes on.
 
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use caudata_telemetry::progress::{self, Event, EventWriter};
+use caudata_telemetry::spans::{self, Part};
 use caudata_telemetry::{Advisor, IterationLoad};
 
 use super::metrics::LearnerMetrics;
@@ -25,6 +27,8 @@ pub(super) struct Reporter {
     advisor: Advisor,
     /// Chunks received and dropped until the last iteration.
     counted: (u64, u64),
+    /// Seconds by part of the work until the last iteration.
+    spans: [f64; Part::ALL.len()],
     said: bool,
 }
 
@@ -63,6 +67,7 @@ impl Reporter {
             metrics,
             advisor: Advisor::default(),
             counted: (0, 0),
+            spans: spans::totals(),
             said: false,
         };
         match EventFile::create(run_dir, unix_time_s()) {
@@ -85,7 +90,10 @@ impl Reporter {
 
     /// Tells of an iteration and adds it to `history`.
     pub fn iteration(&mut self, report: &IterationReport, history: &mut History) {
-        let event = event_of(report);
+        let mut event = event_of(report);
+        let spans = spans::totals();
+        event.spans_s = spans::between(&self.spans, &spans);
+        self.spans = spans;
         self.update_metrics(report, &event);
         self.write_scalars(report, &event);
         history.push(point_of(report, &event));
@@ -200,6 +208,7 @@ fn event_of(report: &IterationReport) -> progress::Iteration {
         clip_fraction: stats.clip_fraction,
         collection_s: report.collection_s,
         learning_s: report.learning_s,
+        spans_s: BTreeMap::new(),
         eta_s: report.eta_s,
         accounting: report.accounting.summary(),
     }

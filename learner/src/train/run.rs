@@ -10,6 +10,7 @@ use caudata_proto::RolloutChunk;
 use caudata_random::Stream;
 use caudata_telemetry::StopFlag;
 use caudata_telemetry::progress::{Event, Finished};
+use caudata_telemetry::spans::{Laps, Part};
 use caudata_telemetry::traces::now_ns;
 use caudata_transport::{Control, LearnerLink, PolicyUpdate};
 
@@ -169,6 +170,7 @@ impl Run<'_> {
         collection_s: f64,
     ) -> Result<(), LearnerError> {
         let version = self.progress.version();
+        let mut laps = Laps::new();
         let mut returns = ReturnSums::default();
         for chunk in &chunks {
             state.seen.ran(chunk.policy_version, &chunk.policy_sha256);
@@ -178,10 +180,10 @@ impl Run<'_> {
                 returns.add(f64::from(episode.return_sum), share);
             }
         }
-        let batch = Batch::new(match self.config.actors.lockstep {
+        let batch = Arc::new(Batch::new(match self.config.actors.lockstep {
             true => side_by_side(chunks),
             false => chunks,
-        });
+        }));
         // The first iterations after a warm start only teach the critic of a policy that was trained before.
         let warm = &self.config.learner.warm_start;
         let critic_first = match warm.policy.as_os_str().is_empty() {
@@ -193,6 +195,7 @@ impl Run<'_> {
             self.ppo.begin_policy();
         }
         self.ppo.set_progress(self.progress.steps_total);
+        laps.lap(Part::Returns);
         let (learning, learning_ns) = (Instant::now(), now_ns());
         let stats = {
             let _span = tracing::info_span!("learn", samples = batch.rows).entered();
@@ -205,6 +208,7 @@ impl Run<'_> {
             )?
         };
         let learning_s = learning.elapsed().as_secs_f64();
+        laps.waited();
         let samples = vec![("caudata.samples", batch.rows.into())];
         self.traces.done("update", learning_ns, samples);
         self.watch_finite(&stats, state)?;
@@ -218,12 +222,14 @@ impl Run<'_> {
         self.progress.step_rewards.push(batch.mean_reward());
         self.progress.returns.push(returns);
         state.scaling = self.scaling();
+        laps.lap(Part::Returns);
         let exporting_ns = now_ns();
         state.policy = {
             let _span = tracing::info_span!("export").entered();
             self.export(&state.scaling)?
         };
         self.traces.done("export policy", exporting_ns, Vec::new());
+        laps.lap(Part::Export);
         self.report(
             &batch,
             &stats,
@@ -231,12 +237,14 @@ impl Run<'_> {
             state.first,
             [started.elapsed().as_secs_f64(), collection_s, learning_s],
         );
+        laps.lap(Part::Publishing);
         Ok(())
     }
 
     /// Gives the actors the new policy unless it is `held_back`, and saves and publishes where it is time to.
     fn hand_out(&mut self, state: &mut LoopState, held_back: bool) -> Result<(), LearnerError> {
         let learner = &self.config.learner;
+        let mut laps = Laps::new();
         let iteration = self.progress.iteration;
         let save = iteration.is_multiple_of(learner.checkpoint_every);
         // Before the actors go on; the file is written while they are at work.
@@ -251,6 +259,7 @@ impl Run<'_> {
         if let Some(checkpoint) = checkpoint {
             state.saved = Some((iteration, self.save(&checkpoint)?));
         }
+        laps.lap(Part::Publishing);
         Ok(())
     }
 
@@ -451,7 +460,7 @@ impl Run<'_> {
             Some(fleet) => fleet.snapshots()?,
             None => Vec::new(),
         };
-        let (adam_m, adam_v, adam_steps) = self.ppo.adam().state()?;
+        let (adam_m, adam_v, adam_steps) = self.ppo.adam().state();
         let progress = &self.progress;
         Ok(CheckpointState {
             saved: Saved {

@@ -1,7 +1,7 @@
 //! What the learner adds to the traces: chunks that arrive, the batch, the update, and the policy version
 //! that comes of it.
 
-use caudata_proto::{RolloutChunk, TraceContext, chunk_identity};
+use caudata_proto::{ChunkIdentity, RolloutChunk, TraceContext, chunk_identity};
 use caudata_telemetry::traces::{Kind, Span, Tracer, Value, now_ns};
 
 use crate::hex;
@@ -35,15 +35,24 @@ impl Traces {
         }
     }
 
-    /// A frame has been taken in since `began_ns`; `outcome` is what became of it.
-    pub fn received(&self, frame: &[u8], began_ns: u64, outcome: &str) {
+    /// Which chunk a frame is, where that is asked for.
+    pub fn identity(&self, frame: &[u8]) -> Option<ChunkIdentity> {
         if self.tracer.is_off() {
-            return;
+            return None;
         }
-        let Some(chunk) = chunk_identity(frame) else {
-            return;
-        };
-        let Some(collected) = chunk.trace else {
+        chunk_identity(frame)
+    }
+
+    /// A chunk of so many bytes has been taken in since `began_ns`; `outcome` is what became of it.
+    pub fn received(
+        &self,
+        chunk: Option<ChunkIdentity>,
+        bytes: usize,
+        began_ns: u64,
+        outcome: &str,
+    ) {
+        let Some((chunk, collected)) = chunk.and_then(|chunk| chunk.trace.map(|t| (chunk, t)))
+        else {
             return;
         };
         self.tracer.record(Span {
@@ -56,7 +65,7 @@ impl Traces {
                 ("caudata.actor", u64::from(chunk.actor_id).into()),
                 ("caudata.incarnation", chunk.incarnation.into()),
                 ("caudata.sequence", chunk.sequence.into()),
-                ("caudata.bytes", frame.len().into()),
+                ("caudata.bytes", bytes.into()),
                 ("caudata.outcome", outcome.into()),
             ],
             links: Vec::new(),

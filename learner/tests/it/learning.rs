@@ -1,5 +1,7 @@
 //! Whether the update learns: two small problems with known answers, no simulator.
 
+use std::sync::Arc;
+
 use caudata_config::{NetworkConfig, PpoConfig, StalenessConfig};
 use caudata_learner::batch::{Batch, Segment};
 use caudata_learner::network::{ActorCritic, NetworkSpec};
@@ -112,6 +114,7 @@ fn one_step_episodes(
         // Every step ends its episode, so the observations after the last step (zeros) do not matter.
         observations: [observations, vec![0.0; rows * obs_dim]].concat(),
         actions,
+        action_means: Vec::new(),
         behaviour_log_probs,
         rewards,
         terminated: vec![true; rows],
@@ -160,7 +163,7 @@ fn what_is_learnt_on_one_side_holds_on_the_other() {
             let rewards = pairs.map(|(s, a)| -(a[0] - s).powi(2) - (a[1] - 1.0 + s).powi(2));
             let rewards = rewards.collect();
             let batch = one_step_episodes(1, contexts, actions, log_probs, rewards, version);
-            ppo.update(&batch, &scaling, version, &mut order, false)
+            ppo.update(&Arc::new(batch), &scaling, version, &mut order, false)
                 .unwrap();
         }
         let seen = means(&ppo, &scaling, &[0.75], 1);
@@ -204,7 +207,7 @@ fn a_contextual_bandit_is_solved_in_fifty_updates() {
                 rewards,
                 version,
             );
-            ppo.update(&batch, &scaling, version, &mut order, false)
+            ppo.update(&Arc::new(batch), &scaling, version, &mut order, false)
                 .unwrap();
         }
         let after = bandit_return(&ppo, &scaling);
@@ -355,7 +358,7 @@ fn a_point_mass_is_steered_nearly_as_well_as_riccati_does() {
     let (mut noise, mut order) = (stream(3, Purpose::Action), stream(3, Purpose::Minibatch));
     let before = point_mass_return(&ppo, &scaling);
     for version in 0..80 {
-        let batch = collect(&ppo, &scaling, &mut world, &mut noise, version);
+        let batch = Arc::new(collect(&ppo, &scaling, &mut world, &mut noise, version));
         ppo.update(&batch, &scaling, version, &mut order, false)
             .unwrap();
         batch.moments.iter().for_each(|m| moments.merge(m));

@@ -19,6 +19,19 @@ impl RolloutChunk {
         self.check_values(limits)
     }
 
+    /// Memory of the tensors, bytes: near what they take on the wire.
+    pub fn memory_bytes(&self) -> usize {
+        let floats = [
+            &self.observations,
+            &self.actions,
+            &self.action_means,
+            &self.log_probs,
+            &self.rewards,
+        ];
+        let flags = self.terminated.len() + self.truncated.len();
+        4 * floats.iter().map(|tensor| tensor.len()).sum::<usize>() + flags
+    }
+
     /// Numbers in the observations of a chunk of these dimensions, (T+1)·N·D.
     pub(super) fn observations_len(&self) -> usize {
         product(&[self.steps.saturating_add(1), self.lanes, self.obs_dim])

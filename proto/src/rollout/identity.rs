@@ -3,6 +3,7 @@
 use prost::Message;
 
 use super::check;
+use super::messages::RolloutChunk;
 use super::trace::TraceContext;
 
 /// Which chunk of which actor a frame says it is.
@@ -18,6 +19,19 @@ pub struct ChunkIdentity {
     pub sequence: u64,
     /// Where it belongs in a trace, if it is traced.
     pub trace: Option<TraceContext>,
+}
+
+impl RolloutChunk {
+    /// Which one it is.
+    pub fn identity(&self) -> ChunkIdentity {
+        ChunkIdentity {
+            run_id: self.run_id.clone(),
+            actor_id: self.actor_id,
+            incarnation: self.incarnation,
+            sequence: self.sequence,
+            trace: self.trace,
+        }
+    }
 }
 
 /// Says whose chunk a frame is without decoding the rest, for a frame that [`super::decode`]

@@ -4,15 +4,15 @@ use std::process::Command;
 use std::sync::Arc;
 use std::time::Instant;
 
-use caudata_actor::{ActorMetrics, ActorSettings, build_env, encode_transport, gaussian};
+use caudata_actor::{ActorMetrics, ActorSettings, Network, build_env, encode_transport, gaussian};
 use caudata_config::{Config, ConfigArgs};
 use caudata_model::RobotModel;
-use caudata_policy::{Inference, PolicyFile};
-use caudata_proto::{DecodeLimits, Envelope, decode};
+use caudata_policy::PolicyFile;
+use caudata_proto::{DecodeLimits, Envelope, RolloutChunk, decode};
 use caudata_studies::{files, flags};
 use caudata_task::PolicyContract;
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Metrics, StopFlag};
-use caudata_transport::Control;
+use caudata_transport::{Control, Frame};
 use serde::Serialize;
 
 use super::peer::Peer;
@@ -242,8 +242,7 @@ impl Scene {
             let Some(frame) = stage.learner.recv(WAIT).or_exit(ExitCode::Internal)? else {
                 return Ok(());
             };
-            let checked = decode(&frame.bytes, &DecodeLimits::default());
-            if let Envelope::Chunk(chunk) = checked.or_exit(ExitCode::Internal)? {
+            if let Some(chunk) = chunk_of(frame)? {
                 steps += chunk.steps * chunk.lanes;
                 // As in training: a policy per quota, here of made-up weights. Making it is the learner's
                 // work, not that of collecting.
@@ -259,6 +258,22 @@ impl Scene {
     }
 }
 
+/// The chunk of a frame, checked; `None` for a greeting.
+fn chunk_of(frame: Frame) -> Result<Option<RolloutChunk>, Failure> {
+    let limits = DecodeLimits::default();
+    let value = frame
+        .value
+        .map(|value| value.content.downcast::<RolloutChunk>());
+    if let Some(Ok(chunk)) = value {
+        chunk.check(&limits).or_exit(ExitCode::Internal)?;
+        return Ok(Some(*chunk));
+    }
+    match decode(&frame.bytes, &limits).or_exit(ExitCode::Internal)? {
+        Envelope::Chunk(chunk) => Ok(Some(*chunk)),
+        _ => Ok(None),
+    }
+}
+
 /// Simulator, policy and exploration alone, on one thread.
 fn bare(
     config: &Config,
@@ -268,7 +283,7 @@ fn bare(
 ) -> Result<Rollouts, Failure> {
     let mut env = build_env(config, model, 0).map_err(|error| error.into_failure())?;
     env.reset_all().or_exit(ExitCode::Internal)?;
-    let mut inference = Inference::new(file, 1).or_exit(ExitCode::NoInput)?;
+    let mut network = Network::new(file.spec());
     let lanes = env.lanes();
     let width = env.act_dim();
     let (mut means, mut actions) = (vec![0.0; lanes * width], vec![0.0; lanes * width]);
@@ -276,9 +291,7 @@ fn bare(
     let mut steps_in = |seconds: f64| -> Result<f64, Failure> {
         let mut steps = 0;
         until(seconds, || {
-            inference
-                .run(env.observations(), lanes, &mut means)
-                .or_exit(ExitCode::Internal)?;
+            network.run(env.observations(), lanes, &mut means);
             for lane in 0..lanes {
                 let row = lane * width..(lane + 1) * width;
                 let action = &mut actions[row.clone()];

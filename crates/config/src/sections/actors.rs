@@ -28,8 +28,6 @@ pub struct ActorsConfig {
     pub lockstep: bool,
     /// Threads that step one actor's environments. 1 to 256. Results do not depend on it.
     pub threads: u32,
-    /// Threads of the policy's inference in one actor. 1 to 64. Small networks gain nothing above 1.
-    pub inference_threads: u32,
     /// Seconds an actor waits for a new policy before it gives up (exit code 75). Above 0, to 86,400. Must be
     /// longer than the learner's longest pause (update, checkpoint, restart).
     pub policy_timeout_s: f64,
@@ -49,7 +47,6 @@ impl Default for ActorsConfig {
             max_lead: 1,
             lockstep: false,
             threads: 1,
-            inference_threads: 1,
             policy_timeout_s: 300.0,
             flush_timeout_s: 10.0,
             restarts_per_minute: 5,

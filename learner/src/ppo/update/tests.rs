@@ -50,6 +50,7 @@ fn batch(steps: usize, lanes: usize) -> Batch {
         rows,
         observations: draw((rows + extra) * OBS),
         actions: draw(rows * ACT),
+        action_means: Vec::new(),
         behaviour_log_probs: draw(rows).iter().map(|x| -2.5 + x).collect(),
         rewards: draw(rows),
         terminated: vec![false; rows],
@@ -79,7 +80,7 @@ fn scaling() -> Scaling {
 
 fn update(ppo: &mut Ppo, batch: &Batch, version: u64) -> UpdateStats {
     ppo.update(
-        batch,
+        &Arc::new(batch.clone()),
         &scaling(),
         version,
         &mut stream(Purpose::Minibatch),
@@ -271,7 +272,7 @@ fn a_batch_of_another_size_is_refused() {
     wrong.obs_dim = 3;
     let error = ppo(|_| {}, 1)
         .update(
-            &wrong,
+            &Arc::new(wrong),
             &scaling(),
             0,
             &mut stream(Purpose::Minibatch),
@@ -287,7 +288,8 @@ fn a_critic_alone_learns_while_the_policy_and_its_rate_stay() {
     let mut ppo = ppo(|_| {}, 1);
     let (before, rate) = (ppo.net().to_vec().unwrap(), ppo.learning_rate());
     let order = &mut stream(Purpose::Minibatch);
-    ppo.update(&batch, &scaling(), 0, order, true).unwrap();
+    ppo.update(&Arc::new(batch), &scaling(), 0, order, true)
+        .unwrap();
     let after = ppo.net().to_vec().unwrap();
     let policy = ppo.net().policy_len();
     assert_eq!(before[..policy], after[..policy]);

@@ -1,9 +1,9 @@
 //! SSE 4.1, AVX2 with FMA, AVX-512.
 //!
 //! Safety of every `unsafe` here rests on one rule: a value of these types is only ever made while its
-//! instructions exist. The batch engine makes them only after [`super::Width::is_available`] said so; the
-//! constructors are not reachable from outside this crate's engine otherwise. Pointers are only formed from
-//! slices whose length is checked in the line before.
+//! instructions exist. [`super::widest`] and the batch engine make them only after
+//! [`super::Width::is_available`] said so, and nothing else may. Pointers are only formed from slices whose length
+//! is checked in the line before.
 //!
 //! `min` and `max` give their second operand where either is NaN.
 #![allow(unsafe_code, unused_unsafe)] // which intrinsics are unsafe to call is another matter for each instruction set

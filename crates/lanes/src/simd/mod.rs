@@ -14,6 +14,7 @@ mod neon;
 mod scalar;
 #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
 mod table;
+mod widest;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
@@ -23,6 +24,7 @@ use crate::real::Real;
 pub use neon::F32x4;
 #[cfg(target_arch = "x86_64")]
 pub use x86::{F32x4, F32x8, F32x16};
+pub use widest::{AnyWidth, widest};
 
 /// A computation over lanes that is to be compiled for the width's instructions.
 pub trait Kernel {

@@ -1,0 +1,163 @@
+//! The loss of [`super::loss`] and its gradient, sample after sample on the host.
+
+use std::f64::consts::PI;
+
+use super::loss::{LOG_RATIO_MAX, sums};
+use super::minibatch::{Minibatch, Samples};
+
+/// Sums over the samples of one shard of a minibatch, and what all of them need.
+#[derive(Debug)]
+pub struct Loss<'a> {
+    minibatch: &'a Minibatch,
+    samples: &'a Samples,
+    /// 1/σ, `[A]`.
+    inverse_std: Vec<f32>,
+    /// 1/(2σ²), `[A]`.
+    half_precision: Vec<f32>,
+    /// Σ log σ + ½·A·log 2π.
+    constant: f32,
+    /// What the KL divergence of a sample owes to the spreads alone.
+    spread_kl: f64,
+    /// 1/M.
+    scale: f32,
+    /// (a − μ)/σ of a sample, `[A]`.
+    z: Vec<f32>,
+    log_std_gradient: Vec<f32>,
+    sums: [f64; sums::COUNT],
+}
+
+impl<'a> Loss<'a> {
+    /// Before the first sample.
+    #[must_use]
+    pub fn new(minibatch: &'a Minibatch, samples: &'a Samples) -> Self {
+        let log_std = &minibatch.log_std;
+        let half_precision = |x: &f32| 0.5 * (-2.0 * x).exp();
+        let spread_kl = log_std
+            .iter()
+            .zip(&samples.prox_log_std)
+            .map(|(now, prox)| {
+                let (now, prox) = (f64::from(*now), f64::from(*prox));
+                now - prox + 0.5 * (2.0 * (prox - now)).exp() - 0.5
+            });
+        Self {
+            minibatch,
+            samples,
+            inverse_std: log_std.iter().map(|x| (-x).exp()).collect(),
+            half_precision: log_std.iter().map(half_precision).collect(),
+            constant: log_prob_constant(log_std),
+            spread_kl: spread_kl.sum(),
+            scale: 1.0 / minibatch.samples.len() as f32,
+            z: vec![0.0; log_std.len()],
+            log_std_gradient: vec![0.0; log_std.len()],
+            sums: [0.0; sums::COUNT],
+        }
+    }
+
+    /// Adds sample number `sample` of the batch, whose action was `action` `[A]`, while the networks say `mean`
+    /// (`[A]` and more) and `value`. Writes the gradient with respect to the mean, and answers the one with
+    /// respect to the value.
+    pub fn add(
+        &mut self,
+        sample: usize,
+        action: &[f32],
+        mean: &[f32],
+        value: f32,
+        mean_gradient: &mut [f32],
+    ) -> f32 {
+        let (width, settings) = (action.len(), &self.minibatch.loss);
+        let prox_mean = &self.samples.prox_means[sample * width..][..width];
+        let (mut squares, mut shift) = (0.0, 0.0);
+        for j in 0..width {
+            // z = (a − μ)/σ, so d log π/dμ = z/σ and d log π/d log σ = z² − 1.
+            let z = (action[j] - mean[j]) * self.inverse_std[j];
+            self.z[j] = z;
+            squares += z * z;
+            shift += (prox_mean[j] - mean[j]).powi(2) * self.half_precision[j];
+        }
+        let log_prob = -0.5 * squares - self.constant;
+        let bound = LOG_RATIO_MAX as f32;
+        let log_ratio = log_prob - self.samples.prox_log_probs[sample];
+        let ratio = log_ratio.clamp(-bound, bound).exp();
+        let (centre, spread) = self.minibatch.advantage_scale;
+        let advantage = (self.samples.advantages[sample] - centre) / spread;
+        let weight = self.samples.weights[sample];
+        let clip = settings.clip as f32;
+        let clipped_ratio = ratio.clamp(1.0 - clip, 1.0 + clip);
+        let (unclipped, clipped) = (ratio * advantage, clipped_ratio * advantage);
+        // The minimum lets the gradient through where the unclipped term is the smaller one (or they are equal):
+        // dL/d log π = −w·A·r/M there.
+        let slope = match unclipped <= clipped {
+            true => -unclipped * weight * self.scale,
+            false => 0.0,
+        };
+        for j in 0..width {
+            let z = self.z[j];
+            mean_gradient[j] = z * self.inverse_std[j] * slope;
+            self.log_std_gradient[j] += (z * z - 1.0) * slope;
+        }
+        let error = value - self.samples.targets[sample];
+        self.sums[sums::SURROGATE] -= f64::from(unclipped.min(clipped) * weight);
+        self.sums[sums::VALUE] += f64::from(0.25 * error * error);
+        self.sums[sums::KL] += f64::from(shift) + self.spread_kl;
+        self.sums[sums::CLIPPED] += f64::from(u8::from(ratio != clipped_ratio));
+        0.5 * settings.value_weight as f32 * self.scale * error
+    }
+
+    /// Gradient with respect to the log-std, `[A]`, after all `rows` samples of the shard. The entropy is
+    /// Σ(log σ + ½ log 2πe): its derivative is 1 per action, here in proportion to the rows.
+    #[must_use]
+    pub fn log_std_gradient(&self, rows: usize) -> Vec<f32> {
+        let entropy = self.minibatch.loss.entropy_weight as f32 * rows as f32 * self.scale;
+        self.log_std_gradient.iter().map(|g| g - entropy).collect()
+    }
+
+    /// In the order of [`sums`].
+    #[must_use]
+    pub fn sums(&self) -> [f64; sums::COUNT] {
+        self.sums
+    }
+}
+
+fn log_prob_constant(log_std: &[f32]) -> f32 {
+    let sum: f64 = log_std.iter().map(|&x| f64::from(x)).sum();
+    (sum + 0.5 * log_std.len() as f64 * (2.0 * PI).ln()) as f32
+}
+
+/// log N(a; μ, σ) of each of `[B, A]` actions and means, with the sums of [`Loss::add`].
+#[must_use]
+pub fn log_probs(actions: &[f32], means: &[f32], log_std: &[f32]) -> Vec<f32> {
+    let inverse_std: Vec<f32> = log_std.iter().map(|x| (-x).exp()).collect();
+    let (width, constant) = (log_std.len(), log_prob_constant(log_std));
+    let rows = actions.chunks_exact(width).zip(means.chunks_exact(width));
+    let log_prob = |(action, mean): (&[f32], &[f32])| {
+        let mut squares = 0.0;
+        for j in 0..width {
+            let z = (action[j] - mean[j]) * inverse_std[j];
+            squares += z * z;
+        }
+        -0.5 * squares - constant
+    };
+    rows.map(log_prob).collect()
+}
+
+/// Entropy of the policy, nats: Σ(log σ + ½ log 2πe).
+#[must_use]
+pub fn entropy(log_std: &[f32]) -> f64 {
+    let sum: f64 = log_std.iter().map(|&x| f64::from(x)).sum();
+    sum + 0.5 * log_std.len() as f64 * (1.0 + (2.0 * PI).ln())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn log_probability_and_entropy_of_known_gaussians() {
+        // N(0, 1) at 0 and N(0, 2) at 2: −½ln2π − 0 and −½ln2π − ln2 − ½; sum −2·0.918939 − 0.693147 − 0.5 =
+        // −3.031024.
+        let log_std = [0.0, 2.0_f32.ln()];
+        assert!((log_probs(&[0.0, 2.0], &[0.0, 0.0], &log_std)[0] + 3.031024).abs() < 1e-5);
+        // 2·½ln(2πe) + ln 2 = 2.837877 + 0.693147.
+        assert!((entropy(&log_std) - 3.531024).abs() < 1e-5);
+    }
+}

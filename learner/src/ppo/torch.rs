@@ -1,0 +1,160 @@
+//! The networks on a device of libtorch, a minibatch at a time: a GPU works on it whole.
+
+use std::sync::Arc;
+
+use caudata_telemetry::spans::{Laps, Part};
+use tch::Tensor;
+
+use super::loss::{Outputs, Samples as OnDevice, loss_and_gradient, sums};
+use super::minibatch::{Before, Minibatch, Samples, Total};
+use crate::LearnerError;
+use crate::batch::Batch;
+use crate::network::ActorCritic;
+use crate::normaliser::Scaling;
+
+/// The networks, room for their gradient, and the batch that is being learnt from.
+#[derive(Debug)]
+pub struct Torch {
+    net: ActorCritic,
+    gradient: ActorCritic,
+    batch: Option<OnTheDevice>,
+}
+
+#[derive(Debug)]
+struct OnTheDevice {
+    /// Normalised, `[B, D]`.
+    observations: Tensor,
+    /// `[B, A]`.
+    actions: Tensor,
+    /// Means of π_prox `[B, A]`, and log-probability, advantage, target, weight of each, with their source.
+    samples: Option<(Arc<Samples>, Tensor, [Tensor; 4])>,
+}
+
+impl Torch {
+    /// Networks of the shape of `net`, on its device.
+    #[must_use]
+    pub fn new(net: &ActorCritic) -> Self {
+        Self {
+            net: net.zeros_like(),
+            gradient: net.zeros_like(),
+            batch: None,
+        }
+    }
+
+    /// As [`super::gradient::Networks::set`].
+    pub fn set(&mut self, parameters: &[f32]) {
+        let mut flat = self.net.flat().shallow_clone();
+        flat.copy_(&Tensor::from_slice(parameters));
+    }
+
+    /// As [`super::gradient::Networks::begin`].
+    pub fn begin(
+        &mut self,
+        batch: &Arc<Batch>,
+        scaling: &Scaling,
+        means: bool,
+    ) -> Result<Before, LearnerError> {
+        let (device, wide) = (self.net.device(), batch.obs_dim as i64);
+        let raw = Tensor::from_slice(&batch.observations).view([-1, wide]);
+        let all = scaling.apply(&raw.to_device(device));
+        let observations = all.narrow(0, 0, batch.rows as i64);
+        let before = Before {
+            values: host(&self.net.value().forward(&all))?,
+            means: match means {
+                true => host(&self.net.policy().forward(&observations))?,
+                false => Vec::new(),
+            },
+        };
+        let actions = Tensor::from_slice(&batch.actions).view([-1, batch.act_dim as i64]);
+        self.batch = Some(OnTheDevice {
+            observations,
+            actions: actions.to_device(device),
+            samples: None,
+        });
+        Ok(before)
+    }
+
+    /// As [`super::gradient::Networks::gradient`].
+    pub fn gradient(
+        &mut self,
+        samples: &Arc<Samples>,
+        minibatch: &Minibatch,
+    ) -> Result<Total, LearnerError> {
+        let Some(batch) = &mut self.batch else {
+            return Err(LearnerError::setting("no batch has been taken up"));
+        };
+        let mut laps = Laps::new();
+        let device = self.net.device();
+        if batch
+            .samples
+            .as_ref()
+            .is_none_or(|(from, ..)| !Arc::ptr_eq(from, samples))
+        {
+            let put = |values: &[f32], width: i64| {
+                Tensor::from_slice(values)
+                    .view([-1, width])
+                    .to_device(device)
+            };
+            let means = put(&samples.prox_means, samples.prox_log_std.len() as i64);
+            let columns = [
+                &samples.prox_log_probs,
+                &samples.advantages,
+                &samples.targets,
+                &samples.weights,
+            ];
+            let columns = columns.map(|column| put(column, 1));
+            batch.samples = Some((Arc::clone(samples), means, columns));
+        }
+        let Some((_, means, [log_probs, advantages, targets, weights])) = &batch.samples else {
+            return Err(LearnerError::setting("no samples have been taken up"));
+        };
+        let order: Vec<i64> = minibatch.samples.iter().map(|&i| i64::from(i)).collect();
+        let order = Tensor::from_slice(&order).to_device(device);
+        let pick = |t: &Tensor| t.index_select(0, &order);
+        let (shift, scale) = minibatch.advantage_scale;
+        let picked = OnDevice {
+            actions: pick(&batch.actions),
+            prox_means: pick(means),
+            prox_log_probs: pick(log_probs),
+            advantages: (pick(advantages) - f64::from(shift)) / f64::from(scale),
+            targets: pick(targets),
+            weights: pick(weights),
+        };
+        let observations = pick(&batch.observations);
+        laps.lap(Part::ElementWise);
+        let (net, gradient) = (&self.net, &self.gradient);
+        let (means, policy_tape) = net.policy().forward_with_tape(&observations);
+        let (values, value_tape) = net.value().forward_with_tape(&observations);
+        laps.lap(Part::Products);
+        let (sums, output_gradient) = loss_and_gradient(
+            &minibatch.loss,
+            minibatch.samples.len(),
+            &Outputs { means, values },
+            &Tensor::from_slice(&minibatch.log_std).to_device(device),
+            &Tensor::from_slice(&samples.prox_log_std).to_device(device),
+            &picked,
+        );
+        laps.lap(Part::ElementWise);
+        net.policy()
+            .backward(&policy_tape, output_gradient.means, gradient.policy());
+        net.value()
+            .backward(&value_tape, output_gradient.values, gradient.value());
+        net.log_std_backward(&output_gradient.log_std, gradient);
+        let mut total = [0.0; sums::COUNT];
+        for (total, sum) in total.iter_mut().zip(host(&sums)?) {
+            *total = f64::from(sum);
+        }
+        let gradient = gradient.to_vec()?;
+        laps.lap(Part::Products);
+        Ok(Total {
+            sums: total,
+            gradient,
+        })
+    }
+}
+
+/// All numbers of a tensor, on the host.
+fn host(t: &Tensor) -> Result<Vec<f32>, LearnerError> {
+    let flat = t.to_device(tch::Device::Cpu).contiguous().view([-1]);
+    Ok(Vec::try_from(&flat)?)
+}
