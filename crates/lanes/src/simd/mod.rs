@@ -22,9 +22,9 @@ use crate::real::Real;
 
 #[cfg(target_arch = "aarch64")]
 pub use neon::F32x4;
+pub use widest::{AnyWidth, widest};
 #[cfg(target_arch = "x86_64")]
 pub use x86::{F32x4, F32x8, F32x16};
-pub use widest::{AnyWidth, widest};
 
 /// A computation over lanes that is to be compiled for the width's instructions.
 pub trait Kernel {
