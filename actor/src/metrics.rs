@@ -21,7 +21,7 @@ pub struct ActorMetrics {
     pub inference: Histogram,
     /// Seconds spent stepping environments.
     pub env_seconds: SecondsCounter,
-    /// Seconds spent checking new policies and handing them to ONNX Runtime.
+    /// Seconds spent checking new policies and taking them up.
     pub policy_seconds: SecondsCounter,
     /// Seconds spent waiting for a policy.
     pub wait_seconds: SecondsCounter,
@@ -58,7 +58,7 @@ impl ActorMetrics {
             ),
             policy_seconds: metrics.seconds_counter(
                 "caudata_actor_policy_seconds_total",
-                "Time checking new policies and handing them to ONNX Runtime",
+                "Time checking new policies and taking them up",
             ),
             wait_seconds: metrics.seconds_counter(
                 "caudata_actor_wait_seconds_total",

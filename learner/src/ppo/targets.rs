@@ -33,7 +33,7 @@ impl Targets {
             weights: vec![1.0; batch.rows],
         };
         for segment in &batch.segments {
-            // The same policy computed by ONNX Runtime and by libtorch differs in the last bits; that is no
+            // The same policy computed on another processor may differ in the last bits; that is no
             // staleness.
             let stale = segment.policy_version != policy_version;
             let prox = stale.then_some(prox_log_probs);

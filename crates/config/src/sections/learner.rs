@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 pub struct LearnerConfig {
     /// Where tensors live. `auto` takes CUDA when libtorch has it.
     pub device: Device,
-    /// Threads of libtorch on the CPU. 1 to 256. Small networks gain little above 1. Results do
+    /// Threads of an update on the CPU. 1 to 256. Small networks gain little above 1. Results do
     /// not depend on it.
     pub threads: u32,
     /// Every how many iterations a policy goes to the policy server (the last one always does). 1 to
