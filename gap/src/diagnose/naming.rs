@@ -280,16 +280,18 @@ fn is_a_lead(quiet: f64, worth: &Worth) -> bool {
 }
 
 /// Which of the causes in `order`, greatest first, are leads and no findings ([`is_a_lead`], with all others
-/// in the model).
+/// in the model): beside one that is surely greater. Of two that take as much nobody knows which makes up for
+/// the other.
 pub fn leads(context: &Context, best: &State, order: &[&Named]) -> Vec<bool> {
     let mut out: Vec<bool> = Vec::new();
+    let place = |n: &Named| &best.terms[n.index].place;
     for (k, n) in order.iter().enumerate() {
-        let place = |n: &Named| &best.terms[n.index].place;
-        let beside = order[..k].iter().zip(&out);
-        let beside_greater = beside
-            .filter(|(_, is_lead)| !**is_lead)
-            .any(|(greater, _)| one_place(context, place(greater), place(n)));
-        out.push(beside_greater && is_a_lead(gates::quiet(context), &n.worth));
+        let greater = order[..k].iter().zip(&out).any(|(greater, is_lead)| {
+            !is_lead
+                && greater.worth.interval.0 > n.worth.cross
+                && one_place(context, place(greater), place(n))
+        });
+        out.push(greater && is_a_lead(gates::quiet(context), &n.worth));
     }
     out
 }

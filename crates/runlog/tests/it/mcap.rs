@@ -49,6 +49,8 @@ fn a_log_comes_back_through_mcap() {
 fn comes_back(table: &Table, compression: Option<Compression>) {
     let back = parse_mcap("run.mcap", &packed(table, compression)).unwrap();
     assert_eq!(back.len(), 3);
+    // what viewers need is no loss
+    assert!(back.notes().is_empty(), "{:?}", back.notes());
     for (got, want) in back.time_s().iter().zip([0.0, 0.02, 0.04]) {
         assert!((got - want).abs() < 1e-9, "{got}");
     }
@@ -62,6 +64,22 @@ fn comes_back(table: &Table, compression: Option<Compression>) {
             }
         }
     }
+}
+
+#[test]
+fn topics_that_are_not_read_are_named() {
+    let mut all = bytes(&log());
+    let (name, other) = (b"/odom", b"/mine");
+    for at in 0..all.len() - name.len() {
+        if &all[at..at + name.len()] == name {
+            all[at..at + name.len()].copy_from_slice(other);
+        }
+    }
+    let table = parse_mcap("run.mcap", &all).unwrap();
+    assert_eq!(
+        table.notes(),
+        ["topic /mine (nav_msgs/msg/Odometry) is not read"]
+    );
 }
 
 #[test]
