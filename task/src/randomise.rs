@@ -46,6 +46,12 @@ pub struct RandomisationConfig {
     pub command_delay_s: [f32; 2],
     /// Factor on the width of each backlash joint's play. Default 0.5 to 1.2.
     pub backlash_scale: [f32; 2],
+    /// Share of the episodes in which one servo, any of them, gives no torque (a torn cable), 0 to 1. Default
+    /// 0. Too large: little is trained with all of them.
+    pub limp_share: f32,
+    /// Share of the episodes in which one servo, any of them, does not turn (a jammed gear), 0 to 1; together
+    /// with `limp_share` at most 1. It stays where the episode begins. Default 0.
+    pub stuck_share: f32,
 }
 
 impl Default for RandomisationConfig {
@@ -66,6 +72,8 @@ impl Default for RandomisationConfig {
             supply_scale: [0.85, 1.02],
             command_delay_s: [0.0, 0.02],
             backlash_scale: [0.5, 1.2],
+            limp_share: 0.0,
+            stuck_share: 0.0,
         }
     }
 }
@@ -74,6 +82,21 @@ impl Default for RandomisationConfig {
 const MAX_COMMAND_DELAY_S: f32 = 0.1;
 
 impl RandomisationConfig {
+    /// Draws which of `joints` servos fails, if any; takes nothing from `stream` where none may.
+    fn failure(&self, joints: usize, stream: &mut Stream) -> Option<Failure> {
+        if self.limp_share + self.stuck_share <= 0.0 || joints == 0 {
+            return None;
+        }
+        let (drawn, joint) = (
+            stream.uniform(0.0, 1.0),
+            stream.below(joints as u64) as usize,
+        );
+        if drawn < self.limp_share {
+            return Some(Failure::Limp(joint));
+        }
+        (drawn < self.limp_share + self.stuck_share).then_some(Failure::Stuck(joint))
+    }
+
     /// Checks every value.
     ///
     /// # Errors
@@ -85,6 +108,7 @@ impl RandomisationConfig {
             "must be [min, max] within 0 to 20",
         );
         let delay = "must be [min, max] within 0 to 0.1 s";
+        let share = |value: f32, most: f32| (0.0..=most).contains(&value);
         checks! {
             self, "randomisation.";
             total_mass_scale: within(self.total_mass_scale, 0.05, 20.0), positive;
@@ -101,8 +125,19 @@ impl RandomisationConfig {
             backlash_scale: within(self.backlash_scale, 0.0, 20.0), any;
             com_offset_m: within(self.com_offset_m, -0.5, 0.5), "must be [min, max] within ±0.5 m";
             command_delay_s: within(self.command_delay_s, 0.0, MAX_COMMAND_DELAY_S), delay;
+            limp_share: share(self.limp_share, 1.0), "must be 0 to 1";
+            stuck_share: share(self.stuck_share, 1.0 - self.limp_share), "must be 0 to 1, with limp_share at most 1";
         }
     }
+}
+
+/// A servo that has failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Failure {
+    /// This one (policy order) gives no torque.
+    Limp(usize),
+    /// This one (policy order) does not turn.
+    Stuck(usize),
 }
 
 /// The physics of one episode, relative to the nominal robot.
@@ -134,6 +169,8 @@ pub struct RandomDraw {
     pub command_delay_s: f32,
     /// Factor on each backlash joint's play. `[B]`
     pub backlash_scale: Vec<f32>,
+    /// A servo that has failed, if one has.
+    pub failure: Option<Failure>,
 }
 
 impl RandomDraw {
@@ -154,6 +191,7 @@ impl RandomDraw {
             supply_scale: 1.0,
             command_delay_s: 0.0,
             backlash_scale: vec![1.0; backlash_joints],
+            failure: None,
         }
     }
 
@@ -187,6 +225,7 @@ impl RandomDraw {
         for scale in &mut self.backlash_scale {
             *scale = draw(config.backlash_scale);
         }
+        self.failure = config.failure(self.kp_scale.len(), stream);
     }
 }
 
@@ -246,6 +285,40 @@ mod tests {
             let ratio = d.link_mass_scale[0] / d.link_mass_scale[5];
             assert!((0.81..1.23).contains(&ratio));
         }
+    }
+
+    #[test]
+    fn servos_fail_as_often_as_asked_and_any_of_them() {
+        let config = RandomisationConfig {
+            limp_share: 0.3,
+            stuck_share: 0.5,
+            ..RandomisationConfig::default()
+        };
+        config.validate().unwrap();
+        let mut stream = stream();
+        let (mut limp, mut stuck) = ([0; 16], [0; 16]);
+        for _ in 0..2000 {
+            match draw(&config, &mut stream, 19, 16, 4).failure {
+                Some(Failure::Limp(joint)) => limp[joint] += 1,
+                Some(Failure::Stuck(joint)) => stuck[joint] += 1,
+                None => {}
+            }
+        }
+        // 600 and 1,000 of 2,000, standard deviations 20 and 22
+        let (limps, stucks): (i32, i32) = (limp.iter().sum(), stuck.iter().sum());
+        assert!(
+            (limps - 600).abs() < 100 && (stucks - 1000).abs() < 110,
+            "{limps} {stucks}"
+        );
+        assert!(
+            limp.iter().chain(&stuck).all(|&n| n > 0),
+            "{limp:?} {stuck:?}"
+        );
+        let more_than_all = RandomisationConfig {
+            limp_share: 0.6,
+            ..config
+        };
+        assert!(more_than_all.validate().is_err());
     }
 
     #[test]

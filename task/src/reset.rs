@@ -28,6 +28,9 @@ pub struct ResetConfig {
     /// policy that swims must learn to unfold its legs where the ground comes up, and meets that too rarely
     /// when every episode begins on its feet; too large: little else is trained.
     pub swimming_pose_share: f32,
+    /// Share of the episodes that start in any attitude, with every joint anywhere between its limits, 0 to 1.
+    /// Default 0. For robots that are to get up again; `task.termination.max_tilt_rad` must then be large.
+    pub fallen_share: f32,
 }
 
 impl Default for ResetConfig {
@@ -39,6 +42,7 @@ impl Default for ResetConfig {
             yaw_range_rad: PI,
             spawn_half_extent_m: 0.0,
             swimming_pose_share: 0.0,
+            fallen_share: 0.0,
         }
     }
 }
@@ -58,6 +62,7 @@ impl ResetConfig {
             yaw_range_rad: up_to(self.yaw_range_rad, PI), "must be 0 to π";
             spawn_half_extent_m: up_to(self.spawn_half_extent_m, 1e3), "must be 0 to 1000";
             swimming_pose_share: up_to(self.swimming_pose_share, 1.0), "must be 0 to 1";
+            fallen_share: up_to(self.fallen_share, 1.0), "must be 0 to 1";
         }
     }
 }
@@ -67,6 +72,8 @@ impl ResetConfig {
 pub struct ResetDraw {
     /// Base position, m, world x and y.
     pub base_xy_m: [f32; 2],
+    /// Roll and pitch, rad.
+    pub roll_pitch_rad: [f32; 2],
     /// Heading, rad.
     pub yaw_rad: f32,
     /// Velocity of the base, m/s, world x and y.
@@ -89,9 +96,11 @@ pub fn draw(
         true => swimming_rad,
         false => &joints.nominal_rad,
     };
+    let fallen = config.fallen_share > 0.0 && stream.chance(config.fallen_share);
     let mut around_zero = |half: f32| stream.uniform(-half, half);
-    ResetDraw {
+    let mut start = ResetDraw {
         base_xy_m: std::array::from_fn(|_| around_zero(config.spawn_half_extent_m)),
+        roll_pitch_rad: [0.0; 2],
         yaw_rad: around_zero(config.yaw_range_rad),
         base_vel_mps: std::array::from_fn(|_| around_zero(config.base_vel_noise_mps)),
         joint_pos_rad: PerJoint::from_fn(joints.len(), |i| {
@@ -102,7 +111,15 @@ pub fn draw(
         joint_vel_radps: PerJoint::from_fn(joints.len(), |_| {
             around_zero(config.joint_vel_noise_radps)
         }),
+    };
+    if fallen {
+        // as often on its back as on its feet; pitch by its sine, as a ball thrown up would lie
+        start.roll_pitch_rad = [around_zero(PI), around_zero(1.0).asin()];
+        for (i, q) in start.joint_pos_rad.iter_mut().enumerate() {
+            *q = stream.uniform(joints.lower_rad[i], joints.upper_rad[i]);
+        }
     }
+    start
 }
 
 #[cfg(test)]
@@ -144,6 +161,31 @@ mod tests {
     }
 
     #[test]
+    fn the_asked_share_starts_in_any_attitude() {
+        let config = ResetConfig {
+            fallen_share: 0.5,
+            ..ResetConfig::default()
+        };
+        let mut stream = Stream::new(Key::for_run(5), Purpose::Reset);
+        let starts: Vec<_> = (0..1000)
+            .map(|_| draw(&config, &joints(), &swimming_rad(), &mut stream))
+            .collect();
+        let fallen: Vec<_> = starts
+            .iter()
+            .filter(|s| s.roll_pitch_rad != [0.0; 2])
+            .collect();
+        // 500 of 1,000, standard deviation 16
+        assert!(fallen.len().abs_diff(500) < 80, "{}", fallen.len());
+        // the body's z axis points up in the world by cos(roll)·cos(pitch)
+        let up = |s: &&ResetDraw| s.roll_pitch_rad.map(f32::cos).iter().product::<f32>();
+        let on_the_back = fallen.iter().filter(|s| up(s) < 0.0).count();
+        assert!(on_the_back.abs_diff(fallen.len() / 2) < 60, "{on_the_back}");
+        let inside = |q: &f32| (-1.0..=0.55).contains(q);
+        assert!(starts.iter().all(|s| s.joint_pos_rad.iter().all(inside)));
+        assert!(fallen.iter().any(|s| s.joint_pos_rad[0] < -0.5));
+    }
+
+    #[test]
     fn draws_stay_within_noise_and_limits() {
         let config = ResetConfig {
             joint_vel_noise_radps: 2.0,
@@ -177,6 +219,7 @@ mod tests {
             yaw_range_rad: 0.0,
             spawn_half_extent_m: 0.0,
             swimming_pose_share: 0.0,
+            fallen_share: 0.0,
         };
         let start = draw(
             &config,

@@ -2,8 +2,11 @@
 
 use caudata_model::RobotModel;
 use caudata_sim::{InitialState, LaneParams, MAX_COMMAND_DELAY_S};
-use caudata_task::randomise::RandomDraw;
+use caudata_task::randomise::{Failure, RandomDraw};
 use caudata_task::reset::ResetDraw;
+
+/// Dry friction of a servo that is stuck, N·m: ten times what servos of such robots give.
+const STUCK_FRICTION_NM: f32 = 20.0;
 
 /// Buffers that turn draws into what the engine takes, made once.
 #[derive(Debug)]
@@ -62,6 +65,11 @@ impl PhysicsDraws {
             params.kd_nms_per_rad[i] = nominal.kd_nms_per_rad[i] * draw.kd_scale[i];
             params.torque_scale[i] = nominal.torque_scale[i] * draw.torque_scale * strengths[i];
         }
+        match draw.failure {
+            Some(Failure::Limp(joint)) => params.torque_scale[joint] = 0.0,
+            Some(Failure::Stuck(joint)) => params.joint_friction_nm[joint] = STUCK_FRICTION_NM,
+            None => {}
+        }
         params.supply_v = nominal.supply_v * draw.supply_scale;
         params.command_delay_s =
             (nominal.command_delay_s + draw.command_delay_s).min(MAX_COMMAND_DELAY_S);
@@ -73,7 +81,8 @@ impl PhysicsDraws {
     /// Sets `init` to the drawn start.
     pub fn apply_start(&mut self, start: &ResetDraw) {
         self.init.base_xy_m = start.base_xy_m;
-        self.init.base_rpy_rad = [0.0, 0.0, start.yaw_rad];
+        let [roll, pitch] = start.roll_pitch_rad;
+        self.init.base_rpy_rad = [roll, pitch, start.yaw_rad];
         self.init.base_vel_mps = [start.base_vel_mps[0], start.base_vel_mps[1], 0.0];
         self.init
             .joint_pos_rad

@@ -35,6 +35,7 @@ mod tests {
         // a quarter turn takes a velocity of (0.1, 0) to (0, 0.1)
         let start = ResetDraw {
             base_xy_m: [0.5, -0.5],
+            roll_pitch_rad: [0.0; 2],
             yaw_rad: 0.25,
             base_vel_mps: [0.1, 0.0],
             joint_pos_rad: [0.0; 16].into(),

@@ -179,6 +179,7 @@ pub fn conditions(
     task.randomisation = scenario.corner.randomisation();
     task.reset.spawn_half_extent_m = scenario.spawn_half_extent_m;
     task.reset.swimming_pose_share = 0.0;
+    task.reset.fallen_share = 0.0;
     if let Some(range) = scenario.start.yaw_range_rad {
         task.reset.yaw_range_rad = range;
     }

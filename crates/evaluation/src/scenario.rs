@@ -138,6 +138,10 @@ pub struct Corner {
     pub kp_scale: f32,
     /// Factor on all masses.
     pub mass_scale: f32,
+    /// Share of the episodes in which one servo, any of them, gives no torque.
+    pub limp_share: f32,
+    /// Share of the episodes in which one servo, any of them, does not turn.
+    pub stuck_share: f32,
 }
 
 impl Corner {
@@ -149,6 +153,8 @@ impl Corner {
             foot_friction_scale: 1.0,
             kp_scale: 1.0,
             mass_scale: 1.0,
+            limp_share: 0.0,
+            stuck_share: 0.0,
         }
     }
 
@@ -172,6 +178,8 @@ impl Corner {
             supply_scale: all(1.0),
             command_delay_s: all(self.command_delay_s),
             backlash_scale: all(1.0),
+            limp_share: self.limp_share,
+            stuck_share: self.stuck_share,
         }
     }
 }

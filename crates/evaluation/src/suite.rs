@@ -56,6 +56,8 @@ pub enum Suite {
     Transition,
     /// Swimming in deep water: straight ahead, and turning to either side at 0.5 rad/s.
     Swim,
+    /// One servo without torque, and one that does not turn; another in every episode.
+    Servo,
     /// All that walks: every suite before `transition`.
     Paper,
     /// Everything that the project's table of targets asks about, transition included.
@@ -64,7 +66,7 @@ pub enum Suite {
 
 impl Suite {
     /// All suites, in the order of the declaration.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Flat,
         Self::Rough,
         Self::Omni,
@@ -72,6 +74,7 @@ impl Suite {
         Self::Robust,
         Self::Transition,
         Self::Swim,
+        Self::Servo,
         Self::Paper,
         Self::Acceptance,
     ];
@@ -87,6 +90,7 @@ impl Suite {
             Self::Robust => "robust",
             Self::Transition => "transition",
             Self::Swim => "swim",
+            Self::Servo => "servo",
             Self::Paper => "paper",
             Self::Acceptance => "acceptance",
         }
@@ -104,6 +108,7 @@ impl Suite {
             Self::Robust => robust(speed_mps),
             Self::Transition => transition(speed_mps),
             Self::Swim => swim(speed_mps),
+            Self::Servo => servo(speed_mps),
             Self::Paper => [
                 Self::Flat,
                 Self::Rough,
@@ -277,6 +282,7 @@ fn robust(speed_mps: f32) -> Vec<Scenario> {
                 foot_friction_scale: 0.6,
                 kp_scale: 0.75,
                 mass_scale: 1.15,
+                ..nominal
             },
         ),
     ];
@@ -361,6 +367,32 @@ fn swim(speed_mps: f32) -> Vec<Scenario> {
         swim(left, SWIM_TURN_RADPS),
         swim(right, -SWIM_TURN_RADPS),
         swim(SWIM, 0.0),
+    ]
+}
+
+/// Straight ahead with a servo that has failed.
+fn servo(speed_mps: f32) -> Vec<Scenario> {
+    let nominal = Corner::nominal();
+    let scenario = |name: &str, corner| Scenario {
+        corner,
+        judged: false,
+        ..Scenario::walk(name, [speed_mps, 0.0, 0.0])
+    };
+    vec![
+        scenario(
+            "one servo limp",
+            Corner {
+                limp_share: 1.0,
+                ..nominal
+            },
+        ),
+        scenario(
+            "one servo stuck",
+            Corner {
+                stuck_share: 1.0,
+                ..nominal
+            },
+        ),
     ]
 }
 

@@ -163,7 +163,7 @@ impl LaneDrive {
         &mut self,
         model: &RobotModel,
         stops: &[Stop],
-        robot: &mut impl Joints,
+        robot: &mut dyn Joints,
         memory: &mut DriveMemory,
         since_command_s: f64,
     ) {
@@ -224,7 +224,7 @@ impl LaneDrive {
         &mut self,
         model: &RobotModel,
         stops: &[Stop],
-        robot: &impl Joints,
+        robot: &dyn Joints,
         memory: &mut DriveMemory,
     ) {
         for (j, model_joint) in model.joints().iter().enumerate() {

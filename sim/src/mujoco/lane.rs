@@ -1,12 +1,11 @@
 //! One lane: its parameters, what it remembers, what it reports.
 
 use caudata_model::pose::sub;
-use serde::{Deserialize, Serialize};
 
 use super::mjcf;
-use super::process::Request;
+use super::process::{Process, Request};
 use super::robot::Robot;
-use super::{Process, Shared};
+use super::shared::{Shared, cannot};
 use crate::drive::lane::{DriveMemory, LaneDrive};
 use crate::drive::{DriveFeatures, ServoDrive};
 use crate::observe::{self, Coordinates, LinkMass, Motion};
@@ -14,7 +13,7 @@ use crate::water::{self, LinkMotion, Surface, WaterLink};
 use crate::{InitialState, LaneParams, SimError, State};
 
 /// Everything of a lane that changes while it runs.
-#[derive(Clone, Serialize, Deserialize)]
+#[derive(Clone)]
 pub(super) struct Memory {
     drive: DriveMemory,
     pub robot: Robot,
@@ -278,7 +277,7 @@ fn check(f: DriveFeatures, water: Option<&Water>) -> Result<(), SimError> {
         ),
     ];
     match beyond.iter().find(|(has, _)| *has) {
-        Some((_, what)) => Err(super::cannot(what)),
+        Some((_, what)) => Err(cannot(what)),
         None => Ok(()),
     }
 }

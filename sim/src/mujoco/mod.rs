@@ -9,43 +9,31 @@
 //! A lane costs some 0.1 ms per physics step, on one thread. The Python is the one that
 //! `CAUDATA_MUJOCO_PYTHON` names; `setup/provision.py --with-mujoco` makes it.
 //!
-//! Not simulated, and refused: shapes that touch each other, slippery patches, gears that give way, friction
+//! Not simulated, and refused: snapshots, shapes that touch each other, slippery patches, gears that give way, friction
 //! that is more than Coulomb's and viscous, added mass of water.
 
 mod lane;
 mod mjcf;
 mod process;
 mod robot;
+mod shared;
 
 use std::sync::Arc;
 
 use caudata_model::RobotModel;
-use serde::{Deserialize, Serialize};
 
 use crate::engine::{WRENCH, check_new, check_step};
 use crate::error::check_lane;
-use crate::snapshot::{Owner, refused};
 use crate::stop::Stop;
 use crate::{Engine, EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
-use lane::{Lane, Memory};
+use lane::Lane;
 use process::{Process, Request};
+use shared::{Shared, cannot};
 
 pub use process::{Python, version};
 
 /// Most lanes one engine takes; one process steps them all.
 pub const MAX_MUJOCO_LANES: usize = 4096;
-
-/// Changes whenever what a snapshot holds does.
-const MUJOCO_FORMAT: &str = "caudata-mujoco-1";
-
-/// What all lanes share.
-struct Shared {
-    model: Arc<RobotModel>,
-    config: EngineConfig,
-    terrain: Arc<Terrain>,
-    /// The drive-line's bookkeeping asks for them; those that act are MuJoCo's.
-    stops: Vec<Stop>,
-}
 
 /// The MuJoCo engine.
 pub struct MujocoEngine {
@@ -55,13 +43,6 @@ pub struct MujocoEngine {
     /// Parameters set since the lane was last built.
     pending: Vec<Option<LaneParams>>,
     state: State,
-}
-
-#[derive(Serialize, Deserialize)]
-struct SavedLane {
-    params: LaneParams,
-    pending: Option<LaneParams>,
-    memory: Memory,
 }
 
 impl MujocoEngine {
@@ -141,16 +122,6 @@ impl MujocoEngine {
         }
         Ok(())
     }
-
-    fn owner(&self) -> Owner<'_> {
-        Owner {
-            format: MUJOCO_FORMAT,
-            model_hash: self.shared.model.hash(),
-            config: &self.shared.config,
-            terrain: self.shared.terrain.fingerprint(),
-            lanes: self.lanes.len(),
-        }
-    }
 }
 
 /// What the script is told first.
@@ -165,10 +136,6 @@ fn opening(shared: &Shared, lanes: usize) -> Request {
         request.numbers(&[f64::from(height)]);
     }
     request
-}
-
-fn cannot(what: &str) -> SimError {
-    SimError::Mujoco(format!("it does not simulate {what}; the other engines do"))
 }
 
 impl Engine for MujocoEngine {
@@ -237,33 +204,12 @@ impl Engine for MujocoEngine {
         &self.state
     }
 
+    /// Refused: going on from positions, velocities and warm start was not bit-exact.
     fn snapshot(&self) -> Result<Vec<u8>, SimError> {
-        let lanes = self.lanes.iter().zip(&self.pending);
-        let saved: Vec<SavedLane> = lanes
-            .map(|(lane, pending)| SavedLane {
-                params: lane.params.clone(),
-                pending: pending.clone(),
-                memory: lane.memory.clone(),
-            })
-            .collect();
-        self.owner().save(&saved)
+        Err(cannot("from a snapshot"))
     }
 
-    fn restore(&mut self, bytes: &[u8]) -> Result<(), SimError> {
-        let saved: Vec<SavedLane> = self.owner().load(bytes)?;
-        if saved.len() != self.lanes.len() {
-            return Err(refused("it has another number of lanes"));
-        }
-        for (number, lane) in saved.iter().enumerate() {
-            lane.params.validate(&self.shared.model, number)?;
-        }
-        for (number, saved) in saved.into_iter().enumerate() {
-            let process = &mut self.process;
-            let SavedLane { params, memory, .. } = saved;
-            self.lanes[number] = Lane::from_memory(&self.shared, process, number, params, memory)?;
-            self.pending[number] = saved.pending;
-            self.publish(number);
-        }
-        Ok(())
+    fn restore(&mut self, _bytes: &[u8]) -> Result<(), SimError> {
+        Err(cannot("from a snapshot"))
     }
 }

@@ -1,7 +1,6 @@
 //! One lane's robot as MuJoCo has it: its state, and its loads for the coming step.
 
 use caudata_model::{Pose, RobotModel};
-use serde::{Deserialize, Serialize};
 
 use super::process::Request;
 use crate::EngineConfig;
@@ -11,13 +10,13 @@ use crate::engine::WRENCH;
 use crate::observe::Coordinates;
 
 /// Numbers of a free base: position and quaternion; velocity and spin.
-const BASE: (usize, usize) = (7, 6);
+const FREE_BASE: (usize, usize) = (7, 6);
 
 /// Force, and normal force, of a part's contacts.
 const CONTACT: usize = 4;
 
 /// State and loads.
-#[derive(Clone, Serialize, Deserialize)]
+#[derive(Clone)]
 pub(super) struct Robot {
     free_base: bool,
     /// Place of each joint among those that move. `[J]`
@@ -56,7 +55,7 @@ impl Robot {
     /// How many numbers come before positions and before velocities of joints.
     fn base(&self) -> (usize, usize) {
         match self.free_base {
-            true => BASE,
+            true => FREE_BASE,
             false => (0, 0),
         }
     }

@@ -83,6 +83,36 @@ fn a_joint_that_is_made_limp_stays_so_in_the_next_episode() {
 }
 
 #[test]
+fn a_servo_that_fails_is_limp_or_stuck() {
+    let mut task = calm_task();
+    task.randomisation.enabled = true;
+    task.randomisation.limp_share = 1.0;
+    let limp = env(&task, 4, 1);
+    task.randomisation.limp_share = 0.0;
+    task.randomisation.stuck_share = 1.0;
+    let stuck = env(&task, 4, 1);
+    for lane in 0..4 {
+        let (limp, stuck) = (limp.engine().params(lane), stuck.engine().params(lane));
+        let count = |values: &[f32], value: f32| values.iter().filter(|v| **v == value).count();
+        assert_eq!(count(&limp.torque_scale, 0.0), 1);
+        assert_eq!(count(&limp.joint_friction_nm, 20.0), 0);
+        assert_eq!(count(&stuck.torque_scale, 0.0), 0);
+        assert_eq!(count(&stuck.joint_friction_nm, 20.0), 1);
+    }
+}
+
+#[test]
+fn episodes_may_begin_in_any_attitude() {
+    let mut task = calm_task();
+    task.reset.fallen_share = 1.0;
+    task.termination.max_tilt_rad = std::f32::consts::PI;
+    let env = env(&task, 64, 1);
+    let up = |lane: usize| -env.state().imu_gravity[3 * lane + 2];
+    let back = (0..64).filter(|&lane| up(lane) < 0.0).count();
+    assert!((20..44).contains(&back), "{back} of 64 on their backs");
+}
+
+#[test]
 fn each_episode_is_another_robot() {
     let mut task = calm_task();
     task.randomisation.enabled = true;
