@@ -50,7 +50,7 @@ pub struct Share {
 }
 
 impl Share {
-    /// Of `total` equal parts, each of them one of `what`.
+    /// A task of `total` equal parts; `what` names one of them.
     pub fn new(what: &'static str, total: usize) -> Self {
         let bar = std::io::stderr().is_terminal().then(|| {
             let bar = ProgressBar::new(total as u64);
