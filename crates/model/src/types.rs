@@ -162,6 +162,24 @@ pub enum Shape {
 const RIM_POINTS: u32 = 16;
 
 impl Shape {
+    /// MuJoCo's name for the shape and its sizes, m, in MuJoCo's order; `None` for a plane.
+    pub fn mjcf(&self) -> Option<(&'static str, Vec<f64>)> {
+        Some(match *self {
+            Self::Sphere { radius_m } => ("sphere", vec![radius_m]),
+            Self::Capsule {
+                radius_m,
+                half_length_m,
+            } => ("capsule", vec![radius_m, half_length_m]),
+            Self::Cylinder {
+                radius_m,
+                half_length_m,
+            } => ("cylinder", vec![radius_m, half_length_m]),
+            Self::Box { half_size_m } => ("box", half_size_m.to_vec()),
+            Self::Ellipsoid { semi_axes_m } => ("ellipsoid", semi_axes_m.to_vec()),
+            Self::Plane => return None,
+        })
+    }
+
     /// Centres (shape's frame, m) and radius (m; 0: points) of the balls that stand for the shape where it
     /// touches the ground; `None` for an ellipsoid and a plane.
     ///

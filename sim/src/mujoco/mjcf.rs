@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use caudata_model::{BaseKind, JointMotion, Pose, RobotModel, Shape, Softness};
+use caudata_model::{BaseKind, JointMotion, Pose, RobotModel, Softness};
 
 use crate::drive::{JointPassive, ServoDrive};
 use crate::effects::ENDLESS_RAD;
@@ -113,7 +113,7 @@ impl Robot<'_> {
                 Some(foot) => self.params.foot_friction * self.params.foot_friction_scale[foot],
                 None => self.params.body_friction,
             };
-            let Some((kind, size)) = shape(&geom.shape) else {
+            let Some((kind, size)) = geom.shape.mjcf() else {
                 continue;
             };
             let _ = writeln!(
@@ -125,23 +125,6 @@ impl Robot<'_> {
             );
         }
     }
-}
-
-fn shape(shape: &Shape) -> Option<(&'static str, Vec<f64>)> {
-    Some(match *shape {
-        Shape::Sphere { radius_m } => ("sphere", vec![radius_m]),
-        Shape::Capsule {
-            radius_m,
-            half_length_m,
-        } => ("capsule", vec![radius_m, half_length_m]),
-        Shape::Cylinder {
-            radius_m,
-            half_length_m,
-        } => ("cylinder", vec![radius_m, half_length_m]),
-        Shape::Box { half_size_m } => ("box", half_size_m.to_vec()),
-        Shape::Ellipsoid { semi_axes_m } => ("ellipsoid", semi_axes_m.to_vec()),
-        Shape::Plane => return None,
-    })
 }
 
 fn at(pose: &Pose) -> String {

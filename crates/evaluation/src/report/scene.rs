@@ -1,6 +1,6 @@
 //! What the replay draws: the robot's shapes and joints, the ground, the water.
 
-use caudata_model::{Geom, JointMotion, Link, Pose, RobotModel, Shape};
+use caudata_model::{Geom, JointMotion, Link, Pose, RobotModel};
 use caudata_sim::Terrain;
 use serde::Serialize;
 
@@ -121,20 +121,7 @@ fn link_scene(model: &RobotModel, index: usize, link: &Link) -> LinkScene {
 }
 
 fn geom_scene(geom: &Geom, foot: Option<usize>) -> Option<GeomScene> {
-    let (kind, size_m) = match geom.shape {
-        Shape::Sphere { radius_m } => ("sphere", vec![radius_m]),
-        Shape::Capsule {
-            radius_m,
-            half_length_m,
-        } => ("capsule", vec![radius_m, half_length_m]),
-        Shape::Cylinder {
-            radius_m,
-            half_length_m,
-        } => ("cylinder", vec![radius_m, half_length_m]),
-        Shape::Box { half_size_m } => ("box", half_size_m.to_vec()),
-        Shape::Ellipsoid { semi_axes_m } => ("ellipsoid", semi_axes_m.to_vec()),
-        Shape::Plane => return None,
-    };
+    let (kind, size_m) = geom.shape.mjcf()?;
     let Pose { pos_m, quat_wxyz } = geom.link_from_geom;
     Some(GeomScene {
         kind,

@@ -149,19 +149,8 @@ fn write_joint(w: &mut String, joint: &Joint, depth: usize) {
 }
 
 fn write_geom(w: &mut String, geom: &Geom, depth: usize) {
-    let (kind, size) = match geom.shape {
-        Shape::Sphere { radius_m } => ("sphere", vec![radius_m]),
-        Shape::Capsule {
-            radius_m,
-            half_length_m,
-        } => ("capsule", vec![radius_m, half_length_m]),
-        Shape::Cylinder {
-            radius_m,
-            half_length_m,
-        } => ("cylinder", vec![radius_m, half_length_m]),
-        Shape::Box { half_size_m } => ("box", half_size_m.to_vec()),
-        Shape::Ellipsoid { semi_axes_m } => ("ellipsoid", semi_axes_m.to_vec()),
-        Shape::Plane => return,
+    let Some((kind, size)) = geom.shape.mjcf() else {
+        return;
     };
     let size: Vec<String> = size.iter().map(f64::to_string).collect();
     let mut text = "<geom".to_owned();
