@@ -46,6 +46,9 @@ enum Command {
     Play(commands::play::PlayArgs),
     /// Measure a policy in simulation
     Eval(commands::eval::EvalArgs),
+    /// Why a run's policy does not walk: the most likely mistake in its task or robot, what to change, and
+    /// short trainings that show it
+    Explain(say::WithJson<caudata_explain::Plan>),
     /// Runs of training side by side
     #[command(subcommand)]
     Runs(commands::runs::RunsCommand),
@@ -106,6 +109,7 @@ fn dispatch(command: &Command, process: &Process) -> Result<(), Failure> {
         Command::Pki(command) => commands::cluster::pki::run(command),
         Command::Play(args) => commands::play::run(args, process),
         Command::Eval(args) => commands::eval::run(args, process),
+        Command::Explain(args) => commands::explain::run(args, process),
         Command::Runs(command) => commands::runs::run(command),
         Command::Config(command) => commands::config::run(command),
         Command::Sim(command) => commands::sim::run(command, process),

@@ -1,7 +1,7 @@
 //! `caudata bench`: how fast the parts are on this machine. The measuring is in `crates/bench`.
 
 use caudata_bench::transport::ingest;
-use caudata_bench::{gap, lag, learner, parts, sim, skill, train, transport};
+use caudata_bench::{explain, gap, lag, learner, parts, sim, skill, train, transport};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Subcommand;
 
@@ -27,6 +27,8 @@ pub enum BenchCommand {
         #[arg(long)]
         each: bool,
     },
+    /// Mistakes hidden in tasks and robots, explained: named first, among three, names on healthy tasks
+    Explain(WithJson<explain::Plan>),
     /// Where a second of training goes: per iteration and as shares of all cores' time; beside another build,
     /// beside other work
     Train(WithJson<train::Plan>),
@@ -61,6 +63,14 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
             Some(found) => say::either(asked.json, &found, |found| show::gap(found, *each)),
             None => Ok(()),
         },
+        BenchCommand::Explain(WithJson { plan, json }) => {
+            let found = explain::run(plan, &own()?, &learner()?, &mut |case| {
+                if !*json {
+                    show::explained(case);
+                }
+            })?;
+            say::either(*json, &found, show::explanations)
+        }
         BenchCommand::Train(WithJson { plan, json }) => {
             say::either(*json, &train::run(plan, &learner()?)?, show::train)
         }

@@ -3,7 +3,7 @@
 use caudata_bench::measure::Rate;
 use caudata_bench::sim::{DT_S, Speed};
 use caudata_bench::transport::ingest;
-use caudata_bench::{gap, lag, sim, skill, train, transport};
+use caudata_bench::{explain, gap, lag, sim, skill, train, transport};
 use caudata_gap_benchmark::case::Answer;
 use caudata_gap_benchmark::score::{Outcome, summary::median_gain};
 use caudata_sim::batch::Phase;
@@ -146,6 +146,19 @@ pub fn skill(one: &skill::Skill) {
     say::record(
         one,
         "seed walks_after_s fast_after_s training_s last_speed_mps last_missed",
+    );
+}
+
+/// One explanation.
+pub fn explained(case: &explain::Outcome) {
+    say::record(case, "seed robot hidden verdict score causes named seconds");
+}
+
+/// How many mistakes were named.
+pub fn explanations(found: &explain::Finding) {
+    say::record(
+        found,
+        "mistakes first among_three wrong harmless healthy false_names median_s",
     );
 }
 

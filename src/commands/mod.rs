@@ -6,6 +6,7 @@ mod bench_show;
 pub mod cluster;
 pub mod config;
 pub mod eval;
+pub mod explain;
 pub mod gap;
 mod gap_apply;
 mod gap_check;

@@ -5,6 +5,7 @@
 //! [`verify`] holds the engines against MuJoCo, closed forms and conservation laws.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+pub mod explain;
 pub mod gap;
 pub mod lag;
 pub mod learner;

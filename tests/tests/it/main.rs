@@ -9,6 +9,7 @@
 
 mod adapt;
 mod chaos;
+mod explain;
 mod faults_actors;
 mod gap_policies;
 mod live;
