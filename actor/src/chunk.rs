@@ -59,7 +59,7 @@ pub(crate) fn collect(
         if should_stop() {
             return Ok(None);
         }
-        chunk.observations.extend_from_slice(env.observations());
+        push_rows(&mut chunk, env);
         laps.lap(Part::Recording);
         policy.run(env.observations(), lanes, &mut means)?;
         let took = laps.lap(Part::Inference);
@@ -84,13 +84,13 @@ pub(crate) fn collect(
         metrics.env_seconds.inc_by(took.as_secs_f64());
         metrics.steps.inc_by(lanes as u64);
         metrics.episodes.inc_by(output.episodes.len() as u64);
-        record(&mut chunk, step, output);
+        record(&mut chunk, step, output, env.critic().dim());
         if let Some(trace) = &mut trace {
             trace.stepped(took);
         }
     }
     let counted = chunk.observations.len();
-    chunk.observations.extend_from_slice(env.observations());
+    push_rows(&mut chunk, env);
     chunk.moments = moments_of(&chunk.observations[..counted], chunk.obs_dim);
     laps.lap(Part::Recording);
     if let Some(trace) = &mut trace {
@@ -100,8 +100,19 @@ pub(crate) fn collect(
     Ok(Some((chunk, trace)))
 }
 
-/// What a step gave.
-fn record(chunk: &mut RolloutChunk, step: usize, output: &StepOutput) {
+/// What policy and value function see of each lane now.
+fn push_rows(chunk: &mut RolloutChunk, env: &VecEnv) {
+    let more = env.critic().dim();
+    let rows = env.observations().chunks_exact(env.obs_dim());
+    for (lane, seen) in rows.enumerate() {
+        let privileged = &env.privileged()[lane * more..][..more];
+        chunk.observations.extend_from_slice(seen);
+        chunk.observations.extend_from_slice(privileged);
+    }
+}
+
+/// What a step gave; the value function sees `more` values besides an observation.
+fn record(chunk: &mut RolloutChunk, step: usize, output: &StepOutput, more: usize) {
     chunk.rewards.extend_from_slice(&output.rewards);
     chunk.terminated.extend_from_slice(&output.terminated);
     chunk.truncated.extend_from_slice(&output.truncated);
@@ -109,11 +120,12 @@ fn record(chunk: &mut RolloutChunk, step: usize, output: &StepOutput) {
     let mut finals: Vec<_> = output
         .final_observations
         .iter()
-        .filter(|(lane, _)| output.truncated[*lane])
-        .map(|(lane, observation)| FinalObservation {
+        .enumerate()
+        .filter(|(_, (lane, _))| output.truncated[*lane])
+        .map(|(end, (lane, seen))| FinalObservation {
             step,
             lane: *lane,
-            observation: observation.clone(),
+            observation: [seen, &output.final_privileged[end * more..][..more]].concat(),
         })
         .collect();
     finals.sort_by_key(|end| end.lane);
@@ -141,7 +153,7 @@ fn empty_chunk(
     spare: &mut Spare,
 ) -> RolloutChunk {
     let (steps, lanes) = (settings.chunk_steps, env.lanes());
-    let (obs_dim, act_dim) = (env.obs_dim(), env.act_dim());
+    let (obs_dim, act_dim) = (env.obs_dim() + env.critic().dim(), env.act_dim());
     let cells = steps * lanes;
     RolloutChunk {
         run_id: settings.run_id.clone(),
@@ -150,7 +162,7 @@ fn empty_chunk(
         sequence,
         policy_version: policy.version,
         policy_sha256: policy.sha256,
-        contract_hash: env.contract().hash(),
+        contract_hash: env.critic().seal(env.contract().hash()),
         steps,
         lanes,
         obs_dim,

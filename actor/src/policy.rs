@@ -1,7 +1,7 @@
 //! A policy that an actor acts with: exactly the bytes that arrived, checked before use.
 
 use caudata_policy::PolicyFile;
-use caudata_task::PolicyContract;
+use caudata_task::{Mirror, PolicyContract};
 use caudata_transport::PolicyUpdate;
 use sha2::{Digest, Sha256};
 
@@ -27,9 +27,11 @@ pub(crate) struct LoadedPolicy {
 
 impl LoadedPolicy {
     /// Checks hash, file, contract and version, then takes up the weights, in the room of the policy `before`.
+    /// `mirror`: of the robot, if it has one.
     pub fn load(
         update: &PolicyUpdate,
         expected: &PolicyContract,
+        mirror: Option<&Mirror>,
         before: Option<Self>,
     ) -> Result<Self, ActorError> {
         let version = update.version;
@@ -50,9 +52,9 @@ impl LoadedPolicy {
         let log_std = metadata.log_std.clone();
         let std = log_std.iter().map(|x| x.exp()).collect();
         let network = match before {
-            None => Network::new(file.spec()),
+            None => Network::new(file.spec(), mirror),
             Some(Self { mut network, .. }) => {
-                network.replace(file.spec());
+                network.replace(file.spec(), mirror);
                 network
             }
         };

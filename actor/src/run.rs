@@ -214,7 +214,8 @@ impl Actor<'_> {
             return Ok(true);
         }
         let started = Instant::now();
-        let policy = LoadedPolicy::load(&update, self.env.contract(), self.policy.take())?;
+        let (contract, mirror) = (self.env.contract(), self.env.mirror());
+        let policy = LoadedPolicy::load(&update, contract, mirror, self.policy.take())?;
         let took = started.elapsed();
         spans::add(Part::Loading, took);
         self.metrics.policy_seconds.inc_by(took.as_secs_f64());
@@ -328,7 +329,7 @@ impl Actor<'_> {
             actor_id: self.settings.actor_id,
             incarnation: self.settings.incarnation,
             lanes: self.env.lanes(),
-            contract_hash: self.env.contract().hash(),
+            contract_hash: self.env.critic().seal(self.env.contract().hash()),
             build: self.settings.build.clone(),
         };
         self.link.send(&encode(&Envelope::Hello(hello)), timeout)?;

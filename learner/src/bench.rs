@@ -98,10 +98,10 @@ fn noise(config: &Config, spec: &NetworkSpec) -> Batch {
     let mut stream = stream(Purpose::Sensor);
     let mut draw = |n: usize| (0..n).map(|_| stream.normal()).collect::<Vec<f32>>();
     Batch {
-        obs_dim: spec.obs_dim,
+        obs_dim: spec.seen_dim(),
         act_dim: spec.act_dim,
         rows,
-        observations: draw((rows + chunks * lanes) * spec.obs_dim),
+        observations: draw((rows + chunks * lanes) * spec.seen_dim()),
         actions: draw(rows * spec.act_dim),
         action_means: Vec::new(),
         behaviour_log_probs: draw(rows),
@@ -130,7 +130,7 @@ fn speed(
     seconds: f64,
 ) -> Result<LearnerSpeed, LearnerError> {
     let epochs = ppo.settings().ppo.epochs;
-    let scaling = Scaling::identity(spec.obs_dim, 10.0);
+    let scaling = Scaling::identity(spec.seen_dim(), 10.0);
     let mut order = stream(Purpose::Minibatch);
     let mut update = || ppo.update(batch, &scaling, 0, &mut order, false);
     update()?;
@@ -206,6 +206,7 @@ mod tests {
         // epochs: 2·10·(12 + 2·(36 − 9)) = 1320.
         let spec = NetworkSpec {
             obs_dim: 3,
+            critic: caudata_task::mirror::SignedPermutation::identity(0),
             act_dim: 1,
             policy_hidden: vec![2],
             value_hidden: vec![1],

@@ -41,8 +41,8 @@ pub fn export(
     env_steps: u64,
 ) -> Result<PolicyFile, LearnerError> {
     let spec = MlpSpec {
-        obs_mean: scaling.mean.clone(),
-        obs_std: scaling.std.clone(),
+        obs_mean: scaling.mean[..net.spec().obs_dim].to_vec(),
+        obs_std: scaling.std[..net.spec().obs_dim].to_vec(),
         obs_clip: Some(scaling.clip),
         layers: net
             .policy()
@@ -123,6 +123,7 @@ mod tests {
     use caudata_policy::Inference;
     use caudata_random::{Key, Purpose, Stream};
     use caudata_task::TaskConfig;
+    use caudata_task::mirror::SignedPermutation;
     use tch::Kind;
 
     fn identity() -> PolicyIdentity {
@@ -140,6 +141,7 @@ mod tests {
     fn network(activation: Activation, identity: &PolicyIdentity) -> ActorCritic {
         let spec = NetworkSpec {
             obs_dim: identity.contract.obs_dim(),
+            critic: SignedPermutation::identity(0),
             act_dim: identity.contract.act_dim(),
             policy_hidden: vec![64, 32],
             value_hidden: vec![16],

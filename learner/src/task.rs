@@ -2,7 +2,8 @@
 
 use caudata_config::Config;
 use caudata_model::RobotModel;
-use caudata_task::{Mirror, PolicyContract};
+use caudata_task::mirror::SignedPermutation;
+use caudata_task::{Critic, Mirror, PolicyContract};
 
 use crate::LearnerError;
 use crate::network::NetworkSpec;
@@ -10,6 +11,7 @@ use crate::network::NetworkSpec;
 pub(crate) struct Task {
     pub model: RobotModel,
     pub contract: PolicyContract,
+    pub critic: Critic,
     pub networks: NetworkSpec,
 }
 
@@ -24,13 +26,18 @@ impl Task {
             (contract.obs_dim(), contract.act_dim()),
         );
         let mut networks = NetworkSpec::new(network, dims.0, dims.1)?;
+        let critic = Critic::new(&config.task.critic, contract.names())?;
+        let mut seen = SignedPermutation::identity(critic.dim());
         if network.symmetric {
-            networks = networks.symmetric(Mirror::new(&model, &contract.observation)?)?;
+            let mirror = Mirror::new(&model, &contract.observation)?;
+            seen = critic.mirrored(&mirror);
+            networks = networks.symmetric(mirror)?;
         }
         Ok(Self {
             model,
             contract,
-            networks,
+            critic,
+            networks: networks.with_critic(seen),
         })
     }
 }

@@ -56,7 +56,7 @@ pub fn warm_start(
         .map_err(refuse)?;
     net.copy_from_slice(&values)
         .map_err(|error| refuse(error.to_string()))?;
-    Ok(moments(spec, contract.obs_dim()))
+    Ok(moments(spec, net.spec().seen_dim()))
 }
 
 fn check(net: &ActorCritic, file: &PolicyFile, contract: &PolicyContract) -> Result<(), String> {
@@ -122,6 +122,7 @@ mod tests {
     use caudata_config::Activation;
     use caudata_model::RobotModel;
     use caudata_task::TaskConfig;
+    use caudata_task::mirror::SignedPermutation;
     use tch::{Device, Kind, Tensor};
 
     fn contract(observe_medium: bool) -> PolicyContract {
@@ -137,6 +138,7 @@ mod tests {
     fn network(contract: &PolicyContract, hidden: Vec<usize>, seed: u64) -> ActorCritic {
         let spec = NetworkSpec {
             obs_dim: contract.obs_dim(),
+            critic: SignedPermutation::identity(0),
             act_dim: contract.act_dim(),
             policy_hidden: hidden,
             value_hidden: vec![8],

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::TaskError;
 use crate::action::ActionConfig;
 use crate::command::CommandConfig;
+use crate::critic::CriticConfig;
 use crate::error::checks;
 use crate::noise::ObservationNoiseConfig;
 use crate::observation::ObservationConfig;
@@ -41,6 +42,8 @@ pub struct TaskConfig {
     pub feet_reach_m: f32,
     /// What the policy sees.
     pub observation: ObservationConfig,
+    /// What the value function sees besides.
+    pub critic: CriticConfig,
     /// What an action means.
     pub action: ActionConfig,
     /// The gait clock.
@@ -71,6 +74,7 @@ impl Default for TaskConfig {
             afloat_above_m: 0.09,
             feet_reach_m: 0.09,
             observation: ObservationConfig::default(),
+            critic: CriticConfig::default(),
             action: ActionConfig::default(),
             phase: PhaseConfig::default(),
             command: CommandConfig::default(),
@@ -99,6 +103,7 @@ impl TaskConfig {
             feet_reach_m: height(self.feet_reach_m), "must be 0 to 10 m";
         }?;
         self.observation.validate()?;
+        self.critic.validate()?;
         self.action.validate()?;
         self.phase.validate()?;
         self.command.validate()?;

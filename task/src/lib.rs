@@ -17,6 +17,7 @@ pub mod action;
 pub mod command;
 mod config;
 pub mod contract;
+pub mod critic;
 mod error;
 pub mod expression;
 mod joints;
@@ -34,6 +35,7 @@ pub mod termination;
 
 pub use config::TaskConfig;
 pub use contract::{ContractDifference, PolicyContract};
+pub use critic::Critic;
 pub use error::TaskError;
 pub use joints::{BodyPlan, JointTable};
 pub use layout::ObservationLayout;

@@ -70,11 +70,33 @@ impl SignedPermutation {
         }
     }
 
+    /// These values, and those of `other` behind them.
+    #[must_use]
+    pub fn followed_by(&self, other: &Self) -> Self {
+        let mut all = Self::identity(self.len() + other.len());
+        all.place(0, self);
+        all.place(self.len(), other);
+        all
+    }
+
     /// The mirror image of `values`, which must have the permutation's length.
     pub fn apply(&self, values: &[f32]) -> Vec<f32> {
         let pairs = self.source.iter().zip(&self.sign);
         pairs.map(|(&from, sign)| sign * values[from]).collect()
     }
+}
+
+/// How a mirror changes the values between the layers of a network that commutes with it, input and output
+/// included: in a hidden layer of n units, unit i changes places with unit n − 1 − i.
+#[must_use]
+pub fn sides(
+    input: &SignedPermutation,
+    hidden: &[usize],
+    output: &SignedPermutation,
+) -> Vec<SignedPermutation> {
+    let hidden = hidden.iter().map(|&n| SignedPermutation::reversal(n));
+    let first = std::iter::once(input.clone());
+    first.chain(hidden).chain([output.clone()]).collect()
 }
 
 /// The mirror images of observations and actions.

@@ -23,9 +23,12 @@ use crate::measure::median;
 /// Which trainings.
 #[derive(Clone, Debug, Args)]
 pub struct Plan {
-    /// Trainings, with seeds 1, 2, …
+    /// Trainings, with seeds one after the other
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=1000))]
     seeds: u64,
+    /// First of the seeds; whoever tunes on some of them judges with others
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(..=1_000_000))]
+    first_seed: u64,
     /// Forward velocity commanded, m/s; without it, evaluation.command_mps
     #[arg(long)]
     command_mps: Option<f32>,
@@ -99,7 +102,7 @@ pub fn run(plan: &Plan, program: &Path, tell: &mut dyn FnMut(&Skill)) -> Result<
         episodes: plan.episodes,
     };
     let mut seeds = Vec::new();
-    for seed in 1..=plan.seeds {
+    for seed in plan.first_seed..plan.first_seed + plan.seeds {
         let folder = tempfile::tempdir().or_exit(ExitCode::CannotCreate)?;
         let run = folder.path().join("run");
         let (began, training_s) = train(plan, program, &flags, seed, &run)?;

@@ -29,6 +29,10 @@ pub(crate) struct Lane {
     offsets_rad: PerFoot,
     pub filter: ActionFilter,
     pub push: PushSchedule,
+    /// Force of the push in the step that is done, N, world.
+    pub push_n: [f32; 2],
+    /// Friction coefficient of the feet in this episode.
+    pub friction: f32,
     /// Past actions, clipped, newest first.
     pub actions: [PerJoint; ACTION_HISTORY],
     /// True joint velocities after the last step, rad/s.
@@ -86,6 +90,8 @@ impl Lane {
             clock,
             offsets_rad,
             filter: ActionFilter::new(joints),
+            push_n: [0.0; 2],
+            friction: 0.0,
             push: PushSchedule::draw(&task.push, control_period_s, &mut push_stream),
             actions: [PerJoint::filled(joints, 0.0); ACTION_HISTORY],
             joint_vel_radps: PerJoint::filled(joints, 0.0),
@@ -205,6 +211,8 @@ pub(crate) fn reward_input<'a>(
     lane: &'a Lane,
     truth: &'a Truth,
 ) -> RewardInput<'a> {
+    let (sin, cos) = truth.heading_rad.sin_cos();
+    let [push_x, push_y] = lane.push_n;
     RewardInput {
         joints,
         dt_s: task.control_period_s as f32,
@@ -227,6 +235,12 @@ pub(crate) fn reward_input<'a>(
         foot_vel_mps: &truth.foot_vel_mps,
         foot_force_n: &truth.foot_force_n,
         trunk_force_n: truth.trunk_force_n,
+        push_n: [
+            cos * push_x + sin * push_y,
+            cos * push_y - sin * push_x,
+            0.0,
+        ],
+        friction: lane.friction,
         submerged: truth.submerged,
         afloat: truth.afloat,
         on_ground: truth.on_ground,

@@ -15,6 +15,7 @@ mod checks;
 mod error;
 mod lane;
 mod measure;
+mod observe;
 mod output;
 mod physics;
 mod snapshot;

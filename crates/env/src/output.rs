@@ -15,6 +15,8 @@ pub struct StepOutput {
     /// `[D]`. (`VecEnv::observations` has the first of the next one.) A lane that diverged has the
     /// observation before the step, the last one that can be trusted.
     pub final_observations: Vec<(usize, Vec<f32>)>,
+    /// What only the value function sees of those last observations, one after the other. `[ends, E]`
+    pub final_privileged: Vec<f32>,
     /// The episodes that ended, in lane order.
     pub episodes: Vec<EpisodeStats>,
 }
@@ -83,13 +85,19 @@ impl OutputBuffers {
         let observations = self.output.final_observations.drain(..);
         self.observation_pool
             .extend(observations.map(|(_, buffer)| buffer));
+        self.output.final_privileged.clear();
         let episodes = self.output.episodes.drain(..);
         self.terms_pool
             .extend(episodes.map(|episode| episode.terms));
     }
 
-    /// Notes that a lane's episode ended, with its last observation.
-    pub fn finish(&mut self, mut stats: EpisodeStats, terms: &[f64], last_observation: &[f32]) {
+    /// Notes that a lane's episode ended, with its last observation and what the value function saw besides.
+    pub fn finish(
+        &mut self,
+        mut stats: EpisodeStats,
+        terms: &[f64],
+        (last_observation, privileged): (&[f32], &[f32]),
+    ) {
         let mut observation = self.observation_pool.pop().unwrap_or_default();
         observation.clear();
         observation.extend_from_slice(last_observation);
@@ -101,6 +109,7 @@ impl OutputBuffers {
         self.output.terminated[lane] = stats.terminated;
         self.output.truncated[lane] = !stats.terminated;
         self.output.final_observations.push((lane, observation));
+        self.output.final_privileged.extend_from_slice(privileged);
         self.output.episodes.push(stats);
     }
 }
@@ -120,11 +129,12 @@ mod tests {
                 terminated: round % 2 == 0,
                 ..EpisodeStats::default()
             };
-            buffers.finish(stats, &[0.5; 18], &[round as f32; 97]);
+            buffers.finish(stats, &[0.5; 18], (&[round as f32; 97], &[-1.0]));
             let output = &buffers.output;
             assert_eq!(output.terminated, [false, false, round % 2 == 0]);
             assert_eq!(output.truncated, [false, false, round % 2 == 1]);
             assert_eq!(output.final_observations, [(2, vec![round as f32; 97])]);
+            assert_eq!(output.final_privileged, [-1.0]);
             assert_eq!(output.episodes[0].terms, [0.5; 18]);
             seen.push((
                 output.final_observations[0].1.as_ptr(),

@@ -7,7 +7,7 @@ use crate::lane::Lane;
 use crate::{EnvError, VecEnv};
 
 /// Raise when what a snapshot holds changes.
-const FORMAT: u32 = 3;
+const FORMAT: u32 = 4;
 
 #[derive(Serialize, Deserialize)]
 struct Saved {
@@ -19,6 +19,7 @@ struct Saved {
     progress: u64,
     lanes: Vec<Lane>,
     observations: Vec<f32>,
+    privileged: Vec<f32>,
     engine: Vec<u8>,
 }
 
@@ -39,6 +40,7 @@ impl VecEnv {
             progress: self.progress,
             lanes: self.lanes.clone(),
             observations: self.observations.clone(),
+            privileged: self.privileged.clone(),
             engine: self.engine.snapshot()?,
         };
         postcard::to_stdvec(&saved).map_err(|error| EnvError::Snapshot(error.to_string()))
@@ -79,17 +81,20 @@ impl VecEnv {
                 self.lanes.len()
             ));
         }
-        if saved.observations.len() != self.observations.len() {
+        let sizes = |seen: &[f32], more: &[f32]| (seen.len(), more.len());
+        let found = sizes(&saved.observations, &saved.privileged);
+        let expected = sizes(&self.observations, &self.privileged);
+        if found != expected {
             return refuse(format!(
-                "has {} observation values, expected {}",
-                saved.observations.len(),
-                self.observations.len()
+                "has {} and {} values that policy and value function see, expected {} and {}",
+                found.0, found.1, expected.0, expected.1
             ));
         }
         self.engine.restore(&saved.engine)?;
         self.progress = saved.progress;
         self.lanes = saved.lanes;
         self.observations = saved.observations;
+        self.privileged = saved.privileged;
         Ok(())
     }
 }

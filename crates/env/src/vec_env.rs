@@ -6,11 +6,13 @@ use std::time::{Duration, Instant};
 use caudata_model::RobotModel;
 use caudata_random::{Key, Purpose, Stream};
 use caudata_sim::{Engine, State};
-use caudata_task::observation::{ObservationInput, Observer};
+use caudata_task::observation::Observer;
 use caudata_task::reward::own::{Programs, StateSignals};
 use caudata_task::reward::{self, PerTerm, TERM_COUNT};
 use caudata_task::termination::{self, TerminationInput, TerminationReason};
-use caudata_task::{BodyPlan, JointTable, ObservationLayout, PerFoot, PolicyContract, TaskConfig};
+use caudata_task::{
+    BodyPlan, Critic, JointTable, Mirror, ObservationLayout, PerFoot, PolicyContract, TaskConfig,
+};
 
 use crate::EnvError;
 use crate::checks::{check_actions, check_engine};
@@ -28,6 +30,8 @@ pub struct VecEnv {
     pub(crate) lanes: Vec<Lane>,
     /// `[N, D]`
     pub(crate) observations: Vec<f32>,
+    /// What only the value function sees. `[N, E]`
+    pub(crate) privileged: Vec<f32>,
     /// Environment steps of the whole run, for what grows with progress.
     pub(crate) progress: u64,
     pub(crate) seed: u64,
@@ -35,18 +39,20 @@ pub struct VecEnv {
     /// Number of the first lane in the keys of the random streams.
     pub(crate) first_lane: u64,
     pub(crate) layout: ObservationLayout,
-    observer: Observer,
+    pub(crate) observer: Observer,
+    pub(crate) critic: Critic,
     /// Whether the policy sees what only the simulation knows.
-    sees_truth: bool,
+    pub(crate) sees_truth: bool,
     /// Reward terms of the task file.
     own_rewards: Programs,
     /// Conditions of the task file that end an episode.
     own_ends: Programs,
-    joints: JointTable,
-    body: BodyPlan,
-    reader: Reader,
+    pub(crate) joints: JointTable,
+    mirror: Option<Mirror>,
+    pub(crate) body: BodyPlan,
+    pub(crate) reader: Reader,
     /// `None`: perfect sensors.
-    sensors: Option<Sensors>,
+    pub(crate) sensors: Option<Sensors>,
     physics: PhysicsDraws,
     buffers: OutputBuffers,
     /// `[N, A]`, rad.
@@ -100,17 +106,21 @@ impl VecEnv {
         let lanes = engine.lanes();
         let layout = contract.observation.clone();
         let observer = contract.observer()?;
+        let critic = Critic::new(&task.critic, contract.names())?;
         let own_rewards = task.reward.programs(contract.names())?;
         let own_ends = task.termination.programs(contract.names())?;
         let mut env = Self {
             contract,
             lanes: Vec::with_capacity(lanes),
             observations: vec![0.0; lanes * layout.dim()],
+            privileged: vec![0.0; lanes * critic.dim()],
+            critic,
             progress: 0,
             seed,
             actor,
             first_lane,
             joints,
+            mirror: Mirror::new(&model, &layout).ok(),
             body: BodyPlan::from_model(&model),
             reader: Reader::new(&model, &task)?,
             sensors: (task.noise.enabled && task.noise.sensor_models)
@@ -138,6 +148,11 @@ impl VecEnv {
             env.observe_start(lane)?;
         }
         Ok(env)
+    }
+
+    /// The mirror of the robot and its observation, where they have one.
+    pub fn mirror(&self) -> Option<&Mirror> {
+        self.mirror.as_ref()
     }
 
     /// Number of lanes `N`.
@@ -198,6 +213,16 @@ impl VecEnv {
     /// Observations as the sensors report them, not normalised. `[N, D]`
     pub fn observations(&self) -> &[f32] {
         &self.observations
+    }
+
+    /// What only the value function sees, and how long that is (E).
+    pub fn critic(&self) -> &Critic {
+        &self.critic
+    }
+
+    /// What only the value function sees with [`Self::observations`]. `[N, E]`
+    pub fn privileged(&self) -> &[f32] {
+        &self.privileged
     }
 
     /// The stream for exploration noise of a lane's present episode.
@@ -288,6 +313,7 @@ impl VecEnv {
                 control_period_s,
                 &mut lane.push_stream,
             );
+            lane.push_n = force;
             self.wrenches[i * 6..][..2].copy_from_slice(&force);
         }
     }
@@ -329,10 +355,8 @@ impl VecEnv {
                 let signals = StateSignals::new(&input, config.contact_force_n);
                 own_end = self.own_ends.first(&signals).is_some();
             }
-            let contact_force_n = self.task.reward.contact_force_n;
-            let command = now.command;
-            now.tally
-                .add(reward, &terms, &truth, &command, contact_force_n);
+            let (command, least_n) = (now.command, config.contact_force_n);
+            now.tally.add(reward, &terms, &truth, &command, least_n);
         }
         self.buffers.output.rewards[lane] = reward;
 
@@ -359,9 +383,12 @@ impl VecEnv {
         }
         self.lanes[lane].joint_vel_radps = truth.joint_vel_radps;
         if ended {
-            let dim = self.layout.dim();
             let now = &self.lanes[lane];
-            let last = &self.observations[lane * dim..][..dim];
+            let (seen, more) = (self.layout.dim(), self.critic.dim());
+            let last = (
+                &self.observations[lane * seen..][..seen],
+                &self.privileged[lane * more..][..more],
+            );
             self.buffers.finish(
                 now.stats(lane, truth.foot_height_m.len(), reason),
                 &now.tally.terms,
@@ -407,6 +434,7 @@ impl VecEnv {
             &mut reset_stream,
         );
         started.joint_vel_radps = start.joint_vel_radps;
+        started.friction = self.physics.params.foot_friction;
         started.hold(&self.task.phase, self.held_commands.get(lane));
         Ok(started)
     }
@@ -425,63 +453,5 @@ impl VecEnv {
         self.physics.apply_draw(&self.joint_strengths);
         self.engine.set_params(lane, &self.physics.params)?;
         Ok(key)
-    }
-
-    pub(crate) fn observe_start(&mut self, lane: usize) -> Result<(), EnvError> {
-        let truth = self.reader.read(self.engine.as_ref(), lane);
-        self.observe(lane, &truth, true)
-    }
-
-    /// Writes the observation of one lane, with sensor noise; a `fresh` one has no history.
-    fn observe(&mut self, lane: usize, truth: &Truth, fresh: bool) -> Result<(), EnvError> {
-        let now = &mut self.lanes[lane];
-        let mut readings = truth.readings();
-        for (pos, offset) in readings.joint_pos_rad.iter_mut().zip(now.joint_offset_rad) {
-            *pos += offset;
-        }
-        if let Some(sensors) = &self.sensors {
-            sensors.measure(&mut readings, &now.imu_bias, &mut now.sensor_stream);
-        }
-        self.task.noise.add(&mut readings, &mut now.sensor_stream);
-        let dim = self.layout.dim();
-        let input = ObservationInput {
-            joint_vel_radps: &readings.joint_vel_radps,
-            joint_pos_rad: &readings.joint_pos_rad,
-            gyro_radps: readings.gyro_radps,
-            gravity: readings.gravity,
-            phase_rad: now.phases_rad(),
-            command: now.command.value,
-            previous_actions: &now.actions,
-            medium: Some(truth.afloat),
-        };
-        let out = &mut self.observations[lane * dim..][..dim];
-        if self.sees_truth {
-            let target_rad = now.filter.unlimited_rad(&self.task.action, &self.joints);
-            let (task, joints, body) = (&self.task, &self.joints, &self.body);
-            let state = reward_input(task, joints, body, &target_rad, now, truth);
-            let signals = StateSignals::new(&state, task.reward.contact_force_n);
-            self.observer.write(&input, Some(&signals), fresh, out)?;
-        } else {
-            self.observer.write(&input, None, fresh, out)?;
-        }
-        self.add_term_noise(lane);
-        Ok(())
-    }
-}
-
-impl VecEnv {
-    /// Noise of single observation terms, on what is newest of each.
-    fn add_term_noise(&mut self, lane: usize) {
-        if !self.task.noise.enabled {
-            return;
-        }
-        let dim = self.layout.dim();
-        let out = &mut self.observations[lane * dim..][..dim];
-        let stream = &mut self.lanes[lane].sensor_stream;
-        let terms = self.task.observation.term.iter().zip(self.layout.slices());
-        for (term, slice) in terms.filter(|(term, _)| term.noise_std > 0.0) {
-            let newest = &mut out[slice.start..][..slice.width()];
-            stream.add_bell_noise(newest, term.noise_std);
-        }
     }
 }

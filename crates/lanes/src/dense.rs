@@ -46,11 +46,10 @@ pub struct Dense {
 }
 
 impl Dense {
-    /// Replaces the layer by `weight` `[out, in]` and `bias` `[out]`. `both_ways`: also for
-    /// [`Dense::input_gradient`].
-    pub fn pack(&mut self, weight: &[f32], bias: &[f32], both_ways: bool) {
+    /// Replaces the layer by one of `inputs` inputs with `weight` `[out, in]` and `bias` `[out]`. `both_ways`:
+    /// also for [`Dense::input_gradient`].
+    pub fn pack(&mut self, inputs: usize, weight: &[f32], bias: &[f32], both_ways: bool) {
         let outputs = bias.len();
-        let inputs = weight.len() / outputs.max(1);
         (self.inputs, self.outputs) = (inputs, outputs);
         self.bias.clear();
         self.bias.extend_from_slice(bias);
@@ -86,76 +85,84 @@ impl Dense {
         self.outputs
     }
 
-    /// `y = W·x + b` for `rows` rows: `x` `[rows, padded(in)]`, `y` `[rows, padded(out)]`.
-    pub fn forward(&self, x: &[f32], rows: usize, y: &mut [f32]) {
+    /// `y = W·x + b`: rows of `x` have at least the inputs, rows of `y` room for `padded(out)` values.
+    pub fn forward(&self, rows: Rows, x: &[f32], y: &mut [f32]) {
         widest(Product {
             left: Left::Rows {
                 values: x,
-                stride: padded(self.inputs),
+                stride: rows.input,
             },
             right: &self.by_output,
             right_stride: BLOCK,
             block_stride: self.inputs * BLOCK,
             inner: self.inputs,
             start: &self.bias,
-            rows,
+            rows: rows.count,
             columns: padded(self.outputs),
             out: y,
-            out_stride: padded(self.outputs),
+            out_stride: rows.output,
         });
     }
 
-    /// Gradient `dx` `[rows, padded(in)]` with respect to the inputs, from `dy` `[rows, padded(out)]`.
-    pub fn input_gradient(&self, dy: &[f32], rows: usize, dx: &mut [f32]) {
+    /// Gradient `dx` with respect to the inputs, rows with room for `padded(in)` values, from `dy`.
+    pub fn input_gradient(&self, rows: Rows, dy: &[f32], dx: &mut [f32]) {
         widest(Product {
             left: Left::Rows {
                 values: dy,
-                stride: padded(self.outputs),
+                stride: rows.output,
             },
             right: &self.by_input,
             right_stride: BLOCK,
             block_stride: self.outputs * BLOCK,
             inner: self.outputs,
             start: &[],
-            rows,
+            rows: rows.count,
             columns: padded(self.inputs),
             out: dx,
+            out_stride: rows.input,
+        });
+    }
+
+    /// Gradient of the weights `[out, padded(in)]` from `x`, whose rows have `padded(in)` values or more, and
+    /// `dy`. What its padding gets has no meaning.
+    pub fn weight_gradient(&self, rows: Rows, dy: &[f32], x: &[f32], weight: &mut [f32]) {
+        widest(Product {
+            left: Left::Columns {
+                values: dy,
+                stride: rows.output,
+            },
+            right: x,
+            right_stride: rows.input,
+            block_stride: BLOCK,
+            inner: rows.count,
+            start: &[],
+            rows: self.outputs,
+            columns: padded(self.inputs),
+            out: weight,
             out_stride: padded(self.inputs),
         });
     }
-}
 
-/// Gradients of a layer with `inputs` inputs from `x` `[rows, padded(in)]` and `dy` `[rows, padded(out)]`:
-/// `weight` `[out, padded(in)]`, padded as rows are, and `bias` `[out]`.
-pub fn weight_gradient(
-    dy: &[f32],
-    x: &[f32],
-    (rows, inputs): (usize, usize),
-    weight: &mut [f32],
-    bias: &mut [f32],
-) {
-    let outputs = bias.len();
-    widest(Product {
-        left: Left::Columns {
-            values: dy,
-            stride: padded(outputs),
-        },
-        right: x,
-        right_stride: padded(inputs),
-        block_stride: BLOCK,
-        inner: rows,
-        start: &[],
-        rows: outputs,
-        columns: padded(inputs),
-        out: weight,
-        out_stride: padded(inputs),
-    });
-    bias.fill(0.0);
-    for row in dy.chunks_exact(padded(outputs)).take(rows) {
-        for (sum, d) in bias.iter_mut().zip(row) {
-            *sum += d;
+    /// Gradient of the biases `[out]` from `dy`.
+    pub fn bias_gradient(&self, rows: Rows, dy: &[f32], bias: &mut [f32]) {
+        bias.fill(0.0);
+        for row in dy.chunks(rows.output.max(1)).take(rows.count) {
+            for (sum, d) in bias.iter_mut().zip(row) {
+                *sum += d;
+            }
         }
     }
+}
+
+/// How the rows of a batch lie, on either side of a layer.
+#[derive(Clone, Copy, Debug)]
+pub struct Rows {
+    /// How many.
+    pub count: usize,
+    /// From one row of inputs to the next.
+    pub input: usize,
+    /// From one row of outputs to the next.
+    pub output: usize,
 }
 
 /// Puts the non-linearity's values in place of `z`.
@@ -168,6 +175,30 @@ pub fn activate(activation: Activation, z: &mut [f32]) {
 pub fn activation_gradient(activation: Activation, h: &[f32], gradient: &mut [f32]) {
     widest(ActivationGradient {
         activation,
+        h,
+        gradient,
+    });
+}
+
+/// [`activate`] of folded rows: `part` even parts e, then as many odd parts o, of pairs e + o and e − o.
+pub fn activate_folded(activation: Activation, part: usize, z: &mut [f32]) {
+    widest(ActivateFolded {
+        activation,
+        part,
+        z,
+    });
+}
+
+/// [`activation_gradient`] of folded rows.
+pub fn folded_activation_gradient(
+    activation: Activation,
+    part: usize,
+    h: &[f32],
+    gradient: &mut [f32],
+) {
+    widest(FoldedActivationGradient {
+        activation,
+        part,
         h,
         gradient,
     });
@@ -205,6 +236,9 @@ impl AnyWidth for Product<'_> {
 
     #[inline(always)]
     fn run<R: Lanes<Elem = f32>>(mut self) {
+        if self.inner == 0 {
+            return self.start_alone();
+        }
         // As many registers as sums in flight need: 24 of 32 with 16 and with 4 lanes, 12 of 16 with 8.
         match R::LANES {
             16 => self.strips::<R, 4>(),
@@ -216,6 +250,16 @@ impl AnyWidth for Product<'_> {
 }
 
 impl Product<'_> {
+    /// Sums of nothing.
+    fn start_alone(&mut self) {
+        for row in self.out.chunks_mut(self.out_stride.max(1)).take(self.rows) {
+            match self.start {
+                [] => row[..self.columns].fill(0.0),
+                start => row[..self.columns].copy_from_slice(start),
+            }
+        }
+    }
+
     /// Strips of up to `WIDE` registers of columns, one after the other: the right matrix's part stays in the
     /// nearest cache while all rows go by.
     #[inline(always)]
@@ -349,6 +393,31 @@ fn logistic<R: Real>(z: R) -> R {
     R::one() / (R::one() + (-z).exp())
 }
 
+struct ActivateFolded<'a> {
+    activation: Activation,
+    part: usize,
+    z: &'a mut [f32],
+}
+
+impl AnyWidth for ActivateFolded<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<R: Lanes<Elem = f32>>(self) {
+        let half = R::splat(0.5);
+        for row in self.z.chunks_exact_mut(2 * self.part) {
+            let (even, odd) = row.split_at_mut(self.part);
+            let pairs = even.chunks_exact_mut(R::LANES);
+            for (even, odd) in pairs.zip(odd.chunks_exact_mut(R::LANES)) {
+                let (e, o) = (R::read(even), R::read(odd));
+                let (one, other) = (value(self.activation, e + o), value(self.activation, e - o));
+                (half * (one + other)).write(even);
+                (half * (one - other)).write(odd);
+            }
+        }
+    }
+}
+
 struct ActivationGradient<'a> {
     activation: Activation,
     h: &'a [f32],
@@ -363,17 +432,56 @@ impl AnyWidth for ActivationGradient<'_> {
         let parts = self.gradient.chunks_exact_mut(R::LANES);
         for (part, h) in parts.zip(self.h.chunks_exact(R::LANES)) {
             let (g, h) = (R::read(part), R::read(h));
-            let slope = match self.activation {
-                Activation::Elu => h.min(R::zero()) + R::one(),
-                Activation::Swish => {
-                    let s = logistic(h);
-                    s * (h * (R::one() - s) + R::one())
-                }
-                Activation::Tanh => R::one() - h * h,
-                Activation::Relu => R::select(R::zero().lt(h), R::one(), R::zero()),
-            };
-            (g * slope).write(part);
+            (g * slope(self.activation, h)).write(part);
         }
+    }
+}
+
+struct FoldedActivationGradient<'a> {
+    activation: Activation,
+    part: usize,
+    h: &'a [f32],
+    gradient: &'a mut [f32],
+}
+
+impl AnyWidth for FoldedActivationGradient<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<R: Lanes<Elem = f32>>(self) {
+        let half = R::splat(0.5);
+        let rows = self.gradient.chunks_exact_mut(2 * self.part);
+        for (row, h) in rows.zip(self.h.chunks_exact(2 * self.part)) {
+            let (even, odd) = row.split_at_mut(self.part);
+            let (h_even, h_odd) = h.split_at(self.part);
+            let parts = even.chunks_exact_mut(R::LANES);
+            let parts = parts.zip(odd.chunks_exact_mut(R::LANES));
+            let seen = h_even.chunks_exact(R::LANES);
+            let seen = seen.zip(h_odd.chunks_exact(R::LANES));
+            for ((even, odd), (h_even, h_odd)) in parts.zip(seen) {
+                let (e, o) = (R::read(even), R::read(odd));
+                let (h_even, h_odd) = (R::read(h_even), R::read(h_odd));
+                // Each of a pair has half of what both parts have after it, and gives all to both before it.
+                let one = half * (e + o) * slope(self.activation, h_even + h_odd);
+                let other = half * (e - o) * slope(self.activation, h_even - h_odd);
+                (one + other).write(even);
+                (one - other).write(odd);
+            }
+        }
+    }
+}
+
+/// Slope of the non-linearity, from its value, or with [`Activation::Swish`] from where it is taken.
+#[inline(always)]
+fn slope<R: Real>(activation: Activation, h: R) -> R {
+    match activation {
+        Activation::Elu => h.min(R::zero()) + R::one(),
+        Activation::Swish => {
+            let s = logistic(h);
+            s * (h * (R::one() - s) + R::one())
+        }
+        Activation::Tanh => R::one() - h * h,
+        Activation::Relu => R::select(R::zero().lt(h), R::one(), R::zero()),
     }
 }
 

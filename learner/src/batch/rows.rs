@@ -8,7 +8,7 @@ use crate::normaliser::Moments;
 /// `observations` come the rows whose value alone is wanted.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Batch {
-    /// D.
+    /// What the value function sees, of which the policy sees the first values: D here.
     pub obs_dim: usize,
     /// A.
     pub act_dim: usize,

@@ -70,6 +70,32 @@ impl Layout {
     }
 }
 
+/// Where the parameters of the networks lie in the flat vector.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// The policy's layers, input side first.
+    pub policy: Vec<LayerPlace>,
+    /// The value function's.
+    pub value: Vec<LayerPlace>,
+    /// First of the parameters of the log-std, `[A]`.
+    pub raw_log_std: usize,
+    /// P, padding included.
+    pub len: usize,
+}
+
+/// One layer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LayerPlace {
+    /// First of its weights, `[out, in]`.
+    pub weight: usize,
+    /// First of its biases, `[out]`.
+    pub bias: usize,
+    /// Inputs.
+    pub inputs: usize,
+    /// Outputs.
+    pub outputs: usize,
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

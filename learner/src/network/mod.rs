@@ -1,7 +1,8 @@
 //! The actor-critic: a policy network for the mean of the actions, a value network, and a standard deviation
 //! per action that does not depend on the state.
 //!
-//! N observations of size D go in, normalised; A is the number of actions.
+//! N observations of size D go in, normalised; the value function may see E values more. A is the number of
+//! actions.
 
 mod init;
 mod layout;
@@ -9,19 +10,20 @@ mod mlp;
 mod symmetry;
 
 pub use init::{equivariant, orthogonal};
-pub use layout::{Layout, Parameter};
+pub use layout::{LayerPlace, Layout, Parameter, Place};
 pub use mlp::{Mlp, Tape};
 
 use caudata_config::{Activation, NetworkConfig};
+use caudata_lanes::fold::Side;
 use caudata_policy::MlpSpec;
 use caudata_random::{Key, Purpose, Stream};
 use caudata_task::Mirror;
-use caudata_task::mirror::SignedPermutation;
+use caudata_task::mirror::{SignedPermutation, sides};
 use tch::{Device, Tensor};
 
 use crate::LearnerError;
 use mlp::{Indices, LayerIndices};
-use symmetry::{Symmetry, sides};
+use symmetry::Symmetry;
 
 /// Gain of the policy's last layer: actions near zero at first, so that the noise explores around the nominal
 /// pose (Andrychowicz et al. 2021, "What matters in on-policy reinforcement learning", section 3.2).
@@ -33,8 +35,10 @@ const STD_MARGIN: f64 = 0.01;
 /// Sizes, non-linearity and bounds of an [`ActorCritic`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct NetworkSpec {
-    /// D.
+    /// D, what the policy sees.
     pub obs_dim: usize,
+    /// How the mirror changes what only the value function sees, behind those: E values.
+    pub critic: SignedPermutation,
     /// A.
     pub act_dim: usize,
     /// Hidden layers of the policy.
@@ -65,6 +69,7 @@ impl NetworkSpec {
     ) -> Result<Self, LearnerError> {
         let spec = Self {
             obs_dim,
+            critic: SignedPermutation::identity(0),
             act_dim,
             policy_hidden: config.policy_hidden.iter().map(|&n| n as usize).collect(),
             value_hidden: config.value_hidden.iter().map(|&n| n as usize).collect(),
@@ -87,6 +92,25 @@ impl NetworkSpec {
             ));
         }
         Ok(spec)
+    }
+
+    /// The same networks, but the value function sees more, which the mirror changes so.
+    #[must_use]
+    pub fn with_critic(self, critic: SignedPermutation) -> Self {
+        Self { critic, ..self }
+    }
+
+    /// D + E, what the value function sees.
+    #[must_use]
+    pub fn seen_dim(&self) -> usize {
+        self.obs_dim + self.critic.len()
+    }
+
+    /// How the mirror changes what the value function sees, if there is one.
+    #[must_use]
+    pub fn seen_mirror(&self) -> Option<SignedPermutation> {
+        let mirror = self.mirror.as_ref()?;
+        Some(mirror.observation.followed_by(&self.critic))
     }
 
     /// The same networks, but such that they commute with `mirror`.
@@ -113,7 +137,19 @@ impl NetworkSpec {
 
     fn value_sides(&self, mirror: &Mirror) -> Vec<SignedPermutation> {
         let value = SignedPermutation::identity(1);
-        sides(&mirror.observation, &self.value_hidden, &value)
+        let seen = mirror.observation.followed_by(&self.critic);
+        sides(&seen, &self.value_hidden, &value)
+    }
+
+    /// How rows between the layers of policy and value function are folded.
+    pub(crate) fn folds(&self) -> [Vec<Side>; 2] {
+        let mirrored = |m: &SignedPermutation| Side::new(&m.source, &m.sign);
+        match &self.mirror {
+            Some(mirror) => [self.policy_sides(mirror), self.value_sides(mirror)]
+                .map(|sides| sides.iter().map(mirrored).collect()),
+            None => [self.policy_sizes(), self.value_sizes()]
+                .map(|sizes| sizes.into_iter().map(Side::plain).collect()),
+        }
     }
 
     /// Layer sizes of the policy, input and output included.
@@ -122,38 +158,12 @@ impl NetworkSpec {
     }
 
     pub(crate) fn value_sizes(&self) -> Vec<usize> {
-        sizes(self.obs_dim, &self.value_hidden, 1)
+        sizes(self.seen_dim(), &self.value_hidden, 1)
     }
 }
 
 fn sizes(input: usize, hidden: &[usize], output: usize) -> Vec<usize> {
     [&[input], hidden, &[output]].concat()
-}
-
-/// Where the parameters of the networks lie in the flat vector.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Place {
-    /// The policy's layers, input side first.
-    pub policy: Vec<LayerPlace>,
-    /// The value function's.
-    pub value: Vec<LayerPlace>,
-    /// First of the parameters of the log-std, `[A]`.
-    pub raw_log_std: usize,
-    /// P, padding included.
-    pub len: usize,
-}
-
-/// One layer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LayerPlace {
-    /// First of its weights, `[out, in]`.
-    pub weight: usize,
-    /// First of its biases, `[out]`.
-    pub bias: usize,
-    /// Inputs.
-    pub inputs: usize,
-    /// Outputs.
-    pub outputs: usize,
 }
 
 /// Policy and value networks over one flat vector of parameters.
@@ -397,7 +407,11 @@ impl ActorCritic {
                 "it does not treat left and right alike: it was trained with learner.network.symmetric = false",
             ));
         }
-        self.set(values);
+        match &self.symmetry {
+            // Exactly: the lanes look at one of each pair that the mirror ties.
+            Some(symmetry) => self.set(&symmetry.part_of(values)),
+            None => self.set(values),
+        }
         Ok(())
     }
 }

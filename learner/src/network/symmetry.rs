@@ -26,7 +26,7 @@ const ALIKE: f32 = 1e-3;
 pub(super) struct Symmetry(pub(super) SignedPermutation);
 
 impl Symmetry {
-    /// `policy` and `value` are the mirror at the sides of their layers ([`sides`]).
+    /// `policy` and `value` are the mirror at the sides of their layers ([`caudata_task::mirror::sides`]).
     pub fn new(
         mirror: &Mirror,
         [policy, value]: [&[SignedPermutation]; 2],
@@ -75,15 +75,4 @@ impl Symmetry {
             |(part, value): (&f32, &f32)| (part - value).abs() > ALIKE * value.abs().max(1.0);
         !part.iter().zip(values).any(apart)
     }
-}
-
-/// How the mirror changes the values between the layers of a network, input and output included.
-pub(super) fn sides(
-    input: &SignedPermutation,
-    hidden: &[usize],
-    output: &SignedPermutation,
-) -> Vec<SignedPermutation> {
-    let hidden = hidden.iter().map(|&n| SignedPermutation::reversal(n));
-    let first = std::iter::once(input.clone());
-    first.chain(hidden).chain([output.clone()]).collect()
 }

@@ -6,6 +6,7 @@ use tch::Kind;
 fn spec(activation: Activation) -> NetworkSpec {
     NetworkSpec {
         obs_dim: 5,
+        critic: SignedPermutation::identity(0),
         act_dim: 3,
         policy_hidden: vec![8, 7],
         value_hidden: vec![6],

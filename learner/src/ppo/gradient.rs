@@ -81,6 +81,8 @@ mod tests {
     use crate::ppo::row_loss::log_probs;
     use caudata_config::{Activation, NetworkConfig};
     use caudata_random::{Key, Purpose, Stream};
+    use caudata_task::Mirror;
+    use caudata_task::mirror::SignedPermutation;
     use tch::Device;
 
     fn near(found: &[f32], expected: &[f32], tolerance: f32, what: &str) {
@@ -92,6 +94,15 @@ mod tests {
             size > 0.0 && off <= tolerance * size,
             "{what}: {off} of {size}"
         );
+    }
+
+    /// With the sign of every fourth from `first` on, and of its counterpart, turned round.
+    fn signed(source: Vec<usize>, first: usize) -> SignedPermutation {
+        let mut mirror = SignedPermutation::identity(source.len());
+        for i in (first..source.len()).step_by(4) {
+            (mirror.sign[i], mirror.sign[source[i]]) = (-1.0, -1.0);
+        }
+        SignedPermutation { source, ..mirror }
     }
 
     /// libtorch's operations, whose gradients are compared with autograd elsewhere, against the lanes.
@@ -113,19 +124,32 @@ mod tests {
             std: vec![0.7; obs_dim],
             clip: 2.0,
         };
-        for activation in [
+        let mirror = Mirror {
+            observation: signed((0..obs_dim - 3).rev().collect(), 0),
+            action: signed(vec![1, 0, 2, 3, 4], 2),
+            feet: Vec::new(),
+        };
+        let activations = [
             Activation::Elu,
             Activation::Swish,
             Activation::Tanh,
             Activation::Relu,
-        ] {
+        ];
+        let each = activations.map(|a| [(a, None), (a, Some(mirror.clone()))]);
+        for (activation, mirror) in each.into_iter().flatten() {
             let config = NetworkConfig {
                 policy_hidden: vec![40, 24],
                 value_hidden: vec![33],
                 activation,
                 ..NetworkConfig::default()
             };
-            let spec = NetworkSpec::new(&config, obs_dim, act_dim).unwrap();
+            // Three of the values only the value function sees.
+            let spec = NetworkSpec::new(&config, obs_dim - 3, act_dim).unwrap();
+            let spec = spec.with_critic(signed(vec![1, 0, 2], 2));
+            let spec = match mirror {
+                Some(mirror) => spec.symmetric(mirror).unwrap(),
+                None => spec,
+            };
             let net = ActorCritic::new(spec, 1, Device::Cpu);
             let parameters: Vec<f32> = net.to_vec().unwrap().iter().map(|w| 1.5 * w).collect();
             let mut both = [
@@ -164,7 +188,8 @@ mod tests {
                     networks.gradient(&Arc::new(samples), &minibatch).unwrap(),
                 )
             });
-            let of = |what: &str| format!("{activation:?}: {what}");
+            let folded = net.spec().mirror.is_some();
+            let of = |what: &str| format!("{activation:?}, folded {folded}: {what}");
             near(&host.values, &torch.values, 1e-5, &of("values"));
             near(&host.means, &torch.means, 1e-5, &of("means"));
             near(&of_host.gradient, &of_torch.gradient, 2e-5, &of("gradient"));

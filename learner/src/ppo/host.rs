@@ -6,8 +6,8 @@
 
 use std::sync::Arc;
 
-use caudata_lanes::dense::padded;
-use caudata_lanes::perceptron::{Perceptron, Tape, Work, normalise};
+use caudata_lanes::perceptron::{Inputs, Perceptron, Tape, Work, normalise};
+use caudata_task::mirror::SignedPermutation;
 use caudata_telemetry::spans::{Laps, Part};
 
 use super::loss::sums;
@@ -38,9 +38,11 @@ struct Nets {
     policy: Perceptron,
     value: Perceptron,
     place: Arc<Place>,
+    /// How the mirror exchanges actions.
+    actions: SignedPermutation,
 }
 
-/// A batch with its normalised observations, in blocks of [`BLOCK_ROWS`] rows.
+/// A batch with its normalised observations, folded, in blocks of [`BLOCK_ROWS`] rows.
 #[derive(Debug, Default)]
 struct Seen {
     batch: Arc<Batch>,
@@ -60,12 +62,16 @@ impl Host {
     /// When the operating system refuses a thread.
     pub fn new(net: &ActorCritic, threads: usize) -> Result<Self, LearnerError> {
         let place = Arc::new(net.place());
-        let activation = crate::export::in_lanes(net.spec().activation);
+        let spec = net.spec();
+        let activation = crate::export::in_lanes(spec.activation);
+        let actions = spec.mirror.as_ref().map(|mirror| mirror.action.clone());
+        let [policy, value] = spec.folds();
         Ok(Self {
             nets: Arc::new(Nets {
-                policy: Perceptron::new(place.policy.len(), activation),
-                value: Perceptron::new(place.value.len(), activation),
+                policy: Perceptron::new(policy, activation),
+                value: Perceptron::new(value, activation),
                 place,
+                actions: actions.unwrap_or_else(|| SignedPermutation::identity(spec.act_dim)),
             }),
             pool: Pool::new(threads)?,
             seen: Arc::default(),
@@ -81,8 +87,9 @@ impl Host {
             (&mut nets.policy, &place.policy),
             (&mut nets.value, &place.value),
         ] {
-            for (dense, layer) in net.layers_mut().iter_mut().zip(layers) {
-                dense.pack(
+            for (at, layer) in layers.iter().enumerate() {
+                net.pack(
+                    at,
                     &parameters[layer.weight..][..layer.inputs * layer.outputs],
                     &parameters[layer.bias..][..layer.outputs],
                     true,
@@ -148,7 +155,7 @@ impl Host {
             Some((sums, gradient)) => Total { sums, gradient },
             None => Total {
                 sums: [0.0; sums::COUNT],
-                gradient: vec![0.0; self.nets.place.len],
+                gradient: vec![0.0; self.nets.gradient_len()],
             },
         };
         for (sums, gradient) in done {
@@ -160,8 +167,42 @@ impl Host {
             }
             self.spare.push(gradient);
         }
+        let folded = std::mem::take(&mut total.gradient);
+        total.gradient = self.nets.unfolded(&folded);
+        self.spare.push(folded);
         laps.lap(Part::Optimiser);
         Ok(total)
+    }
+}
+
+impl Nets {
+    /// Length of a shard's gradient: the policy's, the value function's, that of the log-std.
+    fn gradient_len(&self) -> usize {
+        self.policy.gradient_len() + self.value.gradient_len() + self.actions.len()
+    }
+
+    /// The gradient of all parameters, `[P]`, from that of the folded networks. What the mirror ties gets the mean
+    /// of its gradients.
+    fn unfolded(&self, folded: &[f32]) -> Vec<f32> {
+        let mut gradient = vec![0.0; self.place.len];
+        let (policy, rest) = folded.split_at(self.policy.gradient_len());
+        let (value, log_std) = rest.split_at(self.value.gradient_len());
+        for (net, folded, layers) in [
+            (&self.policy, policy, &self.place.policy),
+            (&self.value, value, &self.place.value),
+        ] {
+            for (at, layer) in layers.iter().enumerate() {
+                // A layer's biases lie behind its weights.
+                let (before, bias) = gradient.split_at_mut(layer.bias);
+                let weight = &mut before[layer.weight..][..layer.inputs * layer.outputs];
+                net.unfold_gradient(at, folded, weight, &mut bias[..layer.outputs]);
+            }
+        }
+        let raw = &mut gradient[self.place.raw_log_std..];
+        for (i, (raw, &other)) in raw.iter_mut().zip(&self.actions.source).enumerate() {
+            *raw = 0.5 * (log_std[i] + log_std[other]);
+        }
+        gradient
     }
 }
 
@@ -180,24 +221,33 @@ fn look_at_block(room: &mut Room, job: BlockJob) -> (Vec<f32>, Vec<f32>, Vec<f32
     let mut laps = Laps::new();
     let (batch, (first, rows)) = (&job.batch, job.rows);
     let raw = &batch.observations[first * batch.obs_dim..][..rows * batch.obs_dim];
-    let mut seen = vec![0.0; rows * padded(batch.obs_dim)];
+    let (policy, value) = (&job.nets.policy, &job.nets.value);
+    let side = value.input();
+    let mut seen = vec![0.0; rows * side.width()];
     let scaling = &job.scaling;
-    normalise(raw, &scaling.mean, &scaling.std, scaling.clip, &mut seen);
+    let how = (&scaling.mean[..], &scaling.std[..], scaling.clip);
+    normalise(raw, how, side, &mut seen);
+    let inputs = |rows| Inputs {
+        rows,
+        values: &seen,
+        side,
+    };
     let idle = &mut |_| ();
-    let values = job.nets.value.forward(&seen, rows, &mut room.value, idle);
-    let values = values.iter().step_by(padded(1)).copied().collect();
+    let values = value.forward(inputs(rows), &mut room.value, idle);
+    let values = values.iter().step_by(value.output().width());
+    let values = values.copied().collect();
     let acted = batch.rows.saturating_sub(first).min(rows);
     let means = match job.means {
         false => Vec::new(),
         true => {
-            let means = job
-                .nets
-                .policy
-                .forward(&seen, acted, &mut room.policy, idle);
-            let rows = means.chunks_exact(padded(batch.act_dim));
-            rows.flat_map(|row| &row[..batch.act_dim])
-                .copied()
-                .collect()
+            let (side, width) = (policy.output(), batch.act_dim);
+            let folded = policy.forward(inputs(acted), &mut room.policy, idle);
+            let mut means = vec![0.0; acted * width];
+            let rows = means.chunks_exact_mut(width);
+            for (means, folded) in rows.zip(folded.chunks_exact(side.width())) {
+                side.unfold(folded, means);
+            }
+            means
         }
     };
     laps.lap(Part::Returns);
@@ -215,7 +265,7 @@ struct GradientJob {
     gradient: Vec<f32>,
 }
 
-/// Forward and backward of one shard: sums of the loss and gradient `[P]`.
+/// Forward and backward of one shard: sums of the loss, and the gradient of the folded networks.
 fn shard_gradient(room: &mut Room, job: GradientJob) -> ([f64; sums::COUNT], Vec<f32>) {
     let mut laps = Laps::new();
     let mut done = |work| {
@@ -227,7 +277,8 @@ fn shard_gradient(room: &mut Room, job: GradientJob) -> ([f64; sums::COUNT], Vec
     let (nets, batch) = (&*job.nets, &*job.seen.batch);
     let (first, rows) = job.part;
     let order = &job.minibatch.samples[first..first + rows];
-    let width = padded(batch.obs_dim);
+    let side = nets.value.input();
+    let width = side.width();
     let x = &mut room.observations;
     x.clear();
     for &sample in order {
@@ -235,42 +286,40 @@ fn shard_gradient(room: &mut Room, job: GradientJob) -> ([f64; sums::COUNT], Vec
         x.extend_from_slice(&job.seen.blocks[block][row * width..][..width]);
     }
     done(Work::ElementWise);
-    nets.policy.forward(x, rows, &mut room.policy, &mut done);
-    nets.value.forward(x, rows, &mut room.value, &mut done);
+    let inputs = Inputs {
+        rows,
+        values: x,
+        side,
+    };
+    nets.policy.forward(inputs, &mut room.policy, &mut done);
+    let values = nets.value.forward(inputs, &mut room.value, &mut done);
+    let wide = nets.value.output().width();
+    let mut values: Vec<f32> = values.iter().step_by(wide).copied().collect();
 
     let mut loss = Loss::new(&job.minibatch, &job.samples);
-    let means = room.policy.outputs_and_gradients(padded(batch.act_dim));
-    let values = room.value.outputs_and_gradients(padded(1));
-    let outputs = means.zip(values);
-    for (&sample, ((mean, mean_gradient), (value, value_gradient))) in order.iter().zip(outputs) {
-        let action = &batch.actions[sample as usize * batch.act_dim..][..batch.act_dim];
-        value_gradient[0] = loss.add(sample as usize, action, mean, value[0], mean_gradient);
-    }
+    let side = nets.policy.output();
+    room.policy.fill_gradients(side, |at, mean, gradient| {
+        let sample = order[at] as usize;
+        let action = &batch.actions[sample * batch.act_dim..][..batch.act_dim];
+        // From here on the gradient with respect to the value.
+        values[at] = loss.add(sample, action, mean, values[at], gradient);
+    });
+    let side = nets.value.output();
+    room.value
+        .fill_gradients(side, |at, _, gradient| gradient[0] = values[at]);
     done(Work::ElementWise);
 
     let mut gradient = job.gradient;
-    gradient.resize(nets.place.len, 0.0);
-    for (net, layers, tape) in [
-        (&nets.policy, &nets.place.policy, &mut room.policy),
-        (&nets.value, &nets.place.value, &mut room.value),
-    ] {
-        let mut take = |at: usize, weight: &[f32], bias: &[f32]| {
-            let layer = &layers[at];
-            let rows = weight.chunks_exact(padded(layer.inputs));
-            let to = &mut gradient[layer.weight..][..layer.inputs * layer.outputs];
-            for (to, row) in to.chunks_exact_mut(layer.inputs).zip(rows) {
-                to.copy_from_slice(&row[..layer.inputs]);
-            }
-            gradient[layer.bias..][..layer.outputs].copy_from_slice(bias);
-        };
-        net.backward(x, rows, tape, &mut take, &mut done);
-    }
+    gradient.resize(nets.gradient_len(), 0.0);
+    let (policy, rest) = gradient.split_at_mut(nets.policy.gradient_len());
+    let (value, raw) = rest.split_at_mut(nets.value.gradient_len());
+    nets.policy
+        .backward(inputs, &mut room.policy, policy, &mut done);
+    nets.value
+        .backward(inputs, &mut room.value, value, &mut done);
     let log_std = loss.log_std_gradient(rows);
-    let raw = &mut gradient[nets.place.raw_log_std..][..log_std.len()];
-    for (raw, (gradient, slope)) in raw
-        .iter_mut()
-        .zip(log_std.iter().zip(&*job.minibatch.log_std_slope))
-    {
+    let slopes = log_std.iter().zip(&*job.minibatch.log_std_slope);
+    for (raw, (gradient, slope)) in raw.iter_mut().zip(slopes) {
         *raw = gradient * slope;
     }
     done(Work::ElementWise);

@@ -61,7 +61,12 @@ impl Torch {
         let before = Before {
             values: host(&self.net.value().forward(&all))?,
             means: match means {
-                true => host(&self.net.policy().forward(&observations))?,
+                true => host(
+                    &self
+                        .net
+                        .policy()
+                        .forward(&policy_sees(&self.net, &observations)),
+                )?,
                 false => Vec::new(),
             },
         };
@@ -122,8 +127,9 @@ impl Torch {
         };
         let observations = pick(&batch.observations);
         laps.lap(Part::ElementWise);
+        let seen = policy_sees(&self.net, &observations);
         let (net, gradient) = (&self.net, &self.gradient);
-        let (means, policy_tape) = net.policy().forward_with_tape(&observations);
+        let (means, policy_tape) = net.policy().forward_with_tape(&seen);
         let (values, value_tape) = net.value().forward_with_tape(&observations);
         laps.lap(Part::Products);
         let (sums, output_gradient) = loss_and_gradient(
@@ -144,13 +150,18 @@ impl Torch {
         for (total, sum) in total.iter_mut().zip(host(&sums)?) {
             *total = f64::from(sum);
         }
-        let gradient = gradient.to_vec()?;
+        let gradient = self.net.symmetric_gradient(gradient.to_vec()?);
         laps.lap(Part::Products);
         Ok(Total {
             sums: total,
             gradient,
         })
     }
+}
+
+/// The columns that the policy sees of what the value function sees.
+fn policy_sees(net: &ActorCritic, all: &Tensor) -> Tensor {
+    all.narrow(1, 0, net.spec().obs_dim as i64)
 }
 
 /// All numbers of a tensor, on the host.

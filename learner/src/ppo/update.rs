@@ -246,10 +246,14 @@ impl Ppo {
 
     fn check(&self, batch: &Batch) -> Result<(), LearnerError> {
         let spec = self.net.spec();
-        if batch.rows == 0 || batch.obs_dim != spec.obs_dim || batch.act_dim != spec.act_dim {
+        if batch.rows == 0 || batch.obs_dim != spec.seen_dim() || batch.act_dim != spec.act_dim {
             return Err(LearnerError::setting(format!(
                 "batch of {} samples with {} observations and {} actions for a network with {} and {}",
-                batch.rows, batch.obs_dim, batch.act_dim, spec.obs_dim, spec.act_dim
+                batch.rows,
+                batch.obs_dim,
+                batch.act_dim,
+                spec.seen_dim(),
+                spec.act_dim
             )));
         }
         Ok(())
@@ -333,7 +337,7 @@ impl Ppo {
         let total = self.networks.gradient(samples, &minibatch)?;
         let mut laps = Laps::new();
         let sums = total.sums;
-        let mut gradient = self.net.symmetric_gradient(total.gradient);
+        let mut gradient = total.gradient;
         if pass.value_only {
             gradient[..self.net.policy_len()].fill(0.0);
         }

@@ -344,10 +344,8 @@ impl Run<'_> {
         let network = &self.config.learner.network;
         let clip = network.observation_clip as f32;
         match network.normalise_observations {
-            true => match &self.ppo.net().spec().mirror {
-                Some(mirror) => (self.progress.moments)
-                    .with_image(&mirror.observation)
-                    .scaling(clip),
+            true => match self.ppo.net().spec().seen_mirror() {
+                Some(mirror) => self.progress.moments.with_image(&mirror).scaling(clip),
                 None => self.progress.moments.scaling(clip),
             },
             false => Scaling::identity(self.progress.moments.mean.len(), clip),

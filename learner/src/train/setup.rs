@@ -8,7 +8,7 @@ use caudata_config::{Config, TransportKind};
 use caudata_durable::{Owner, OwnerError};
 use caudata_proto::DecodeLimits;
 use caudata_random::{Key, Purpose, Stream};
-use caudata_task::PolicyContract;
+use caudata_task::{Critic, PolicyContract};
 use caudata_telemetry::progress::{Event, Finished, Started};
 use caudata_telemetry::traces::Tracer;
 use caudata_telemetry::{DRAIN_DEADLINE, StopFlag, build_info};
@@ -48,21 +48,18 @@ const OWNER_PAUSE: Duration = Duration::from_millis(100);
 pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, LearnerError> {
     let _owner = own(&settings, stop)?;
     let config = &settings.config;
-    let Task {
-        model,
-        contract,
-        networks,
-    } = Task::new(config)?;
+    let task = Task::new(config)?;
+    let (model, contract) = (task.model, task.contract);
     let transport = settings
         .transport
         .clone()
         .unwrap_or_else(|| transport_of(config));
     let inproc = matches!(transport, TransportConfig::Inproc(_));
     let device = device(config.learner.device)?;
-    let net = ActorCritic::new(networks, config.run.seed, device);
+    let net = ActorCritic::new(task.networks, config.run.seed, device);
     let start = Start::new(&settings, &contract, net, inproc)?;
     let collector = Collector::new(
-        collector_settings(config, &settings.run_id, &contract),
+        collector_settings(config, &settings.run_id, &contract, &task.critic),
         start.accounting,
     );
 
@@ -200,8 +197,7 @@ impl Start {
         };
         let mut ppo = Ppo::new(net, PpoSettings::new(config), threads(config, inproc))?;
         ppo.beat(settings.pulse.clone());
-        let ((mut progress, mut accounting), snapshots) =
-            restore(&mut ppo, state, config, contract.obs_dim())?;
+        let ((mut progress, mut accounting), snapshots) = restore(&mut ppo, state, config)?;
         if let Some(moments) = moments {
             progress.moments = moments;
         }
@@ -259,14 +255,15 @@ fn collector_settings(
     config: &Config,
     run_id: &str,
     contract: &PolicyContract,
+    critic: &Critic,
 ) -> CollectorSettings {
     let actors = &config.actors;
     CollectorSettings {
         run_id: run_id.to_owned(),
-        contract_hash: contract.hash(),
+        contract_hash: critic.seal(contract.hash()),
         steps: actors.chunk_steps as usize,
         lanes: actors.lanes as usize,
-        obs_dim: contract.obs_dim(),
+        obs_dim: contract.obs_dim() + critic.dim(),
         act_dim: contract.act_dim(),
         actors: actors.count,
         chunks_per_version: actors.chunks_per_version,
@@ -288,7 +285,6 @@ fn restore(
     ppo: &mut Ppo,
     state: Option<CheckpointState>,
     config: &Config,
-    obs_dim: usize,
 ) -> Result<Restored, LearnerError> {
     let Some(state) = state else {
         let key = Key::for_run(config.run.seed);
@@ -297,7 +293,7 @@ fn restore(
             version_offset: 0,
             steps_total: 0,
             wall_s: 0.0,
-            moments: Moments::new(obs_dim),
+            moments: Moments::new(ppo.net().spec().seen_dim()),
             order: Stream::new(key, Purpose::Minibatch),
             episodes: EpisodeWindow::default(),
             step_rewards: Vec::new(),

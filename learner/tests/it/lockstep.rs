@@ -31,6 +31,8 @@ fn lockstep(actors: u32, kind: &str, lead: u32) -> Config {
         format!("actors.lanes={}", LANES / actors),
         format!("actors.max_lead={lead}"),
         "actors.lockstep=true".to_owned(),
+        // What only the value function sees travels with the rest.
+        "task.critic.sees=[\"velocity\", \"foot_force\", \"friction\"]".to_owned(),
         // Several episodes end by the time limit within the run, in other lanes at other times.
         "task.episode_steps=10".to_owned(),
         // Nobody shall be given up on a busy machine: the batch would be a smaller one.

@@ -147,6 +147,10 @@ signals! {
     Submerged = "submerged", Scalar, Unit::ONE, Simulated;
     /// 1 while it is that and the ground is out of reach, 0 otherwise.
     Afloat = "afloat", Scalar, Unit::ONE, Simulated;
+    /// Force that pushes the trunk, N: forward, left, up.
+    Push = "push", Three, FORCE, Simulated;
+    /// Friction coefficient of the feet.
+    Friction = "friction", Scalar, Unit::ONE, Simulated;
     /// Length of a control step, s.
     Step = "dt", Scalar, Unit::of(0, 0, 1), Simulated;
 }

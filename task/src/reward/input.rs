@@ -47,6 +47,10 @@ pub struct RewardInput<'a> {
     pub foot_force_n: &'a [[f32; 3]],
     /// Sum of contact forces on everything but the feet, N.
     pub trunk_force_n: f32,
+    /// Force that pushes the trunk in this step, N, heading frame.
+    pub push_n: [f32; 3],
+    /// Friction coefficient of the feet.
+    pub friction: f32,
     /// 1 while the whole body's centre of mass is below the water's surface, 0 otherwise.
     pub submerged: f32,
     /// 1 while it is that and the ground is out of reach (`task.afloat_above_m`), 0 otherwise.

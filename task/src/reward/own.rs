@@ -181,6 +181,8 @@ impl Source for StateSignals<'_> {
             Signal::Standing => from_ref(&self.standing),
             Signal::Submerged => from_ref(&input.submerged),
             Signal::Afloat => from_ref(&input.afloat),
+            Signal::Push => &input.push_n,
+            Signal::Friction => from_ref(&input.friction),
             Signal::Step => from_ref(&input.dt_s),
         }
     }

@@ -69,6 +69,8 @@ fn rest() -> RewardInput<'static> {
         foot_vel_mps: &[[0.0; 3]; FEET],
         foot_force_n: &[[0.0, 0.0, 6.0]; FEET],
         trunk_force_n: 0.0,
+        push_n: [0.0; 3],
+        friction: 0.8,
         submerged: 0.0,
         afloat: 0.0,
         on_ground: PerFoot::filled(FEET, 1.0),

@@ -283,7 +283,7 @@ fn bare(
 ) -> Result<Rollouts, Failure> {
     let mut env = build_env(config, model, 0).map_err(|error| error.into_failure())?;
     env.reset_all().or_exit(ExitCode::Internal)?;
-    let mut network = Network::new(file.spec());
+    let mut network = Network::new(file.spec(), env.mirror());
     let lanes = env.lanes();
     let width = env.act_dim();
     let (mut means, mut actions) = (vec![0.0; lanes * width], vec![0.0; lanes * width]);

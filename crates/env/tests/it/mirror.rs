@@ -25,6 +25,7 @@ fn mirrored_actions_lead_to_mirrored_observations() {
     task.reset.base_vel_noise_mps = 0.0;
     task.reset.yaw_range_rad = 0.0;
     task.episode_steps = 1000;
+    task.critic.sees = ["velocity", "yaw_rate", "torque"].map(str::to_owned).into();
     task.termination.com_height_m = [-0.1, 10.0]; // deep water is 2 m deep
     let model = model();
     for kind in [TerrainKind::Flat, TerrainKind::DeepWater] {
@@ -50,6 +51,8 @@ fn mirrored_actions_lead_to_mirrored_observations() {
             "actions",
         ];
         let mut squares = [[0.0_f64; 2]; 5];
+        let of_critic = env.critic().mirrored(&mirror);
+        let mut of_views = [[0.0_f64; 2]; 3];
         for step in 0..50 {
             let actions = action(step);
             let both = [actions.to_vec(), mirror.action.apply(&actions)].concat();
@@ -67,6 +70,16 @@ fn mirrored_actions_lead_to_mirrored_observations() {
                     }
                 }
             }
+            let (left, right) = env.privileged().split_at(of_critic.len());
+            for (i, image) in of_critic.apply(left).iter().enumerate() {
+                let [off, seen] = &mut of_views[usize::from(i > 2) + usize::from(i > 3)];
+                *off += f64::from(image - right[i]).powi(2);
+                *seen += f64::from(right[i]).powi(2);
+            }
+        }
+        for (view, [off, seen]) in of_views.into_iter().enumerate() {
+            let share = (off / seen).sqrt();
+            assert!(seen > 0.0 && share < 0.3, "{kind:?}, view {view}: {share}");
         }
         // Masses are a little lopsided (the facts file has centres of mass off the middle by a fraction of a
         // millimetre).

@@ -27,7 +27,7 @@ fn rows_of(values: &[f32], width: usize) -> Vec<f32> {
 fn layer(inputs: usize, outputs: usize) -> (Dense, Vec<f32>, Vec<f32>) {
     let (weight, bias) = (numbers(inputs * outputs, 1), numbers(outputs, 2));
     let mut dense = Dense::default();
-    dense.pack(&weight, &bias, true);
+    dense.pack(inputs, &weight, &bias, true);
     (dense, weight, bias)
 }
 
@@ -52,12 +52,18 @@ fn layers_and_their_gradients_are_the_plain_sums() {
         let (x, dy) = (numbers(rows * inputs, 3), numbers(rows * outputs, 4));
         let (wide_x, wide_dy) = (rows_of(&x, inputs), rows_of(&dy, outputs));
         let mut y = vec![f32::NAN; rows * padded(outputs)];
-        dense.forward(&wide_x, rows, &mut y);
+        let lie = Rows {
+            count: rows,
+            input: padded(inputs),
+            output: padded(outputs),
+        };
+        dense.forward(lie, &wide_x, &mut y);
         let mut dx = vec![f32::NAN; rows * padded(inputs)];
-        dense.input_gradient(&wide_dy, rows, &mut dx);
+        dense.input_gradient(lie, &wide_dy, &mut dx);
         let mut dw = vec![f32::NAN; outputs * padded(inputs)];
         let mut db = vec![f32::NAN; outputs];
-        weight_gradient(&wide_dy, &wide_x, (rows, inputs), &mut dw, &mut db);
+        dense.weight_gradient(lie, &wide_dy, &wide_x, &mut dw);
+        dense.bias_gradient(lie, &wide_dy, &mut db);
 
         let at = |values: &[f32], i: usize| f64::from(values[i]);
         for r in 0..rows {
@@ -102,9 +108,14 @@ fn a_row_gets_alone_what_it_gets_in_a_batch() {
     let (dense, _, _) = layer(97, 128);
     let x = rows_of(&numbers(13 * 97, 5), 97);
     let (mut together, mut alone) = (vec![0.0; 13 * 128], vec![0.0; 128]);
-    dense.forward(&x, 13, &mut together);
+    let lie = |count| Rows {
+        count,
+        input: padded(97),
+        output: 128,
+    };
+    dense.forward(lie(13), &x, &mut together);
     for (row, expected) in x.chunks_exact(padded(97)).zip(together.chunks_exact(128)) {
-        dense.forward(row, 1, &mut alone);
+        dense.forward(lie(1), row, &mut alone);
         assert_eq!(alone, expected);
     }
 }
