@@ -43,11 +43,14 @@ pub struct Plan {
     #[arg(long)]
     baselines: bool,
     /// Diagnose one case folder into the current folder: what the benchmark starts for each case
-    #[arg(long, value_name = "CASE", hide = true)]
-    examinee: Option<PathBuf>,
+    #[arg(long, hide = true, requires = "case")]
+    examinee: bool,
     /// Effect ids that the examinee has to do without
     #[arg(long, hide = true)]
     without: Vec<String>,
+    /// The case folder
+    #[arg(hide = true, requires = "examinee")]
+    case: Option<PathBuf>,
 }
 
 /// The sets of cases.
@@ -102,7 +105,7 @@ pub struct Finding {
 /// # Errors
 /// Where a folder cannot be written or a baseline cannot run; a diagnosis that fails is an outcome.
 pub fn run(plan: &Plan, program: &Path) -> Result<Option<Finding>, Failure> {
-    if let Some(case) = &plan.examinee {
+    if let Some(case) = &plan.case {
         let options = Options {
             threads: 1,
             without: plan.without.clone(),
@@ -199,4 +202,37 @@ fn with_baselines(root: &Path, answers: &[Answer]) -> Result<Vec<BaselineSummary
         ));
     }
     Ok(baselines::summaries(&all))
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct Command {
+        #[command(flatten)]
+        plan: Plan,
+    }
+
+    #[test]
+    fn an_examinee_is_told_its_case_and_what_it_has_to_do_without() {
+        // in the order in which the benchmark starts it
+        let told = [
+            "bench",
+            "--examinee",
+            "--without",
+            "a",
+            "--without",
+            "b",
+            "case",
+        ];
+        let plan = Command::try_parse_from(told).unwrap().plan;
+        assert_eq!(plan.without, ["a", "b"]);
+        assert_eq!(plan.case.as_deref(), Some(Path::new("case")));
+        for wrong in [vec!["bench", "--examinee"], vec!["bench", "case"]] {
+            assert!(Command::try_parse_from(wrong).is_err());
+        }
+    }
 }
