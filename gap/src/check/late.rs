@@ -23,14 +23,29 @@ const SWINGS: f64 = 5.0;
 const LONGEST_DEAD_S: f64 = 0.13;
 /// So often it must be seen.
 const OFTEN: usize = 2;
+/// Correlation of the speeds of command and reading from which on their lag is known.
+const FITS: f64 = 0.6;
 
 /// Says where readings and commands were stamped by clocks that differ.
 pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
     let before = out.len();
-    cause_before_effect(run, joints, out);
+    let lags = lags(run, joints);
+    cause_before_effect(&lags, out);
     if out.len() == before {
         dead_time(run, joints, out);
     }
+    if out.len() == before {
+        slow(run, joints, &lags, out);
+    }
+}
+
+/// How late a joint follows its command.
+struct Lag<'a> {
+    name: &'a str,
+    s: f64,
+    r: f64,
+    /// Whether no servo can be so late, or early, and no lag that one can have goes nearly as well.
+    impossible: bool,
 }
 
 /// An error that asks a servo for so much that nothing holds it back, rad. (A weak servo does not get through
@@ -96,47 +111,84 @@ fn dead_times_s(run: &Run<'_>, joint: &Channels) -> Vec<f64> {
     times_s
 }
 
-/// A position that moves before its command was sent, or much later than any servo: stamps of two clocks.
-fn cause_before_effect(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
+/// Lags of all joints that move, by the speeds of command and reading.
+fn lags<'a>(run: &Run<'_>, joints: &'a [Channels]) -> Vec<Lag<'a>> {
     let grid = &run.grid;
     let fine = grid.points(0.04);
     let most = grid.points(LAG_RANGE_S) as isize;
+    let late = grid.points(LONGEST_LAG_S) as isize;
     let rate = |x: &[f64]| slope(&smooth(x, fine), fine.div_ceil(2), grid.step_s);
-    let (mut leads, mut moving) = (Vec::new(), 0);
-    for joint in joints {
-        let (Some(cmd), Some(pos)) = (&joint.cmd, &joint.pos) else {
-            continue;
-        };
-        let (u, q) = (rate(cmd), rate(pos));
+    let of = |joint: &'a Channels| {
+        let (u, q) = (rate(joint.cmd.as_ref()?), rate(joint.pos.as_ref()?));
         if together(&u, &q, 0).first_sd < 0.1 {
-            continue;
+            return None;
         }
-        moving += 1;
         let (lag, at_lag) = best_lag(&u, &q, -most..=most);
-        let lag_s = lag as f64 * grid.step_s;
+        let s = lag as f64 * grid.step_s;
         // The best among the lags that a servo can have must be clearly worse: a periodic motion fits a
         // period off, too.
-        let late = grid.points(LONGEST_LAG_S) as isize;
         let possible = best_lag(&u, &q, 0..=late).1;
-        let impossible = lag_s < -(2.5 * grid.step_s).max(0.02) || lag_s > LONGEST_LAG_S;
-        if impossible && at_lag.r > 0.6 && at_lag.r > possible.r + 0.15 {
-            leads.push((joint.name.as_str(), lag_s, at_lag.r));
-        }
-    }
+        let outside = s < -(2.5 * grid.step_s).max(0.02) || s > LONGEST_LAG_S;
+        Some(Lag {
+            name: &joint.name,
+            s,
+            r: at_lag.r,
+            impossible: outside && at_lag.r > FITS && at_lag.r > possible.r + 0.15,
+        })
+    };
+    joints.iter().filter_map(of).collect()
+}
+
+/// A position that moves before its command was sent, or much later than any servo: stamps of two clocks.
+fn cause_before_effect(lags: &[Lag<'_>], out: &mut Vec<Finding>) {
+    let wrong: Vec<&Lag<'_>> = lags.iter().filter(|l| l.impossible).collect();
     // stamps are wrong for all joints; a single one may swing on its own gain, a period off
-    if 2 * leads.len() <= moving {
+    if 2 * wrong.len() <= lags.len() {
         return;
     }
-    if let Some(&(name, lag_s, r)) = leads.iter().max_by(|a, b| a.2.total_cmp(&b.2)) {
-        let how = if lag_s < 0.0 { "before" } else { "after" };
+    if let Some(lag) = wrong.iter().max_by(|a, b| a.r.total_cmp(&b.r)) {
+        let how = if lag.s < 0.0 { "before" } else { "after" };
+        let detail = format!(
+            "moves {:.0} ms {how} its command (correlation {:.2}; {} joint(s)): commands and readings were stamped by different clocks or shifted",
+            1e3 * lag.s.abs(),
+            lag.r,
+            wrong.len()
+        );
         out.push(Finding::fatal(
             "stamps",
-            format!("pos.{name}"),
-            format!(
-                "moves {:.0} ms {how} its command (correlation {r:.2}; {} joint(s)): commands and readings were stamped by different clocks or shifted",
-                1e3 * lag_s.abs(),
-                leads.len()
-            ),
+            format!("pos.{}", lag.name),
+            detail,
         ));
     }
+}
+
+/// Joints that follow their commands later than the servos of the robot file do by what no delay accounts for.
+/// In smooth motions nobody can tell late readings from a slow servo, so that this is a note.
+fn slow(run: &Run<'_>, joints: &[Channels], lags: &[Lag<'_>], out: &mut Vec<Finding>) {
+    let over = |lag: &&Lag<'_>| {
+        let own = joints.iter().find(|j| j.name == lag.name);
+        lag.r > FITS && own.is_some_and(|j| lag.s > LONGEST_DEAD_S + servo_lag_s(run, j))
+    };
+    let slow: Vec<&Lag<'_>> = lags.iter().filter(over).collect();
+    if 2 * slow.len() <= lags.len() {
+        return;
+    }
+    let Some(lag) = slow.iter().max_by(|a, b| a.r.total_cmp(&b.r)) else {
+        return;
+    };
+    let detail = format!(
+        "follows its command {:.0} ms late ({} joint(s)): readings are late, or the servo is much slower than in the robot file. Steps from rest tell which",
+        1e3 * lag.s,
+        slow.len()
+    );
+    out.push(Finding::note("stamps", format!("pos.{}", lag.name), detail));
+}
+
+/// By how much a servo of the robot file follows a slow motion late, s: damping over gain.
+fn servo_lag_s(run: &Run<'_>, joint: &Channels) -> f64 {
+    let (servo, robot) = (run.robot.servo(joint.index), run.robot);
+    let (kp, kd) = run.log.meta.gains(&joint.name);
+    let kp = kp.unwrap_or(robot.kp_nm_per_rad(joint.index));
+    let kd = kd.unwrap_or(robot.kd_nm_s_per_rad(joint.index));
+    (kd + servo.kd_min_nm_s_per_rad + servo.damping_nm_s_per_rad) / kp.max(1e-6)
 }
