@@ -20,6 +20,7 @@ pub mod lane_params;
 pub mod log;
 pub mod play;
 pub mod policy;
+mod policy_average;
 mod policy_calls;
 pub mod policy_people;
 pub mod policy_sign;

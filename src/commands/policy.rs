@@ -12,7 +12,7 @@ use serde_json::json;
 
 use crate::commands::policy_calls::{ServerArgs, as_json};
 pub use crate::commands::policy_calls::{block_on, hex};
-use crate::commands::{policy_people, policy_sign};
+use crate::commands::{policy_average, policy_people, policy_sign};
 use crate::say;
 
 #[derive(Debug, Subcommand)]
@@ -46,6 +46,8 @@ pub enum PolicyCommand {
         #[arg(long)]
         json: bool,
     },
+    /// Average the last versions of a training: nearer to what it converges to than most of them
+    Average(policy_average::AverageArgs),
     /// Make a key that signs policies, and a trust file for robots
     Keygen(policy_sign::KeygenArgs),
     /// Sign the trust file that follows the one robots have: other keys, by root keys
@@ -83,6 +85,7 @@ pub fn run(command: &PolicyCommand) -> Result<(), Failure> {
             limit,
             json,
         } => list(server, *limit, *json),
+        PolicyCommand::Average(args) => policy_average::average(args),
         PolicyCommand::Keygen(args) => policy_sign::keygen(args),
         PolicyCommand::TrustNext(args) => policy_sign::trust_next(args),
         PolicyCommand::Release(args) => policy_sign::release(args),

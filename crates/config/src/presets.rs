@@ -43,7 +43,7 @@ pub const PRESETS: [Preset; 10] = [
     },
     Preset {
         name: "amphibious",
-        about: "a quarter of an hour on two cores, from the policy of flat: from land into water and back with one policy",
+        about: "six minutes on two cores, from the policy of flat: from land into water and back with one policy",
         robot: Some(POLYMANDER),
         derived: false,
         text: include_str!("../presets/amphibious.toml"),

@@ -269,6 +269,7 @@ mod tests {
             scenarios,
             referee: None,
             acceptance: Vec::new(),
+            animal: Vec::new(),
         }
     }
 

@@ -1,9 +1,10 @@
 //! What figures need to know of a robot's build: which parts mirror each other, what is trunk and what is
 //! tail. All of it comes from the robot's files.
 
+use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
-use caudata_model::RobotModel;
+use caudata_model::{Foot, Kinematics, Pose, RobotModel, Site};
 use caudata_task::{BodyPlan, Mirror, ObservationLayout, PerFoot, PerJoint};
 
 use crate::overlap::Shapes;
@@ -26,6 +27,13 @@ pub struct Anatomy {
     pub in_trunk: PerJoint<bool>,
     /// Which joints move a part that carries no foot and lies behind all feet.
     pub in_tail: PerJoint<bool>,
+    /// The hind and the fore foot of either side, for a robot with two girdles and two feet at each.
+    pub sides: Vec<[usize; 2]>,
+    /// Snout (the foremost point of its shapes) to vent (the hind girdle) in the nominal pose, along the
+    /// heading, m; 0 for a robot whose file names no girdles.
+    pub snout_vent_m: f64,
+    /// The hind girdle; `None` for a robot whose file names none.
+    pub pelvis: Option<Pelvis>,
     /// Shapes that must not meet.
     pub shapes: Shapes,
 }
@@ -50,7 +58,14 @@ impl Anatomy {
             let (low, high) = joint.range_rad.unwrap_or(unlimited);
             [low, high]
         };
+        let shapes = Shapes::of(model);
+        let build = Girdles::of(model);
         Self {
+            pelvis: Pelvis::of(model),
+            sides: build.as_ref().map_or_else(Vec::new, |b| b.sides(model)),
+            snout_vent_m: build.map_or(0.0, |b| {
+                shapes.foremost_m(&b.places, b.ahead) - b.along(b.hind_m)
+            }),
             nominal_rad: PerJoint::of(nominal),
             range_rad: PerJoint::from_fn(joints, range),
             counterpart: PerJoint::from_fn(joints, counterpart),
@@ -58,8 +73,106 @@ impl Anatomy {
             in_leg: plan.in_leg,
             in_trunk: plan.in_trunk,
             in_tail: plan.in_tail,
-            shapes: Shapes::of(model),
+            shapes,
         }
+    }
+}
+
+/// The hind girdle of a robot.
+#[derive(Clone, Debug)]
+pub struct Pelvis {
+    model: Arc<RobotModel>,
+    /// Its yaw off the heading in the nominal pose, rad.
+    nominal_rad: f64,
+}
+
+impl Pelvis {
+    fn of(model: &Arc<RobotModel>) -> Option<Self> {
+        model.heading_sites()?;
+        let mut pelvis = Self {
+            model: Arc::clone(model),
+            nominal_rad: 0.0,
+        };
+        let mut at = Kinematics::default();
+        pelvis.nominal_rad = pelvis.yaw_off_heading_rad(model.nominal_pos_rad(), &mut at);
+        Some(pelvis)
+    }
+
+    /// How far it is turned to the left of the line between the girdles at these positions of the actuated
+    /// joints (rad), and off how it is in the nominal pose, rad. `at` is room to work in.
+    pub(crate) fn yaw_off_heading_rad(&self, joint_pos_rad: &[f64], at: &mut Kinematics) -> f64 {
+        let Some((hind, front)) = self.model.heading_sites() else {
+            return 0.0;
+        };
+        let full = self.model.full_pos_rad(joint_pos_rad);
+        let placed = full.and_then(|q| self.model.kinematics_into(&Pose::IDENTITY, &q, at));
+        if placed.is_err() {
+            return 0.0;
+        }
+        let site = |s: &Site| at.links[s.link].point(s.link_from_site.pos_m);
+        let (from, to) = (site(hind), site(front));
+        let ahead = (to[1] - from[1]).atan2(to[0] - from[0]);
+        let link = &at.links[hind.link];
+        let (here, there) = (link.point([0.0; 3]), link.point([1.0, 0.0, 0.0]));
+        let yaw = (there[1] - here[1]).atan2(there[0] - here[0]);
+        (yaw - ahead - self.nominal_rad + PI).rem_euclid(TAU) - PI
+    }
+}
+
+/// The nominal pose, and where its girdles are in it.
+struct Girdles {
+    places: Kinematics,
+    hind_m: [f64; 3],
+    front_m: [f64; 3],
+    /// Unit vector from the hind to the front girdle, seen from above.
+    ahead: [f64; 2],
+}
+
+impl Girdles {
+    /// `None` for a robot whose file names none, or both in one place.
+    fn of(model: &RobotModel) -> Option<Self> {
+        let (hind, front) = model.heading_sites()?;
+        let pos = model.full_pos_rad(model.nominal_pos_rad()).ok()?;
+        let places = model.kinematics(&Pose::IDENTITY, &pos).ok()?;
+        let at = |site: &Site| places.links[site.link].point(site.link_from_site.pos_m);
+        let (hind_m, front_m) = (at(hind), at(front));
+        let way = [front_m[0] - hind_m[0], front_m[1] - hind_m[1]];
+        let length = way[0].hypot(way[1]);
+        (length > 1e-6).then(|| Self {
+            ahead: way.map(|w| w / length),
+            places,
+            hind_m,
+            front_m,
+        })
+    }
+
+    fn along(&self, at_m: [f64; 3]) -> f64 {
+        at_m[0] * self.ahead[0] + at_m[1] * self.ahead[1]
+    }
+
+    /// See [`Anatomy::sides`]. A foot belongs to the girdle that it is nearer to along the heading.
+    fn sides(&self, model: &RobotModel) -> Vec<[usize; 2]> {
+        let middle = 0.5 * (self.along(self.hind_m) + self.along(self.front_m));
+        let place = |foot: &Foot| self.places.links[foot.link].point(foot.centre_m);
+        let left = |at: [f64; 3]| {
+            let [x, y] = [0, 1].map(|i| at[i] - self.hind_m[i]);
+            self.ahead[0] * y - self.ahead[1] * x > 0.0
+        };
+        let feet: Vec<[f64; 3]> = model.feet().iter().map(place).collect();
+        let find = |is_left: bool, is_fore: bool| -> Vec<usize> {
+            let fits =
+                |&f: &usize| left(feet[f]) == is_left && (self.along(feet[f]) > middle) == is_fore;
+            (0..feet.len()).filter(fits).collect()
+        };
+        let side = |is_left| match (&find(is_left, false)[..], &find(is_left, true)[..]) {
+            (&[hind], &[fore]) => Some([hind, fore]),
+            _ => None,
+        };
+        let sides = [true, false].map(side);
+        sides
+            .into_iter()
+            .collect::<Option<Vec<_>>>()
+            .unwrap_or_default()
     }
 }
 
@@ -83,5 +196,11 @@ pub(crate) mod tests {
         assert_eq!(anatomy.counterpart[8], (10, 1.0));
         assert_eq!(anatomy.other_foot, [1, 0, 3, 2]);
         assert_eq!(anatomy.nominal_rad[9], 36.0_f64.to_radians());
+        assert_eq!(anatomy.sides, [[2, 0], [3, 1]]);
+        assert!(
+            (0.4..0.7).contains(&anatomy.snout_vent_m),
+            "{}",
+            anatomy.snout_vent_m
+        );
     }
 }

@@ -8,6 +8,8 @@ use caudata_policy::PolicyFile;
 use caudata_sim::EngineKind;
 
 use crate::acceptance::acceptance;
+use crate::anatomy::Anatomy;
+use crate::animal::animal;
 use crate::result::Referee;
 use crate::run::{Outcome, Settings, run_scenario};
 use crate::{EvaluationError, Scenario, ScenarioResult, Suite, SuiteResult, suite};
@@ -79,7 +81,11 @@ impl Evaluation<'_> {
             scenarios: outcomes.iter().map(|o| o.result.clone()).collect(),
             referee,
             acceptance: Vec::new(),
+            animal: Vec::new(),
         };
+        if self.suite == Suite::Animal {
+            result.animal = animal(&result.scenarios, &Anatomy::of(self.model));
+        }
         // the project's targets are for the robot and the speed of the paper
         let speed_mps = self.config.evaluation.command_mps as f32;
         if self.suite == Suite::Acceptance && speed_mps == suite::PAPER_COMMAND_MPS {

@@ -7,6 +7,7 @@ use crate::anatomy::Anatomy;
 use crate::envelope::Envelope;
 use crate::posture::Posture;
 use crate::spectrum::{Spectrum, Welch};
+use crate::stride::Stride;
 use crate::trace::{Frame, Trace};
 
 /// Standard gravity, m/s².
@@ -81,6 +82,8 @@ pub struct Gait {
     pub joint_accel_rms_radps2: f64,
     /// What an eye sees.
     pub posture: Posture,
+    /// How limbs and trunk go together; `None` for robots without two girdles.
+    pub stride: Option<Stride>,
 }
 
 impl Gait {
@@ -128,6 +131,13 @@ impl Gait {
             joint_speed_peak_radps: peak(frames, |f| &f.joint_vel_radps),
             joint_accel_rms_radps2: accel_rms(frames, trace.period_s),
             posture: Posture::of(frames, &duty_factor, &measure.anatomy),
+            stride: Stride::of(
+                frames,
+                stride_frames(trace),
+                &spectrum,
+                &measure.anatomy,
+                &|f, foot| on_ground(f, foot, measure) == 1,
+            ),
         })
     }
 }

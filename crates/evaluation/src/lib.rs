@@ -10,6 +10,7 @@
 
 mod acceptance;
 mod anatomy;
+mod animal;
 mod block;
 mod envelope;
 mod error;
@@ -24,6 +25,7 @@ mod result;
 mod run;
 mod scenario;
 mod spectrum;
+mod stride;
 mod suite;
 mod summary;
 mod trace;
@@ -31,6 +33,7 @@ mod transition;
 mod wave;
 
 pub use anatomy::Anatomy;
+pub use animal::{AnimalRow, score as animal_score};
 pub use envelope::Envelope;
 pub use error::EvaluationError;
 pub use estimate::Estimate;
@@ -42,6 +45,7 @@ pub use posture::{Posture, PostureResult};
 pub use result::{Referee, Row, ScenarioResult, SuiteResult};
 pub use run::{Outcome, Settings, conditions, run_scenario};
 pub use scenario::{Corner, Goal, Leg, Order, Scenario, Start};
+pub use stride::Stride;
 pub use suite::{Suite, flat_name};
 pub use summary::{Summary, SummaryError, summary_path};
 pub use trace::{Film, Frame, RobotPose, Trace, Track};

@@ -61,6 +61,24 @@ impl Shapes {
         shapes
     }
 
+    /// The foremost point of all shapes along the horizontal unit vector `ahead`, links placed as in `at`, m.
+    #[must_use]
+    pub fn foremost_m(&self, at: &Kinematics, ahead: [f64; 2]) -> f64 {
+        let reach = |capsule: &Capsule| {
+            let along = |end: [f64; 3]| {
+                let at_m = at.links[capsule.link].point(end);
+                at_m[0] * ahead[0] + at_m[1] * ahead[1]
+            };
+            capsule
+                .ends_m
+                .map(along)
+                .into_iter()
+                .fold(f64::MIN, f64::max)
+                + capsule.radius_m
+        };
+        self.capsules.iter().map(reach).fold(f64::MIN, f64::max)
+    }
+
     /// Depth of the deepest overlap at these positions of the actuated joints (rad), m; 0 where nothing
     /// meets. `at` is room to work in.
     #[must_use]

@@ -6,8 +6,10 @@ use std::collections::BTreeMap;
 use caudata_task::PerFoot;
 use serde::{Deserialize, Serialize};
 
+use crate::animal::AnimalRow;
 use crate::gait::Gait;
 use crate::posture::PostureResult;
+use crate::stride::Stride;
 use crate::transition::{Passage, TransitionResult};
 use crate::wave::{Wave, WaveResult};
 use crate::{Estimate, GateReport, Suite};
@@ -29,6 +31,9 @@ pub struct SuiteResult {
     pub referee: Option<Referee>,
     /// The project's targets, for the suite `acceptance`; else empty.
     pub acceptance: Vec<Row>,
+    /// Salamanders beside the robot, for the suite `animal`; else empty.
+    #[serde(default)]
+    pub animal: Vec<AnimalRow>,
 }
 
 impl SuiteResult {
@@ -137,6 +142,12 @@ pub struct ScenarioResult {
     pub gates: Option<GateReport>,
     /// The wave along the body; `None` where it hardly bends.
     pub wave: Option<WaveResult>,
+    /// How limbs and trunk go together; `None` for robots without two girdles.
+    #[serde(default)]
+    pub stride: Option<Stride>,
+    /// The least share of the commanded speed that any episode reached; 1 where none was commanded.
+    #[serde(default)]
+    pub speed_share_least: f64,
     /// Getting into the water or out of it; `None` where the scenario is not about that.
     pub transition: Option<TransitionResult>,
 }
@@ -203,6 +214,8 @@ impl ScenarioResult {
             posture: None,
             gates,
             wave: None,
+            stride: Stride::mean(gaits.iter().filter_map(|g| g.stride)),
+            speed_share_least: gaits.iter().map(|g| g.speed_share).fold(1.0, f64::min),
             transition: None,
         }
     }

@@ -58,6 +58,8 @@ pub enum Suite {
     Swim,
     /// One servo without torque, and one that does not turn; another in every episode.
     Servo,
+    /// Walks at speeds from 0.1 to 0.8 m/s and swimming, beside what is published of salamanders.
+    Animal,
     /// All that walks: every suite before `transition`.
     Paper,
     /// Everything that the project's table of targets asks about, transition included.
@@ -66,7 +68,7 @@ pub enum Suite {
 
 impl Suite {
     /// All suites, in the order of the declaration.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Flat,
         Self::Rough,
         Self::Omni,
@@ -75,6 +77,7 @@ impl Suite {
         Self::Transition,
         Self::Swim,
         Self::Servo,
+        Self::Animal,
         Self::Paper,
         Self::Acceptance,
     ];
@@ -91,6 +94,7 @@ impl Suite {
             Self::Transition => "transition",
             Self::Swim => "swim",
             Self::Servo => "servo",
+            Self::Animal => "animal",
             Self::Paper => "paper",
             Self::Acceptance => "acceptance",
         }
@@ -109,6 +113,12 @@ impl Suite {
             Self::Transition => transition(speed_mps),
             Self::Swim => swim(speed_mps),
             Self::Servo => servo(speed_mps),
+            Self::Animal => {
+                let mut all = flat(speed_mps);
+                all.retain(|s| s.judged && s.commands.iter().all(|c| c[0] > 0.0));
+                all.extend(swim(speed_mps).into_iter().filter(|s| s.name == SWIM));
+                all
+            }
             Self::Paper => [
                 Self::Flat,
                 Self::Rough,

@@ -200,6 +200,7 @@ mod tests {
             }],
             referee: None,
             acceptance: Vec::new(),
+            animal: Vec::new(),
         };
         Summary::of(&result, "cd".repeat(32), 1)
     }

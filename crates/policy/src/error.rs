@@ -187,6 +187,11 @@ pub enum PolicyError {
         /// The key.
         key: &'static str,
     },
+    /// Policies that have no mean.
+    #[error(
+        "only versions of one training, with one contract and one network, have a mean, and at least one must be left"
+    )]
+    NotOneTraining,
     /// The policy is for another robot.
     #[error("policy is for robot `{found}`, this is `{expected}`")]
     WrongRobot {

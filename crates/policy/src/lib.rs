@@ -8,6 +8,7 @@
 //! sandbox.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+mod average;
 mod error;
 mod file;
 mod inference;
@@ -18,6 +19,7 @@ mod runtime;
 #[cfg(test)]
 mod tests;
 
+pub use average::average;
 pub use error::PolicyError;
 pub use file::PolicyFile;
 pub use inference::Inference;

@@ -499,6 +499,7 @@ mod tests {
             scenarios: vec![crate::policies::tests::scenario(0.25, [0.02, 0.03, 0.1])],
             referee: None,
             acceptance: Vec::new(),
+            animal: Vec::new(),
         };
         let own = said(files::policy(&policy).unwrap().sha256_hex());
         files::write_json(&file, &own).unwrap();

@@ -1,6 +1,8 @@
 //! Evaluations as text for a person.
 
-use caudata_evaluation::{Estimate, Row, ScenarioResult, SuiteResult, TransitionResult};
+use caudata_evaluation::{
+    AnimalRow, Estimate, Row, ScenarioResult, SuiteResult, TransitionResult, animal_score,
+};
 
 use crate::say;
 
@@ -43,6 +45,13 @@ pub fn print_end(result: &SuiteResult) {
         let head = ["target", "owed", "aim", "measured", "", ""];
         say::table(&head, result.acceptance.iter().map(target));
     }
+    if let Some(score) = animal_score(&result.animal) {
+        let head = ["quantity", "salamander", "robot", "score", "source"];
+        say::table(&head, result.animal.iter().map(beside_the_animal));
+        say::line(format!(
+            "score {score:.2}: the mean of the quantities measured; 1 is a salamander"
+        ));
+    }
 }
 
 fn target(row: &Row) -> Vec<String> {
@@ -65,6 +74,23 @@ fn target(row: &Row) -> Vec<String> {
         measured,
         met.to_owned(),
         row.note.clone(),
+    ]
+}
+
+fn beside_the_animal(row: &AnimalRow) -> Vec<String> {
+    let unit = if row.unit == "1" { "" } else { &row.unit };
+    let [low, high] = row.animal;
+    let animal = match low == high {
+        true => format!("{low} {unit}"),
+        false => format!("{low} to {high} {unit}"),
+    };
+    let or_none = |x: Option<f64>| x.map_or_else(|| "–".to_owned(), |x| format!("{x:.2}"));
+    vec![
+        row.name.to_string(),
+        animal.trim_end().to_owned(),
+        or_none(row.robot),
+        or_none(row.score),
+        row.source.to_string(),
     ]
 }
 
@@ -114,6 +140,12 @@ fn body(r: &ScenarioResult) {
         100.0 * r.vibration_share.mean,
         100.0 * r.trunk_contact_share.mean
     ));
+    if r.gates.is_none() && r.speed_share_least < 1.0 {
+        let least = 100.0 * r.speed_share_least;
+        say::line(format!(
+            "  the slowest episode keeps {least:.0} % of the commanded speed"
+        ));
+    }
     if let Some(transition) = &r.transition {
         shore(transition);
     }

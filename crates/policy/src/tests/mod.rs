@@ -1,5 +1,6 @@
 //! Tests of the policy file as a whole, and the policies that they share.
 
+mod averaging;
 mod files;
 mod hostile;
 mod running;

@@ -108,6 +108,11 @@ caudata.tables = (page) => {
     section("Targets", "A figure of walking counts only where its gait gates are met.", table(["target", "owed", "aim", "measured", "", "note"], rows));
   }
 
+  if (result.animal.length) {
+    const rows = result.animal.map((r) => [r.name, r.animal[0] === r.animal[1] ? number(r.animal[0], 2) : `${number(r.animal[0], 2)} to ${number(r.animal[1], 2)}`, r.unit === "1" ? "" : r.unit, number(r.robot, 2), number(r.score, 2), el("td", { class: "text soft" }, r.source)]);
+    section("Beside a salamander", "Published kinematics of walking and swimming animals; score 1 within their range, else the smaller over the larger.", table(["quantity", "salamander", "", "here", "score", "source"], rows));
+  }
+
   const compared = page.paper.filter((row) => row.measured);
   if (compared.length) {
     const rows = compared.map(({ name, paper_mps, measured: m }) => [name, number(paper_mps, 2), caudata.estimate(m), `${number(m.mean / paper_mps, 2)} ×`, m.walks === null ? "" : mark(m.walks, "walks", "gates")]);
