@@ -15,7 +15,7 @@ ARGS ?=
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help setup build train test test-fast check lint doc deny advisories bench wheel dist install test-faults setup-arm test-arm fuzz siege soak mutants media lines clean tools
+.PHONY: help setup build train test test-fast check lint doc deny advisories bench wheel dist install test-faults setup-arm test-arm fuzz siege soak mutants media docs lines clean tools
 
 help: ## list the targets
 	@echo 'caudata: make <target> [ARGS="..."]'
@@ -99,6 +99,9 @@ advisories: tools ## known security advisories of the dependencies (fetches the 
 
 media: build ## draw the pictures of the README again
 	@$(ENV) python3 setup/media.py
+
+docs: ## build the documentation as a site that needs no network, into target/site
+	@python3 setup/site.py
 
 lines: ## count the product: lines of Rust without tests, generated code and doc comments
 	@python3 setup/lines.py

@@ -21,6 +21,8 @@ WHEELS = os.path.join(TARGET, "wheels")
 TOOLS = ("maturin==1.16.0", "wheel==0.45.1")
 # Readers of MCAP that are not ours.
 READERS = ("mcap==1.6.0", "mcap-ros2-support==0.6.0", "rosbags==0.11.9")
+# What runs the notebook.
+NOTEBOOK = ("nbclient==0.11.0", "ipykernel==7.4.0")
 # What the examples need beside the wheel: with CAUDATA_TEST_TRAINERS=1, since torch alone is gigabytes.
 TRAINERS = ("torch==2.11.0", "stable-baselines3==2.9.2", "rsl-rl-lib==5.5.1")
 
@@ -74,18 +76,20 @@ def carry(package: str) -> None:
     folder = os.path.join(package, "setup")
     os.mkdir(folder)
     for path in glob.glob(os.path.join(CHECKOUT, "setup", "*.py")):
-        if not os.path.basename(path).startswith(("test_", "wheel", "dist", "lines", "stage")):
+        if not os.path.basename(path).startswith(("test_", "wheel", "dist", "lines", "site", "stage")):
             shutil.copy(path, folder)
     os.rename(os.path.join(package, "_setup_main.py"), os.path.join(folder, "__main__.py"))
 
 
 def test(wheel: str) -> int:
     more = TRAINERS if os.environ.get("CAUDATA_TEST_TRAINERS") == "1" else ()
-    folder = environment("wheel-test", [wheel, *READERS, *more])
+    folder = environment("wheel-test", [wheel, *READERS, *NOTEBOOK, *more])
     # Neither the checkout nor what it provisioned is there for an installed package.
     clean = {name: value for name, value in os.environ.items() if name not in ("ORT_DYLIB_PATH", "PYTHONPATH")}
-    command = [os.path.join(folder, "bin", "python"), "-m", "unittest", "discover", "-s", "python/tests", "-b"]
-    return subprocess.run(command, cwd=CHECKOUT, env=clean).returncode
+    tests = os.path.join(CHECKOUT, "python", "tests")
+    command = [os.path.join(folder, "bin", "python"), "-m", "unittest", "discover", "-s", tests, "-b"]
+    # Nor do robots/ and policies/ of the checkout lie in the current folder of somebody who installed it.
+    return subprocess.run(command, cwd=folder, env=clean).returncode
 
 
 def environment(name: str, packages: Sequence[str]) -> str:

@@ -8,7 +8,7 @@ from ._diagnosis import Cause, Report, diagnose
 from ._environment import Env, VecEnv, make, make_vec
 from ._evaluation import Evaluation, evaluate
 from ._log import Log, read_log
-from ._policy import Policy
+from ._policy import Policy, write_policy
 from ._programs import ProgramError, run
 from ._signals import Signals
 
@@ -33,4 +33,5 @@ __all__ = [
     "robot_path",
     "robots",
     "run",
+    "write_policy",
 ]

@@ -72,6 +72,20 @@ class VecEnv(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
         self.action_space = batch(self.single_action_space, self.num_envs)
 
     @property
+    def configuration(self) -> str:
+        """Every setting in effect, as the TOML that ``--config`` and ``task=`` take."""
+        return self._core.configuration
+
+    @property
+    def task_observation_size(self) -> int:
+        """D of the task's own observation."""
+        return self._width
+
+    def policy_file(self, network: Dict[str, Any], origin: Dict[str, Any]) -> bytes:
+        """For :func:`caudata.write_policy`."""
+        return self._core.policy_file(network, origin)
+
+    @property
     def control_period_s(self) -> float:
         """Time between two actions, s."""
         return float(self.contract["control_period_s"])
@@ -156,7 +170,7 @@ class VecEnv(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
 
 def make_vec(
     robot: "str | os.PathLike[str] | None" = None,
-    task: "str | os.PathLike[str]" = "quick",
+    task: "str | os.PathLike[str] | None" = None,
     num_envs: int = 128,
     *,
     seed: int = 0,
@@ -171,7 +185,8 @@ def make_vec(
 
     :param robot: name of a robot of the package (:func:`caudata.robots`), or a ``*.robot.toml`` file; without one, the
         robot of the task.
-    :param task: name of a preset (:func:`caudata.presets`), or a TOML file of settings.
+    :param task: name of a preset (:func:`caudata.presets`), or a TOML file of settings; without one, the preset that
+        is made for the robot, else ``walk``, which works for any.
     :param threads: processor threads that step the lanes; results do not depend on it.
     :param settings: single settings by their key, for instance ``{"task.episode_steps": 500}``;
         ``caudata config show`` lists them.
@@ -181,7 +196,7 @@ def make_vec(
     :param copy: with ``False`` every step writes into the same arrays instead of new ones.
     """
     signals = signals or reward is not None or observation is not None
-    named = str(task) in presets()
+    named = task is not None and str(task) in presets()
     overrides = ["%s=%s" % (key, _toml(value)) for key, value in (settings or {}).items()]
     core = Environments(
         num_envs,
@@ -190,7 +205,7 @@ def make_vec(
         home=HOME,
         robot=None if robot is None else robot_path(robot),
         preset=str(task) if named else None,
-        file=None if named else os.fspath(task),
+        file=None if named or task is None else os.fspath(task),
         overrides=overrides,
         signals=signals,
     )
@@ -232,7 +247,7 @@ class Env(gymnasium.Env[Array, Array]):
 
 def make(
     robot: "str | os.PathLike[str] | None" = None,
-    task: "str | os.PathLike[str]" = "quick",
+    task: "str | os.PathLike[str] | None" = None,
     **options: Any,
 ) -> Env:
     """One environment; the options are those of :func:`make_vec`."""

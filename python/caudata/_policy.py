@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 from pathlib import Path
-from typing import Any, Dict
+from typing import Any, Dict, Optional, Sequence, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,3 +56,56 @@ class Policy:
                 "%s was made for another task: %s differ; make the environments with the preset that it was trained with"
                 % (self.path.name, ", ".join(differing))
             )
+
+
+def write_policy(
+    path: "str | os.PathLike[str]",
+    envs: VecEnv,
+    layers: Sequence[Tuple[Array, Array]],
+    *,
+    activation: str,
+    obs_mean: Optional[Array] = None,
+    obs_std: Optional[Array] = None,
+    obs_clip: Optional[float] = None,
+    log_std: Optional[Array] = None,
+    env_steps: int = 0,
+    seed: int = 0,
+    run_id: str = "python",
+) -> Path:
+    """Writes a policy that was trained in Python as a file that every program takes: evaluation, page, server, robot.
+
+    It computes ``layers(clip((obs - obs_mean) / obs_std))``. The settings of the environments go into ``config.toml``
+    beside it, where the programs look for them. :func:`caudata.sb3.write_policy` and
+    :func:`caudata.rsl_rl.write_policy` take all of it from a trained model.
+
+    :param envs: the environments that it was trained in, with the task's own observation.
+    :param layers: weight ``[out, in]`` and bias ``[out]`` of each layer, as PyTorch keeps them.
+    :param activation: between the layers: ``elu``, ``swish``, ``tanh`` or ``relu``.
+    :param obs_mean: ``[D]``; with ``obs_std`` ``[D]`` the normaliser; without them there is none.
+    :param obs_clip: where normalised observations are cut off.
+    :param log_std: ``[A]``, natural logarithm of the exploration's standard deviation; 0 where it is not said.
+    """
+    width, actions = envs.task_observation_size, envs.single_action_space.shape[0]  # type: ignore[index]
+    if envs.single_observation_space.shape != (width,):
+        raise ValueError("a policy file computes the task's observation; these environments have another one")
+
+    def numbers(values: Any) -> Any:
+        return np.asarray(values, np.float32).tolist()
+
+    network = {
+        "obs_mean": numbers(np.zeros(width) if obs_mean is None else obs_mean),
+        "obs_std": numbers(np.ones(width) if obs_std is None else obs_std),
+        "obs_clip": obs_clip,
+        "activation": activation,
+        "layers": [(numbers(weight), numbers(bias)) for weight, bias in layers],
+        "log_std": numbers(np.zeros(actions) if log_std is None else log_std),
+    }
+    try:
+        data = envs.policy_file(network, {"run_id": run_id, "env_steps": int(env_steps), "seed": int(seed)})
+    except TypeError as wrong:  # pyo3 says which field; the cause says why
+        raise ValueError(str(wrong.__cause__ or wrong)) from None
+    out = Path(path)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_bytes(data)
+    out.with_name("config.toml").write_text(envs.configuration, encoding="utf-8")
+    return out

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any, List, Optional, Sequence
+import os
+from pathlib import Path
+from typing import Any, Dict, List, Optional, Sequence
 
 import numpy as np
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv as Base
+from stable_baselines3.common.vec_env import VecNormalize, unwrap_vec_wrapper
 
+from . import _policy
 from ._environment import VecEnv
+from ._torch import activation, dense
+
 
 
 class SB3VecEnv(Base):
@@ -54,3 +61,33 @@ class SB3VecEnv(Base):
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> Sequence[bool]:
         return [False] * len(list(self._get_indices(indices)))
+
+
+def write_policy(path: "str | os.PathLike[str]", model: OnPolicyAlgorithm, run_id: str = "sb3") -> Path:
+    """Writes the policy of PPO or A2C with ``MlpPolicy`` as :func:`caudata.write_policy` does, its ``VecNormalize`` too.
+
+    The model's environments are to be those that it was trained in.
+    """
+    base = model.get_env()
+    envs = None if base is None else base.unwrapped
+    if not isinstance(envs, SB3VecEnv):
+        raise ValueError("the model has no environments of caudata: set_env(SB3VecEnv(envs)) gives it some")
+    policy = model.policy
+    modules = [*policy.mlp_extractor.policy_net, policy.action_net]
+    normaliser: Dict[str, Any] = {}
+    wrapper = unwrap_vec_wrapper(base, VecNormalize)
+    if wrapper is not None and wrapper.norm_obs:
+        seen = wrapper.obs_rms
+        std = np.sqrt(seen.var + wrapper.epsilon)
+        normaliser = {"obs_mean": seen.mean, "obs_std": std, "obs_clip": float(wrapper.clip_obs)}
+    return _policy.write_policy(
+        path,
+        envs.envs,
+        dense(modules),
+        activation=activation(modules),
+        log_std=policy.log_std.detach().cpu().numpy(),
+        env_steps=model.num_timesteps,
+        seed=model.seed or 0,
+        run_id=run_id,
+        **normaliser,
+    )

@@ -119,7 +119,7 @@ def train(options: argparse.Namespace) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robot")
-    parser.add_argument("--task", default="quick")
+    parser.add_argument("--task", help="without one, the preset made for the robot")
     parser.add_argument("--num-envs", type=int, default=128)
     parser.add_argument("--num-steps", type=int, default=48)
     parser.add_argument("--iterations", type=int, default=1000)

@@ -1,10 +1,11 @@
-"""PPO of rsl_rl on the environments of caudata."""
+"""PPO of rsl_rl on the environments of caudata, up to a policy file that every program takes."""
 
 import argparse
-import tempfile
+from pathlib import Path
 
 import caudata
-from caudata.rsl_rl import RslRlVecEnv
+import torch
+from caudata.rsl_rl import RslRlVecEnv, write_policy
 from rsl_rl.runners import OnPolicyRunner
 
 
@@ -44,16 +45,20 @@ CONFIGURATION = {
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robot")
-    parser.add_argument("--task", default="quick")
+    parser.add_argument("--task", help="without one, the preset made for the robot")
     parser.add_argument("--num-envs", type=int, default=128)
     parser.add_argument("--iterations", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", help="folder for checkpoints and curves")
+    parser.add_argument("--out", type=Path, default=Path("runs/rsl_rl"), help="folder for policy and curves")
     options = parser.parse_args()
+    # Networks this small are slower on several threads.
+    torch.set_num_threads(1)
     envs = caudata.make_vec(options.robot, options.task, options.num_envs, seed=options.seed)
-    runner = OnPolicyRunner(RslRlVecEnv(envs), CONFIGURATION, options.out or tempfile.mkdtemp(), "cpu")
+    learned = RslRlVecEnv(envs)
+    runner = OnPolicyRunner(learned, CONFIGURATION, str(options.out), "cpu")
     runner.learn(options.iterations)
-    print("rsl_rl: %d environment steps" % (options.iterations * 48 * options.num_envs))
+    policy = write_policy(options.out / "policy.onnx", runner)
+    print("rsl_rl: %d environment steps, %s" % (learned.steps, policy))
 
 
 if __name__ == "__main__":

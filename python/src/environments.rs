@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use caudata_config::{Config, Source};
+use caudata_config::{Config, Source, robot_assignment, set_home};
 use caudata_env::{EpisodeStats, StepOutput, VecEnv};
 use caudata_model::RobotModel;
 use caudata_task::reward::TERMS;
@@ -11,8 +11,9 @@ use numpy::{PyArray1, PyArray2, PyReadonlyArray2, PyReadwriteArray1, PyReadwrite
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
-use pyo3::types::PyDict;
+use pyo3::types::{PyBytes, PyDict};
 
+use crate::policy::{Network, Origin, policy_file};
 use crate::refused;
 use crate::signals::Signals;
 
@@ -52,8 +53,8 @@ impl Environments {
 #[pymethods]
 impl Environments {
     /// Environments as a preset, a TOML file and overrides (`key=value`) describe them, later ones winning;
-    /// on another robot than theirs where one is given. A robot's relative path is also looked for below
-    /// `home`.
+    /// on another robot than theirs where one is given. With neither preset nor file it is the preset made for
+    /// the robot. Robots and policies by a relative path are also looked for below `home`.
     #[new]
     #[pyo3(signature = (lanes, seed, threads, home, robot=None, preset=None, file=None, overrides=Vec::new(),
         signals=false))]
@@ -69,20 +70,21 @@ impl Environments {
         overrides: Vec<String>,
         signals: bool,
     ) -> PyResult<Self> {
-        let source = Source {
+        set_home(&home);
+        let mut source = Source {
             preset,
             file,
             overrides,
-        };
-        let source = source
-            .set(format!("actors.lanes={lanes}"))
-            .set(format!("actors.threads={threads}"));
+        }
+        .set(format!("actors.lanes={lanes}"))
+        .set(format!("actors.threads={threads}"));
+        // A preset may follow from the robot, so that it has to be known before the preset is read.
+        source
+            .overrides
+            .extend(robot.as_deref().map(robot_assignment));
+        source.or_preset("quick");
         let config = Config::load(&source).map_err(refused)?;
-        let robot = robot.unwrap_or_else(|| match config.robot_path() {
-            found if found.is_file() => found,
-            _ => home.join(&config.robot),
-        });
-        let model = Arc::new(RobotModel::load(&robot).map_err(refused)?);
+        let model = Arc::new(RobotModel::load(&config.robot_path()).map_err(refused)?);
         let env = build(&config, &model, seed)?;
         Ok(Self {
             signals: signals.then(|| Signals::new(py, &env)),
@@ -103,6 +105,24 @@ impl Environments {
     #[getter]
     fn contract(&self, py: Python<'_>) -> PyResult<String> {
         serde_json::to_string(self.lock(py).contract()).map_err(refused)
+    }
+
+    /// The whole configuration in effect, as TOML.
+    #[getter]
+    fn configuration(&self) -> PyResult<String> {
+        self.config.to_toml().map_err(refused)
+    }
+
+    /// A policy for these environments as the bytes of an ONNX file: `network` is what it computes.
+    fn policy_file<'py>(
+        &self,
+        py: Python<'py>,
+        network: Network,
+        origin: Origin,
+    ) -> PyResult<Bound<'py, PyBytes>> {
+        let contract = self.lock(py).contract().clone();
+        let bytes = policy_file(contract, self.config.hash_hex(), network, origin);
+        Ok(PyBytes::new(py, &bytes.map_err(refused)?))
     }
 
     /// Hash of the contract, 64 hex digits.

@@ -6,6 +6,7 @@
 
 mod environments;
 mod log;
+mod policy;
 mod signals;
 
 use std::error::Error;

@@ -127,6 +127,21 @@ class Environments(unittest.TestCase):
         self.assertFalse((observations[:, -1] == rewards).any())
         self.assertLess(np.abs(observations[:, -1] - start).max(), 0.05)
 
+    def test_the_task_follows_from_the_robot(self):
+        cases = [
+            # robot, task, joints, name of the run, forward speed that it is judged at
+            (None, None, 16, "quick", 0.3),
+            ("quadruped", None, 12, "quadruped", 0.6),
+            (None, "biped", 14, "biped", 0.15),
+            # `walk` is worked out from the robot that is given
+            ("hexapod", "walk", 18, "hexapod", 0.085),
+        ]
+        for robot, task, joints, name, speed_mps in cases:
+            envs = caudata.make_vec(robot, task, 2)
+            self.assertEqual(envs.single_action_space.shape, (joints,))
+            self.assertIn('name = "%s"' % name, envs.configuration)
+            self.assertIn("\ncommand_mps = %s" % speed_mps, envs.configuration)
+
     def test_what_is_wrong_is_said_in_one_line(self):
         cases = [
             (lambda: caudata.make_vec("unicorn"), FileNotFoundError, "unicorn"),

@@ -75,6 +75,52 @@ class Package(unittest.TestCase):
             speeds.append(envs.signals.com_vel_mps[:, 0].mean())
         self.assertAlmostEqual(float(np.mean(speeds[100:])), 0.3, delta=0.06)
 
+    def test_a_policy_of_ones_own_goes_into_every_program(self):
+        envs = caudata.make_vec("quadruped", num_envs=4, seed=1)
+        sizes, random = (envs.single_observation_space.shape[0], 6, 12), np.random.default_rng(2)
+        layers = [
+            (random.normal(0, 0.1, (out, size)).astype(np.float32), np.full(out, 0.01, np.float32))
+            for size, out in zip(sizes, sizes[1:])
+        ]
+        mean, std = random.normal(0, 1, sizes[0]), random.uniform(0.5, 2, sizes[0])
+        observations = envs.reset()[0]
+        with tempfile.TemporaryDirectory() as folder:
+            path = caudata.write_policy(
+                os.path.join(folder, "mine", "policy.onnx"), envs, layers,
+                activation="tanh", obs_mean=mean, obs_std=std, obs_clip=2.0, env_steps=7,
+            )  # fmt: skip
+            policy = caudata.Policy(path)
+            policy.check(envs)
+            self.assertEqual(policy.metadata["env_steps"], 7)
+            scaled = np.clip((observations - mean) / std, -2, 2)
+            hidden = np.tanh(scaled @ layers[0][0].T + 0.01)
+            np.testing.assert_allclose(policy(observations), hidden @ layers[1][0].T + 0.01, atol=1e-5)
+            # The task is found beside the file.
+            self.assertFalse(caudata.evaluate(path, episodes=1, seconds=4).walks)
+            with self.assertRaisesRegex(ValueError, "gelu"):
+                caudata.write_policy(path, envs, layers, activation="gelu")
+            with self.assertRaisesRegex(ValueError, "layer inputs"):
+                caudata.write_policy(path, envs, layers[1:], activation="elu")
+
+    def test_the_benchmark_measures(self):
+        from caudata import bench
+
+        rates = bench.measure(8, 0.2)
+        self.assertLessEqual({"caudata", "caudata in Rust"}, set(rates))
+        self.assertTrue(all(rate > 10 for rate in rates.values()), rates)
+
+    @needs("nbclient", "ipykernel")
+    def test_the_notebook_runs(self):
+        import nbclient
+        import nbformat
+
+        with tempfile.TemporaryDirectory() as folder:
+            notebook = nbformat.read(EXAMPLES / "tour.ipynb", as_version=4)
+            nbclient.NotebookClient(notebook, timeout=300, resources={"metadata": {"path": folder}}).execute()
+        printed = "".join(out.get("text", "") for cell in notebook.cells for out in cell.get("outputs", []))
+        for said in ("m/s walks: True", "viscous_friction"):
+            self.assertIn(said, printed)
+
     def test_a_policy_for_another_task_is_refused(self):
         with self.assertRaisesRegex(ValueError, "observation"):
             caudata.Policy("amphibious").check(caudata.make_vec("polymander", "flat", 1))
@@ -144,11 +190,50 @@ class Package(unittest.TestCase):
         from stable_baselines3.common.env_checker import check_env
 
         check_env(caudata.make("polymander", "quick"), skip_render_check=True)
-        example("sb3_ppo.py", "--num-envs", "16", "--n-steps", "8", "--steps", "256")
+        with tempfile.TemporaryDirectory() as folder:
+            small = ["--num-envs", "16", "--n-steps", "8", "--steps", "256"]
+            example("sb3_ppo.py", "--robot", "quadruped", "--out", folder, *small)
+            self.assertEqual(caudata.Policy(os.path.join(folder, "policy.onnx")).metadata["env_steps"], 256)
+
+    @needs("stable_baselines3")
+    def test_a_policy_of_stable_baselines3_computes_the_same(self):
+        from caudata.sb3 import SB3VecEnv, write_policy
+        from stable_baselines3 import PPO
+        from stable_baselines3.common.vec_env import VecNormalize
+
+        envs = VecNormalize(SB3VecEnv(caudata.make_vec("quadruped", num_envs=4)))
+        model = PPO("MlpPolicy", envs, n_steps=8, batch_size=32, device="cpu")
+        model.learn(64)
+        observations = envs.reset()
+        with tempfile.TemporaryDirectory() as folder:
+            policy = caudata.Policy(write_policy(os.path.join(folder, "policy.onnx"), model))
+            actions = policy(envs.get_original_obs())
+        mean = model.policy.get_distribution(model.policy.obs_to_tensor(observations)[0]).distribution.mean
+        np.testing.assert_allclose(actions, mean.detach().numpy(), atol=1e-5)
 
     @needs("rsl_rl")
     def test_ppo_of_rsl_rl(self):
-        example("rsl_rl_ppo.py", "--num-envs", "16", "--iterations", "2")
+        with tempfile.TemporaryDirectory() as folder:
+            example("rsl_rl_ppo.py", "--robot", "quadruped", "--num-envs", "16", "--iterations", "2", "--out", folder)
+            self.assertEqual(caudata.Policy(os.path.join(folder, "policy.onnx")).metadata["env_steps"], 2 * 48 * 16)
+
+    @needs("rsl_rl")
+    def test_a_policy_of_rsl_rl_computes_the_same(self):
+        from caudata.rsl_rl import RslRlVecEnv, write_policy
+        from rsl_rl.runners import OnPolicyRunner
+
+        sys.path.insert(0, str(EXAMPLES))
+        self.addCleanup(sys.path.remove, str(EXAMPLES))
+        from rsl_rl_ppo import CONFIGURATION
+
+        envs = RslRlVecEnv(caudata.make_vec("quadruped", num_envs=4))
+        with tempfile.TemporaryDirectory() as folder:
+            runner = OnPolicyRunner(envs, CONFIGURATION, folder, "cpu")
+            runner.learn(1)
+            policy = caudata.Policy(write_policy(os.path.join(folder, "policy.onnx"), runner))
+        observations = envs.get_observations()
+        want = runner.get_inference_policy()(observations).detach().numpy()
+        np.testing.assert_allclose(policy(observations["policy"].numpy()), want, atol=1e-5)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use caudata_gap::import::{ImportError, bam, csv};
+use caudata_gap::import::{ImportError, bam, csv, draft};
 use caudata_runlog::LogError;
 use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure};
@@ -17,13 +17,16 @@ pub struct ImportArgs {
     #[arg(long, value_enum)]
     format: Format,
     /// For CSV: which column is which signal, in which unit (TOML)
-    #[arg(long, value_name = "MAP.toml", required_if_eq("format", "csv"))]
+    #[arg(long, value_name = "MAP.toml")]
     map: Option<PathBuf>,
+    /// For CSV: guess a map from the first file, write it here, and stop; to be checked, then given as --map
+    #[arg(long, value_name = "MAP.toml", conflicts_with = "map")]
+    draft_map: Option<PathBuf>,
     /// Robot file of what was recorded
     #[arg(long, value_name = "R.robot.toml")]
     robot: PathBuf,
     /// Folder in which a log folder is made for each recording
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", default_value = "logs")]
     out: PathBuf,
     /// The recordings; of CSV also folders of several files that share a clock
     #[arg(value_name = "FILE", required = true)]
@@ -43,6 +46,21 @@ enum Format {
 
 pub fn run(args: &ImportArgs) -> Result<(), Failure> {
     let robot = files::robot(&args.robot)?;
+    if let (Some(path), Some(file)) = (&args.draft_map, args.files.first()) {
+        files::write(path, draft::map(file, &robot).map_err(failure)?)?;
+        let path = path.display();
+        say::line(format!(
+            "{path} is a guess: check it, then give it as --map {path}"
+        ));
+        return Ok(());
+    }
+    if args.format == Format::Csv && args.map.is_none() {
+        return Err(Failure::message(
+            ExitCode::BadConfig,
+            "--format csv needs a map of columns and units: --map MAP.toml",
+        )
+        .hint("--draft-map MAP.toml instead guesses one"));
+    }
     let mut folders = Vec::new();
     let mut notes = Vec::new();
     let map = match &args.map {

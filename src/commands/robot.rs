@@ -1,12 +1,12 @@
 //! `caudata robot`: what a robot file says.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use caudata_config::{Config, ConfigArgs};
-use caudata_model::RobotModel;
 use caudata_model::import::{self, ImportError, ImportOptions};
-use caudata_sim::{EngineConfig, TerrainConfig};
+use caudata_model::{BaseKind, RobotModel};
+use caudata_sim::{Engine, EngineConfig, InitialState, SimError, TerrainConfig};
 use caudata_task::{PolicyContract, TaskConfig};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Subcommand;
@@ -44,7 +44,7 @@ pub struct ImportArgs {
     #[arg(value_name = "FILE.xml|FILE.urdf")]
     file: PathBuf,
     /// Folder for NAME.robot.toml and NAME.xml
-    #[arg(long, value_name = "DIR", default_value = ".")]
+    #[arg(long, value_name = "DIR", default_value = "robots")]
     out: PathBuf,
     /// Name of the robot [default: the file's own]
     #[arg(long, value_name = "NAME")]
@@ -67,9 +67,9 @@ pub fn run(command: &RobotCommand) -> Result<(), Failure> {
     match command {
         RobotCommand::Check { file, json } => {
             let model = load(file)?;
-            check(&model)
+            let cannot_stand = check(&model)
                 .map_err(|failure| failure.context(format!("robot file {}", file.display())))?;
-            say::either(*json, &Summary::of(&model), |summary| {
+            say::either(*json, &Summary::of(&model, cannot_stand), |summary| {
                 print(&model, summary)
             })
         }
@@ -85,16 +85,70 @@ pub fn run(command: &RobotCommand) -> Result<(), Failure> {
     }
 }
 
-/// What training asks of a robot beyond that its files are right.
-fn check(model: &RobotModel) -> Result<(), Failure> {
+/// What training asks of a robot beyond that its files are right; why it does not stand, if it does not.
+fn check(model: &RobotModel) -> Result<Option<String>, Failure> {
     caudata_sim::check_extension(model).or_exit(ExitCode::BadInput)?;
-    let (engine, terrain) = (EngineConfig::default(), TerrainConfig::default());
+    let (config, terrain) = (EngineConfig::default(), TerrainConfig::default());
     let robot = Arc::new(model.clone());
-    caudata_sim::build(robot, 1, &engine, &terrain, 0, 1).or_exit(ExitCode::BadInput)?;
+    let mut engine =
+        caudata_sim::build(robot, 1, &config, &terrain, 0, 1).or_exit(ExitCode::BadInput)?;
     let contract = PolicyContract::new(model, &TaskConfig::default());
     contract.or_exit(ExitCode::BadInput)?;
-    Ok(())
+    if model.feet().is_empty() || model.base() != BaseKind::Free {
+        return Ok(None);
+    }
+    stand(model, engine.as_mut()).or_exit(ExitCode::BadInput)
 }
+
+/// Holds the nominal pose on flat ground for a while; what is wrong with how the robot stands then.
+fn stand(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, SimError> {
+    engine.reset(0, &InitialState::nominal(model))?;
+    let pose = model.nominal_pos_rad();
+    let targets: Vec<f32> = pose.iter().map(|&angle| angle as f32).collect();
+    let periods = (STANDING_S / engine.config().control_period_s()).round() as u64;
+    for _ in 0..periods {
+        engine.step(&targets, &[0.0; 6])?;
+    }
+    let state = engine.state();
+    let stops = model.joint_limits_rad().iter().zip(pose);
+    let at_stop = stops
+        .zip(model.actuated_names())
+        .find(|(((low, high), angle), _)| (*angle - low).min(high - *angle) < AT_STOP_RAD);
+    let weight_n = model.total_mass_kg() * STANDARD_GRAVITY_MPS2;
+    let lies = f64::from(state.trunk_force_n[0]) / weight_n;
+    let off_rad = (pose.iter().zip(&state.joint_pos_rad))
+        .map(|(&wanted, &is)| (wanted - f64::from(is)).abs());
+    let worst = (model.actuated_names().into_iter().zip(off_rad))
+        .max_by(|a, b| a.1.total_cmp(&b.1))
+        .filter(|(_, off_rad)| *off_rad > SAG_MAX_RAD);
+    let [w, x, y, z] = std::array::from_fn(|i| f64::from(state.base_quat_wxyz[i]));
+    let up = w * w - x * x - y * y + z * z;
+    Ok(if up < 0.5 {
+        Some("it falls over".to_owned())
+    } else if let Some((joint, off_rad)) = worst {
+        let off_deg = off_rad.to_degrees();
+        Some(format!("`{joint}` ends {off_deg:.0}° off its nominal pose"))
+    } else if let Some((_, joint)) = at_stop {
+        Some(format!("`{joint}` is at its end stop"))
+    } else if lies > LYING_MAX {
+        let percent = 100.0 * lies;
+        Some(format!(
+            "{percent:.0} % of its weight lies on trunk or legs"
+        ))
+    } else {
+        None
+    })
+}
+
+/// How long a robot has to stand, s.
+const STANDING_S: f64 = 1.0;
+const STANDARD_GRAVITY_MPS2: f64 = 9.81;
+/// How far a servo may give way under the weight, rad: 15°.
+const SAG_MAX_RAD: f64 = 0.26;
+/// Nearer to its limit a joint has no room to move, rad: 1°.
+const AT_STOP_RAD: f64 = 0.017;
+/// How much of the weight may lie on anything but feet and tail.
+const LYING_MAX: f64 = 0.05;
 
 fn import(args: &ImportArgs) -> Result<(), Failure> {
     let options = ImportOptions {
@@ -118,19 +172,37 @@ fn import(args: &ImportArgs) -> Result<(), Failure> {
     let files = [
         (format!("{}.xml", made.name), &made.mjcf),
         (format!("{}.robot.toml", made.name), &made.robot_toml),
-    ];
-    for (name, text) in files {
-        let path = args.out.join(name);
-        if path.exists() && !args.force {
-            let why = format!("{} is there already", path.display());
-            return Err(Failure::message(ExitCode::BadInput, why).hint("--force overwrites it"));
-        }
+    ]
+    .map(|(name, text)| (args.out.join(name), text));
+    for (path, _) in &files {
+        not_there(path, args)?;
+    }
+    std::fs::create_dir_all(&args.out).or_exit_with(ExitCode::IoError, || {
+        format!("cannot make the folder {}", args.out.display())
+    })?;
+    for (path, text) in files {
         std::fs::write(&path, text).or_exit_with(ExitCode::IoError, || {
             format!("cannot write {}", path.display())
         })?;
         say::line(format!("wrote {}", path.display()));
     }
     Ok(())
+}
+
+/// Refuses to overwrite a file; the one that is imported even with `--force`.
+fn not_there(path: &Path, args: &ImportArgs) -> Result<(), Failure> {
+    let Ok(there) = path.canonicalize() else {
+        return Ok(());
+    };
+    let (what, hint) = if args.file.canonicalize().is_ok_and(|source| source == there) {
+        ("is the file to import", "--out takes another folder")
+    } else if args.force {
+        return Ok(());
+    } else {
+        ("is there already", "--force overwrites it")
+    };
+    let why = format!("{} {what}", path.display());
+    Err(Failure::message(ExitCode::BadInput, why).hint(hint))
 }
 
 /// Reads a robot file; the failure says whether it is missing or wrong.
@@ -167,10 +239,12 @@ struct Summary<'a> {
     imu: Option<&'a str>,
     /// Why it cannot be trained to walk; `None` where it can.
     cannot_walk: Option<String>,
+    /// Why it does not stand in its nominal pose for a second; `None` where it does, or has no feet.
+    cannot_stand: Option<String>,
 }
 
 impl<'a> Summary<'a> {
-    fn of(model: &'a RobotModel) -> Self {
+    fn of(model: &'a RobotModel, cannot_stand: Option<String>) -> Self {
         Self {
             name: model.name(),
             hash: model.hash_hex(),
@@ -191,6 +265,7 @@ impl<'a> Summary<'a> {
             cannot_walk: caudata_config::can_walk(model)
                 .err()
                 .map(|error| error.to_string()),
+            cannot_stand,
         }
     }
 }
@@ -215,6 +290,11 @@ fn print(model: &RobotModel, summary: &Summary<'_>) {
     say::line(format!("hash {}", summary.hash));
     if let Some(why) = &summary.cannot_walk {
         say::line(format!("no preset trains it: {why}"));
+    }
+    if let Some(why) = &summary.cannot_stand {
+        say::line(format!(
+            "it does not stand: {why}; other angles in [pose.nominal_rad] or larger gains in [control] may help"
+        ));
     }
     let row = |(index, name): (usize, &&str)| {
         let (lower, upper) = model.joint_limits_rad()[index];

@@ -4,6 +4,11 @@ use std::path::{Path, PathBuf};
 
 use crate::{Config, ConfigError, Source};
 
+/// The override that names a robot file.
+pub fn robot_assignment(path: &Path) -> String {
+    format!("robot={}", toml::Value::from(path.display().to_string()))
+}
+
 /// Flags that choose a configuration. Later ones win: preset, file, overrides.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct ConfigArgs {
@@ -30,9 +35,7 @@ impl ConfigArgs {
 
     /// As if `--set robot=FILE` were given last, where there is a file.
     pub fn set_robot(&mut self, robot: Option<&Path>) {
-        let quoted = |path: &Path| toml::Value::from(path.display().to_string()).to_string();
-        let assignment = robot.map(|path| format!("robot={}", quoted(path)));
-        self.overrides.extend(assignment);
+        self.overrides.extend(robot.map(robot_assignment));
     }
 
     /// Reads and checks the configuration that the flags describe.

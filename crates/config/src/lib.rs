@@ -19,13 +19,14 @@ mod sections;
 mod validate;
 
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 use caudata_sim::{EngineConfig, TerrainConfig};
 use caudata_task::TaskConfig;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-pub use args::ConfigArgs;
+pub use args::{ConfigArgs, robot_assignment};
 pub use derive::can_walk;
 pub use error::ConfigError;
 pub use layers::Source;
@@ -152,18 +153,29 @@ impl Config {
     }
 }
 
+/// Where files that came with the program are, in a process whose executable does not lie beside them.
+static HOME: OnceLock<PathBuf> = OnceLock::new();
+
+/// Makes [`shipped`] look below `home` instead of above this executable, for a library that another program
+/// loads. Only the first call counts.
+pub fn set_home(home: &Path) {
+    let _ = HOME.set(home.to_owned());
+}
+
 /// A file that came with the program (`robots/…`, `policies/…`): a relative path is looked for in the current
 /// directory and then in the folders above this executable. What is not found stays as it is.
 pub fn shipped(path: &Path) -> PathBuf {
-    find_upwards(path, std::env::current_exe().ok().as_deref())
+    match HOME.get() {
+        Some(home) => find_upwards(path, home),
+        None => find_upwards(path, &std::env::current_exe().unwrap_or_default()),
+    }
 }
 
-fn find_upwards(path: &Path, exe: Option<&Path>) -> PathBuf {
+fn find_upwards(path: &Path, from: &Path) -> PathBuf {
     if path.is_absolute() || path.exists() {
         return path.to_owned();
     }
-    exe.into_iter()
-        .flat_map(Path::ancestors)
+    from.ancestors()
         .map(|folder| folder.join(path))
         .find(|candidate| candidate.exists())
         .unwrap_or_else(|| path.to_owned())

@@ -192,6 +192,8 @@ fn refused(error: GapError, stop: &StopFlag) -> Failure {
     Failure::new(code, error)
 }
 
+const OTHER_RECORDINGS: &str = "`caudata gap import` makes log folders from other recordings";
+
 /// The log folders that were named: each is one, or holds some (a folder of repeats).
 ///
 /// # Errors
@@ -204,6 +206,10 @@ pub fn log_folders(given: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
             out.push(dir.clone());
             continue;
         }
+        if dir.is_file() {
+            let message = format!("log {}: is a file, and a log is a folder", dir.display());
+            return Err(Failure::message(ExitCode::BadInput, message).hint(OTHER_RECORDINGS));
+        }
         let entries = std::fs::read_dir(dir).map_err(|e| {
             Failure::new(ExitCode::of_io(&e, false), e).context(format!("log {}", dir.display()))
         })?;
@@ -215,8 +221,7 @@ pub fn log_folders(given: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
         if inside.is_empty() {
             let dir = dir.display();
             let message = format!("{dir} is no log folder and holds none (log.csv and log.toml)");
-            return Err(Failure::message(ExitCode::NoInput, message)
-                .hint("`caudata gap import` makes log folders from other recordings"));
+            return Err(Failure::message(ExitCode::NoInput, message).hint(OTHER_RECORDINGS));
         }
         out.extend(inside);
     }
@@ -228,6 +233,7 @@ pub fn log_folders(given: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
 /// # Errors
 /// When one cannot be read.
 pub fn robot_files(path: &Path) -> Result<(Vec<u8>, String, Vec<u8>), Failure> {
+    let path = &caudata_config::shipped(path);
     let robot_toml = files::read(path)?;
     let mjcf_name = caudata_gap::mjcf_name(&String::from_utf8_lossy(&robot_toml))
         .or_exit(ExitCode::BadInput)?;

@@ -108,7 +108,7 @@ const UNITS: &[(&str, f64)] = &[
 ];
 
 /// Size of a unit; `counts/4096` is a turn of 4096 counts.
-fn unit(text: &str) -> Result<f64, String> {
+pub(super) fn unit(text: &str) -> Result<f64, String> {
     if let Some(n) = text.strip_prefix("counts/") {
         let n: f64 = n
             .parse()
@@ -249,24 +249,27 @@ fn rows(mut samples: Vec<(f64, usize, f64)>, width: usize) -> Vec<(f64, Vec<Opti
 }
 
 /// A CSV file as text.
-struct Table<'a> {
-    file: &'a str,
-    header: Vec<String>,
+pub(super) struct Table<'a> {
+    pub(super) file: &'a str,
+    pub(super) header: Vec<String>,
+    /// Whether `0,5` is a half: where semicolons or tabs part the fields.
+    decimal_comma: bool,
     /// Line number and fields.
     rows: Vec<(usize, Vec<String>)>,
 }
 
 impl<'a> Table<'a> {
-    fn parse(file: &'a str, text: &str) -> Result<Self, ImportError> {
+    pub(super) fn parse(file: &'a str, text: &str) -> Result<Self, ImportError> {
         let mut lines = text.lines().enumerate();
-        let header = lines
-            .next()
-            .map(|(_, l)| fields(l.trim_start_matches('\u{feff}')));
+        let header = lines.next().map_or("", |(_, l)| l);
+        let header = header.trim_start_matches('\u{feff}');
+        let separator = separator(header);
         let table = Self {
             file,
-            header: header.unwrap_or_default(),
+            decimal_comma: separator != ',',
+            header: fields(header, separator),
             rows: (lines.filter(|(_, l)| !l.trim().is_empty()))
-                .map(|(n, l)| (n + 1, fields(l)))
+                .map(|(n, l)| (n + 1, fields(l, separator)))
                 .collect(),
         };
         match table.rows.is_empty() {
@@ -275,7 +278,7 @@ impl<'a> Table<'a> {
         }
     }
 
-    fn wrong(&self, message: String) -> ImportError {
+    pub(super) fn wrong(&self, message: String) -> ImportError {
         ImportError::Format {
             file: self.file.to_owned(),
             message,
@@ -283,13 +286,13 @@ impl<'a> Table<'a> {
     }
 
     /// A column in SI; an empty field was not sampled.
-    fn values(
+    pub(super) fn values(
         &self,
         column: &str,
         item: Option<usize>,
         unit: f64,
     ) -> Result<Vec<Option<f64>>, ImportError> {
-        let at = self.header.iter().position(|h| h.trim() == column);
+        let at = self.header.iter().position(|h| h.trim() == column.trim());
         let at = at.ok_or_else(|| {
             self.wrong(format!(
                 "has no column `{column}`; it has {}",
@@ -311,7 +314,11 @@ impl<'a> Table<'a> {
             if text.is_empty() {
                 return Ok(None);
             }
-            let x: f64 = text.parse().map_err(|_| {
+            let x = match self.decimal_comma {
+                true => text.replace(',', ".").parse(),
+                false => text.parse::<f64>(),
+            };
+            let x = x.map_err(|_| {
                 self.wrong(format!("line {line}: `{column}`: `{text}` is no number"))
             })?;
             Ok(x.is_finite().then_some(x * unit))
@@ -320,8 +327,15 @@ impl<'a> Table<'a> {
     }
 }
 
-/// Fields of a line, parted by commas; a field in quotes may hold commas, and a doubled quote is one.
-fn fields(line: &str) -> Vec<String> {
+/// What parts the fields of a file with this header: comma, semicolon or tab, whichever is there most.
+fn separator(header: &str) -> char {
+    let count = |c: &char| header.matches(*c).count();
+    let all = ['\t', ';', ','];
+    all.into_iter().max_by_key(count).unwrap_or(',')
+}
+
+/// Fields of a line; a field in quotes may hold separators, and a doubled quote is one.
+fn fields(line: &str, separator: char) -> Vec<String> {
     let (mut out, mut field, mut quoted) = (Vec::new(), String::new(), false);
     let mut letters = line.chars().peekable();
     while let Some(c) = letters.next() {
@@ -331,7 +345,7 @@ fn fields(line: &str) -> Vec<String> {
                 field.push('"');
             }
             '"' => quoted = !quoted,
-            ',' if !quoted => out.push(std::mem::take(&mut field)),
+            c if c == separator && !quoted => out.push(std::mem::take(&mut field)),
             _ => field.push(c),
         }
     }

@@ -6,6 +6,7 @@
 
 pub mod bam;
 pub mod csv;
+pub mod draft;
 
 use std::path::{Path, PathBuf};
 

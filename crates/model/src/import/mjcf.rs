@@ -21,7 +21,10 @@ const PASSED_OVER: &[(&str, &str)] = &[
     ("statistic", "is for the eye"),
     ("size", "is MuJoCo's own"),
     ("custom", "is MuJoCo's own"),
-    ("sensor", "sensors are the robot file's business"),
+    (
+        "sensor",
+        "only where gyroscope and accelerometer sit is kept",
+    ),
     ("tendon", "tendons are not simulated"),
     (
         "equality",
@@ -73,6 +76,11 @@ pub(super) fn read(root: &Element, file: &Path, remarks: &mut Remarks) -> Option
     let tree = context.tree(root)?;
     context.body(&tree, None, Pose::IDENTITY, None, &mut robot);
     actuators::read(&mut context, root, &mut robot);
+    let sensors = root.all("sensor").flat_map(|sensor| &sensor.children);
+    robot.sensed = sensors
+        .filter(|e| ["gyro", "accelerometer"].contains(&e.tag.as_str()))
+        .filter_map(|e| e.get("site").map(str::to_owned))
+        .collect();
     let order = joint_order(&robot);
     home(&mut context, root, &order, &mut robot);
     Some(robot)
@@ -103,7 +111,7 @@ fn home(context: &mut Context<'_>, root: &Element, order: &[String], robot: &mut
     let base = if robot.free_base { 7 } else { 0 };
     if numbers.len() != base + order.len() {
         let message = format!(
-            "{}: has another number of positions; the nominal pose is 0",
+            "{}: has another number of positions and is not kept",
             key.label()
         );
         context.remarks.note(key, message);

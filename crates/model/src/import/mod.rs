@@ -80,9 +80,19 @@ pub fn import(file: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
     let stem = file.file_stem().map(|s| s.to_string_lossy().into_owned());
     let name = options.name.clone().or(robot.name.take()).or(stem);
     let name = plain(&name.unwrap_or_default());
+    if robot.home.is_empty() && robot.free_base {
+        let message = "no pose to stand in: the nominal pose is 0, or what a joint can do nearest to it; put angles \
+                       in which it stands into [pose.nominal_rad]";
+        remarks.note(&root, message);
+    }
     parts::finish(&mut robot, &root, &mut remarks);
     if !remarks.refusals.is_empty() {
         return Err(ImportError::Refused(remarks.refusals));
+    }
+    if robot.free_base && robot_toml::feet(&robot).is_empty() {
+        let message = "no foot: no shape at the end of a leg touches the ground (a mesh that is missing does not); \
+                       for a robot that walks give each a sphere";
+        remarks.note(&root, message);
     }
     let mjcf = write::mjcf(&name, &robot);
     let robot_toml = robot_toml::write(&name, file, &robot, &remarks.notes);

@@ -20,6 +20,8 @@ pub(super) struct Robot {
     pub excluded: Vec<[String; 2]>,
     /// Joint positions of a named pose.
     pub home: BTreeMap<String, f64>,
+    /// Sites that a gyroscope or an accelerometer sits at.
+    pub sensed: BTreeSet<String>,
     /// Bodies that became part of others, and of which.
     pub merged: BTreeMap<String, String>,
 }

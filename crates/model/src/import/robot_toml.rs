@@ -5,22 +5,22 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
-use super::parts::{Joint, Robot, nominal};
+use super::parts::{Actuator, Joint, Robot, nominal};
 use super::remark::Remark;
 use crate::pose::Pose;
 use crate::types::{JointMotion, Shape};
 
-/// Gains that are written where the MJCF commands torque: the loop rings at this many Hz with the joint's own
-/// drive, damped.
-const UNSAID_KP_NM_PER_RAD: f64 = 30.0;
-const UNSAID_KD_NM_S_PER_RAD: f64 = 1.0;
+/// Gains that are written where the MJCF commands torque: the whole torque at this error, as legged robots of
+/// 12 to 50 kg are run (Unitree, ANYmal), and this much damping for it.
+const UNSAID_ERROR_RAD: f64 = 0.7;
+const UNSAID_DAMPING_S: f64 = 0.025;
 /// Torque that is written where nothing limits it.
 const UNSAID_TORQUE_NM: f64 = 100.0;
 /// How much higher than the lowest a shape may end and still be a foot, m.
 const FOOT_LEVEL_M: f64 = 0.03;
 
 /// A shape that is taken for a foot.
-struct Foot {
+pub(super) struct Foot {
     name: String,
     geom: String,
     friction: f64,
@@ -100,16 +100,12 @@ fn joints(robot: &Robot) -> BTreeMap<&str, &Joint> {
 
 /// Gains and servo types, one type for all drives that are alike.
 fn drives(w: &mut String, robot: &Robot, driven: &[&Joint]) {
-    let gains: Vec<(f64, f64)> = robot
-        .actuators
-        .iter()
-        .map(|a| a.gains.unwrap_or(UNSAID))
-        .collect();
-    let common = gains.first().copied().unwrap_or(UNSAID);
+    let gains: Vec<(f64, f64)> = robot.actuators.iter().map(gains_of).collect();
+    let common = gains.first().copied().unwrap_or_default();
     let source = if robot.actuators.iter().all(|a| a.gains.is_some()) {
         "[mjcf]"
     } else {
-        "[ours] where it commands torque"
+        "[ours] from the torque, where it commands torque"
     };
     let _ = writeln!(
         w,
@@ -153,13 +149,23 @@ fn drives(w: &mut String, robot: &Robot, driven: &[&Joint]) {
     }
 }
 
-const UNSAID: (f64, f64) = (UNSAID_KP_NM_PER_RAD, UNSAID_KD_NM_S_PER_RAD);
+fn gains_of(drive: &Actuator) -> (f64, f64) {
+    drive.gains.unwrap_or_else(|| {
+        let torque_nm = drive.force_limit.unwrap_or(UNSAID_TORQUE_NM);
+        // two digits: it is a guess
+        let two = |x: f64| format!("{x:.1e}").parse().unwrap_or(x);
+        let kp = two(torque_nm / UNSAID_ERROR_RAD);
+        (kp, two(kp * UNSAID_DAMPING_S))
+    })
+}
 
 fn frames(w: &mut String, robot: &Robot) {
     let root = &robot.bodies[0];
     let _ = writeln!(w, "\n[frames]\ntorso = {}", quoted(&root.name));
     let sites = || robot.bodies.iter().flat_map(|b| &b.sites);
-    let imu = sites().find(|(name, _)| name.to_lowercase().contains("imu"));
+    let measured = |(name, _): &&(String, Pose)| robot.sensed.contains(name);
+    let called = |(name, _): &&(String, Pose)| name.to_lowercase().contains("imu");
+    let imu = sites().find(measured).or_else(|| sites().find(called));
     if let Some((name, _)) = imu {
         let _ = writeln!(
             w,
@@ -195,7 +201,7 @@ fn passive(w: &mut String, robot: &Robot, joints: &BTreeMap<&str, &Joint>) {
 
 /// The lowest shape of each chain that ends on the ground in the nominal pose; none for a robot that lies on
 /// its root link there.
-fn feet(robot: &Robot) -> Vec<Foot> {
+pub(super) fn feet(robot: &Robot) -> Vec<Foot> {
     if !robot.free_base {
         return Vec::new();
     }

@@ -340,3 +340,27 @@ fn a_robot_written_as_urdf_is_read_back_the_same() {
         }
     }
 }
+
+/// Motors that command torque, an IMU whose site is called otherwise, feet without names, no pose.
+#[test]
+fn what_a_file_does_not_say_is_worked_out_or_told() {
+    let text = LEG
+        .replace("site name=\"imu\"", "site name=\"mount_point\"")
+        .replace("geom name=\"toe\" ", "geom ")
+        .replace(
+            "<position name=\"drive\" class=\"hopper\" joint=\"knee\" forcerange=\"-8 8\"/>",
+            "<motor joint=\"knee\" ctrlrange=\"-7 7\" ctrllimited=\"true\"/>",
+        )
+        .replace(
+            "<keyframe><key name=\"home\" qpos=\"0 0 1 1 0 0 0 0.25\"/></keyframe>",
+            "<sensor><gyro site=\"mount_point\"/></sensor>",
+        );
+    let made = read("unsaid.xml", &text).unwrap();
+    let m = model(&made);
+    assert_eq!(m.imu_site().unwrap().link, 0);
+    assert_eq!(m.feet().len(), 1);
+    // 7 N·m at 0.7 rad, and a fortieth of it as damping
+    assert_eq!((m.kp_nm_per_rad(0), m.kd_nm_s_per_rad(0)), (10.0, 0.25));
+    let told = |word: &str| made.notes.iter().any(|n| n.to_string().contains(word));
+    assert!(told("[pose.nominal_rad]"), "{:?}", made.notes);
+}

@@ -87,6 +87,25 @@ fn bytes_below(folder: &Path) -> u64 {
         .sum()
 }
 
+#[test]
+fn images_go_to_the_registry_that_is_named() {
+    // an engine that says what it is asked for
+    let asked = output(
+        Command::new("sh")
+            .arg(repository().join("docker/images/build.sh"))
+            .args(["--push", "actor"])
+            .env("ENGINE", "echo")
+            .env("IMAGES", "registry.example.org/lab")
+            .env("TAG", "1"),
+    );
+    let last = asked.lines().last().unwrap();
+    assert_eq!(last, "push registry.example.org/lab/actor:1");
+    assert!(
+        asked.contains("-t registry.example.org/lab/build:1"),
+        "{asked}"
+    );
+}
+
 /// What needs no tools: every file that a Dockerfile or its scripts copy out of the repository is there, no
 /// image of a program runs as root, and each listens for SIGTERM.
 #[test]
