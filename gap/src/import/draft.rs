@@ -13,7 +13,7 @@ use super::csv::{Table, unit};
 
 /// Words that tell a kind of signal, the first that fits; a command is one of the words in [`COMMANDS`] with any
 /// of them or none.
-const KINDS: &[(&str, &[&str])] = &[
+const KIND_WORDS: &[(&str, &[&str])] = &[
     ("vel", &["vel", "velocity", "speed", "qd", "dq", "omega"]),
     ("cur", &["cur", "current", "currents", "amps", "i"]),
     ("tau", &["tau", "torque", "torques", "effort"]),
@@ -115,6 +115,7 @@ pub fn map(path: &Path, robot: &RobotModel) -> Result<String, ImportError> {
             .map_or_else(|| clock_unit(&numbers(&table, clock)), str::to_owned),
     );
     let mut offsets = vec![None; robot.actuated().len()];
+    let mut read: Vec<String> = Vec::new();
     for (at, words) in columns.iter().enumerate().filter(|(at, _)| *at != clock) {
         let values = numbers(&table, at);
         let Some(kind) = words.kind().filter(|_| !values.is_empty()) else {
@@ -135,6 +136,12 @@ pub fn map(path: &Path, robot: &RobotModel) -> Result<String, ImportError> {
             .map_or(kind.to_owned(), |joint| {
                 format!("{kind}.{}", robot.actuated_names()[joint])
             });
+        if read.contains(&name) {
+            let header = quoted(&table.header[at]);
+            let _ = writeln!(out, "\n# not read: {header}, as {name} is there already");
+            continue;
+        }
+        read.push(name.clone());
         let unit_name = words.unit.unwrap_or_else(|| unit_by_size(kind, &values));
         let _ = writeln!(
             out,
@@ -252,7 +259,10 @@ impl Words {
     }
 
     fn kind(&self) -> Option<&'static str> {
-        let kind = KINDS.iter().find(|(_, words)| self.has(words)).map(|k| k.0);
+        let kind = KIND_WORDS
+            .iter()
+            .find(|(_, words)| self.has(words))
+            .map(|k| k.0);
         match (self.has(COMMANDS), kind) {
             (true, None | Some("pos")) => Some("cmd"),
             // a commanded speed or torque is nothing that a log has
