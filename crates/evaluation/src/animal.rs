@@ -2,39 +2,17 @@
 //!
 //! A report, not a target: the robot has four joints where the animal has a spine.
 
-use std::borrow::Cow;
-
-use serde::{Deserialize, Serialize};
-
 use crate::anatomy::Anatomy;
-use crate::result::ScenarioResult;
+use crate::result::{AnimalRow, ScenarioResult};
 
 /// Speeds at which animals were filmed, snout-vent lengths per second.
 const WALK_PER_S: f64 = 0.63;
 const TROT_PER_S: f64 = 2.9;
 
-const TARICHA: &str = "Ashley-Ross, Lundin and Johnson 2009, J Exp Zool A 311:240 (Taricha)";
-const DICAMPTODON: &str = "Ashley-Ross 1994, J Exp Biol 193:255 (Dicamptodon)";
-const DICAMPTODON_SPEED: &str = "Ashley-Ross 1994, J Exp Biol 193:285 (Dicamptodon)";
-const AMBYSTOMA: &str = "Frolich and Biewener 1992, J Exp Biol 162:107 (Ambystoma)";
-
-/// One quantity of the animal and of the robot.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct AnimalRow {
-    /// What.
-    pub name: Cow<'static, str>,
-    /// Its unit; `1` for pure numbers.
-    pub unit: Cow<'static, str>,
-    /// The animal's, least and most.
-    pub animal: [f64; 2],
-    /// The robot's; `None` where it was not measured.
-    pub robot: Option<f64>,
-    /// 1 within the animal's range, else how many times it is the nearer end of it, or that of it; `None`
-    /// where nothing was measured.
-    pub score: Option<f64>,
-    /// Where the animal's figure is from.
-    pub source: Cow<'static, str>,
-}
+const NEWT: &str = "Ashley-Ross, Lundin and Johnson 2009, J Exp Zool A 311:240 (Taricha)";
+const GIANT_SALAMANDER: &str = "Ashley-Ross 1994, J Exp Biol 193:255 (Dicamptodon)";
+const GIANT_SALAMANDER_SPEED: &str = "Ashley-Ross 1994, J Exp Biol 193:285 (Dicamptodon)";
+const TIGER_SALAMANDER: &str = "Frolich and Biewener 1992, J Exp Biol 162:107 (Ambystoma)";
 
 fn row(
     name: &'static str,
@@ -97,49 +75,49 @@ pub fn animal(scenarios: &[ScenarioResult], anatomy: &Anatomy) -> Vec<AnimalRow>
             "1",
             [0.77, 0.77],
             walk.map(duty),
-            TARICHA,
+            NEWT,
         ),
         row(
             "… and its change per snout-vent length/s",
             "s",
             [-1.0, 0.0],
             slope,
-            DICAMPTODON_SPEED,
+            GIANT_SALAMANDER_SPEED,
         ),
         row(
             "fore foot after the hind foot of its side, strides",
             "1",
             [0.25, 0.5],
             stride.map(|s| s.limb_phase),
-            TARICHA,
+            NEWT,
         ),
         row(
             "trunk, from side to side",
             "°",
             [66.0, 66.0],
             degrees(stride.map(|s| s.trunk_rad)),
-            DICAMPTODON,
+            GIANT_SALAMANDER,
         ),
         row(
             "hind girdle, from side to side",
             "°",
             [30.0, 40.0],
             degrees(stride.map(|s| s.pelvis_rad)),
-            DICAMPTODON,
+            GIANT_SALAMANDER,
         ),
         row(
             "lag along the trunk on land: a standing wave",
             "°",
             [-45.0, 45.0],
             degrees(lag(walk)),
-            AMBYSTOMA,
+            TIGER_SALAMANDER,
         ),
         row(
             "lag along the trunk swimming: a travelling wave",
             "°",
             [45.0, 360.0],
             degrees(lag(swim)),
-            AMBYSTOMA,
+            TIGER_SALAMANDER,
         ),
     ]
 }

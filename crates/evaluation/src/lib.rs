@@ -33,7 +33,7 @@ mod transition;
 mod wave;
 
 pub use anatomy::Anatomy;
-pub use animal::{AnimalRow, score as animal_score};
+pub use animal::score as animal_score;
 pub use envelope::Envelope;
 pub use error::EvaluationError;
 pub use estimate::Estimate;
@@ -42,7 +42,7 @@ pub use gait::Gait;
 pub use gates::{Gate, GateReport, Limits, PostureLimits};
 pub use overlap::Shapes;
 pub use posture::{Posture, PostureResult};
-pub use result::{Referee, Row, ScenarioResult, SuiteResult};
+pub use result::{AnimalRow, Referee, Row, ScenarioResult, SuiteResult};
 pub use run::{Outcome, Settings, conditions, run_scenario};
 pub use scenario::{Corner, Goal, Leg, Order, Scenario, Start};
 pub use stride::Stride;

@@ -6,7 +6,6 @@ use std::collections::BTreeMap;
 use caudata_task::PerFoot;
 use serde::{Deserialize, Serialize};
 
-use crate::animal::AnimalRow;
 use crate::gait::Gait;
 use crate::posture::PostureResult;
 use crate::stride::Stride;
@@ -82,6 +81,24 @@ pub struct Row {
     pub aim_met: bool,
     /// Why not, where the figure alone does not say it.
     pub note: String,
+}
+
+/// One quantity of the animal and of the robot.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct AnimalRow {
+    /// What.
+    pub name: Cow<'static, str>,
+    /// Its unit; `1` for pure numbers.
+    pub unit: Cow<'static, str>,
+    /// The animal's, least and most.
+    pub animal: [f64; 2],
+    /// The robot's; `None` where it was not measured.
+    pub robot: Option<f64>,
+    /// 1 within the animal's range, else how many times it is the nearer end of it, or that of it; `None`
+    /// where nothing was measured.
+    pub score: Option<f64>,
+    /// Where the animal's figure is from.
+    pub source: Cow<'static, str>,
 }
 
 /// A policy in one scenario. Means are over episodes.

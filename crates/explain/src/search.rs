@@ -97,7 +97,13 @@ impl Search<'_> {
     /// Whether it walks with these put right; `None` where there is no time to find out.
     fn helps(&mut self, put_right: &[&Suspect]) -> Result<Option<bool>, Failure> {
         let better = self.as_is + BETTER;
-        let trial = self.trial(put_right)?;
+        let trial = match self.trial(put_right) {
+            // what the learner refuses is no cure
+            Err(failure) if matches!(failure.code(), ExitCode::BadConfig | ExitCode::Internal) => {
+                return Ok(Some(false));
+            }
+            other => other?,
+        };
         Ok(trial.map(|behaviour| behaviour.walks() && behaviour.score >= better))
     }
 
@@ -137,8 +143,13 @@ impl Search<'_> {
             }
             needed.push(all[enough - 1]);
             among = enough - 1;
-            if among == 0 || self.helps(&needed.clone())? == Some(true) {
+            if among == 0 {
                 break;
+            }
+            match self.helps(&needed.clone())? {
+                Some(true) => break,
+                Some(false) => {}
+                None => return Ok(None),
             }
         }
         Ok(Some(needed))

@@ -40,7 +40,8 @@ impl Trainer {
     /// Trains a configuration into `folder` in one process; the policy, or nothing where time was up.
     ///
     /// # Errors
-    /// Where the learner cannot be started, fails, or a person asked to stop.
+    /// [`ExitCode::Internal`] where the learner refuses the configuration or fails, others where it cannot be
+    /// started or a person asked to stop.
     pub fn train(&self, config: &Config, folder: &Path) -> Result<Option<PathBuf>, Failure> {
         let mut config = config.clone();
         config.transport.kind = TransportKind::Inproc;
@@ -111,14 +112,14 @@ pub(crate) struct Start<'a> {
 }
 
 impl Start<'_> {
-    /// Trains with these suspects put right, in `folder`; the policy stays there. `None` where time was up, or the
-    /// suspects cannot be put right together.
+    /// Trains with these suspects put right, in `folder`; the policy stays there. `None` where time was up.
+    ///
+    /// # Errors
+    /// [`ExitCode::BadConfig`] where the suspects cannot be put right together, else as [`Trainer::train`].
     pub fn trial(&self, suspects: &[&Suspect], folder: &Path) -> Result<Option<Trial>, Failure> {
         let began = Instant::now();
         files::make_folder(folder)?;
-        let Ok(mut config) = apply(self.run, suspects, folder) else {
-            return Ok(None);
-        };
+        let mut config = apply(self.run, suspects, folder)?;
         config.run.seed = self.seed;
         let all = ENV_STEPS.div_ceil(config.actors.steps_per_iteration().max(1));
         config.run.iterations = all.clamp(ITERATIONS[0], ITERATIONS[1]);
