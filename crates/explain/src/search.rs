@@ -60,11 +60,11 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// Trains with these suspects put right; `None` where there is no time for it.
-    fn trial(&mut self, put_right: &[&Suspect]) -> Result<Option<Behaviour>, Failure> {
+    /// Trains with these suspects put right, so many times as long as usual; `None` where there is no time for it.
+    fn trial(&mut self, put_right: &[&Suspect], times: u64) -> Result<Option<Behaviour>, Failure> {
         let longest = self.trials.iter().map(|t| t.seconds).fold(0.0, f64::max);
         let left = self.trainer.until.saturating_duration_since(Instant::now());
-        if left.as_secs_f64() < ROOM * longest {
+        if left.as_secs_f64() < ROOM * times as f64 * longest {
             return Ok(None);
         }
         let what = match put_right {
@@ -80,6 +80,7 @@ impl Search<'_> {
             run: self.run,
             trainer: &self.trainer,
             seed: self.seed,
+            times,
             from: self.from.as_deref(),
         };
         let Some(trial) = start.trial(put_right, &folder)? else {
@@ -97,20 +98,26 @@ impl Search<'_> {
     /// Whether it walks with these put right; `None` where there is no time to find out.
     fn helps(&mut self, put_right: &[&Suspect]) -> Result<Option<bool>, Failure> {
         let better = self.as_is + BETTER;
-        let trial = match self.trial(put_right) {
+        let first = match self.trial(put_right, 1) {
             // what the learner refuses is no cure
             Err(failure) if matches!(failure.code(), ExitCode::BadConfig | ExitCode::Internal) => {
                 return Ok(Some(false));
             }
             other => other?,
         };
-        Ok(trial.map(|behaviour| behaviour.walks() && behaviour.score >= better))
+        match first {
+            None => Ok(None),
+            Some(behaviour) if behaviour.score < better => Ok(Some(false)),
+            Some(behaviour) if behaviour.walks() => Ok(Some(true)),
+            // much better than it was, and not there yet
+            Some(_) => Ok(self.trial(put_right, 2)?.map(|later| later.walks())),
+        }
     }
 
     /// Trains as it is, from another seed. Where that walks at first, once more from there with costs in full:
     /// what makes standing pay shows only when costs have grown. Whether it walks as it is.
     fn control(&mut self) -> Result<Option<bool>, Failure> {
-        let Some(first) = self.trial(&[])? else {
+        let Some(first) = self.trial(&[], 1)? else {
             return Ok(None);
         };
         self.as_is = first.score;
@@ -118,7 +125,7 @@ impl Search<'_> {
             return Ok(Some(false));
         }
         self.from = Some(self.folder.path().join("trial 0").join("policy.onnx"));
-        let Some(later) = self.trial(&[])? else {
+        let Some(later) = self.trial(&[], 1)? else {
             return Ok(None);
         };
         self.as_is = later.score;
@@ -152,6 +159,7 @@ impl Search<'_> {
                 None => return Ok(None),
             }
         }
+        needed.sort_by(|a, b| b.suspicion.total_cmp(&a.suspicion));
         Ok(Some(needed))
     }
 }

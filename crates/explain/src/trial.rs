@@ -107,6 +107,8 @@ pub(crate) struct Start<'a> {
     pub run: &'a Run,
     pub trainer: &'a Trainer,
     pub seed: u64,
+    /// How many times as long as usual.
+    pub times: u64,
     /// The policy that they begin with, and costs in full from the first step; `None`: from nothing, as the run.
     pub from: Option<&'a Path>,
 }
@@ -122,7 +124,7 @@ impl Start<'_> {
         let mut config = apply(self.run, suspects, folder)?;
         config.run.seed = self.seed;
         let all = ENV_STEPS.div_ceil(config.actors.steps_per_iteration().max(1));
-        config.run.iterations = all.clamp(ITERATIONS[0], ITERATIONS[1]);
+        config.run.iterations = self.times * all.clamp(ITERATIONS[0], ITERATIONS[1]);
         if let Some(policy) = self.from {
             config.learner.warm_start.policy = policy.to_owned();
             let reward = &mut config.task.reward;

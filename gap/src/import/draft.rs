@@ -304,7 +304,7 @@ mod tests {
         RobotModel::load(&Path::new(folder).join(format!("{name}.robot.toml"))).unwrap()
     }
 
-    /// Semicolons, decimal commas, a zero of its own, units in brackets: the draft reads it as it stands.
+    /// Semicolons, decimal commas, units in brackets: the draft reads it as it stands.
     #[test]
     fn a_draft_reads_the_file_that_it_was_made_from() {
         let dir = tempfile::tempdir().unwrap();
@@ -319,8 +319,8 @@ mod tests {
         let names: Vec<String> = run.signals.iter().map(ToString::to_string).collect();
         assert_eq!(names, ["cmd.swing", "pos.swing", "cur.swing", "volt"]);
         let deg = std::f64::consts::PI / 180.0;
-        // each begins at the nominal position, 0; half a degree and 31.5 mA later
-        let want = [0.005, 1.5 * deg, 0.5 * deg, 0.0315, 11.9];
+        // the joint turns that far, so that nothing is moved
+        let want = [0.005, 151.5 * deg, 150.5 * deg, 0.0315, 11.9];
         let (t, row) = &run.rows[1];
         let got = [Some(*t)].into_iter().chain(row.iter().copied());
         for (got, want) in got.zip(want) {
@@ -333,7 +333,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("dog.csv");
         let text = "timestamp,FL_hip_cmd,FL_hip_pos_deg,q_1,torque.HR_calf,cmd_vel_2,target_99\n\
-            1000000,0.1,5.0,2048,1.0,0,0\n1010000,0.1,5.0,2100,1.0,0,0\n";
+            1000000,0.1,205.0,2048,1.0,0,0\n1010000,0.1,205.0,2100,1.0,0,0\n";
         std::fs::write(&file, text).unwrap();
         let draft = map(&file, &robot("quadruped")).unwrap();
         for said in [
@@ -341,6 +341,7 @@ mod tests {
             "signal = \"cmd.FL_hip\"\ncolumn = \"FL_hip_cmd\"\nunit = \"rad\"",
             "signal = \"pos.FL_hip\"\ncolumn = \"FL_hip_pos_deg\"\nunit = \"deg\"",
             "signal = \"pos.FL_thigh\"\ncolumn = \"q_1\"\nunit = \"counts/4096\"",
+            "rad is outside of the joint's range",
             "signal = \"tau.HR_calf\"",
             "# not read: \"cmd_vel_2\"",
             "# not read: \"target_99\", as none",
