@@ -59,12 +59,18 @@ impl Anatomy {
             [low, high]
         };
         let shapes = Shapes::of(model);
-        let build = Girdles::of(model);
+        let pos = model.full_pos_rad(nominal);
+        let places = pos.and_then(|q| model.kinematics(&Pose::IDENTITY, &q));
+        let places = places.unwrap_or_default();
+        let girdles = Girdles::of(model, &places);
         Self {
-            pelvis: Pelvis::of(model),
-            sides: build.as_ref().map_or_else(Vec::new, |b| b.sides(model)),
-            snout_vent_m: build.map_or(0.0, |b| {
-                shapes.foremost_m(&b.places, b.ahead) - b.along(b.hind_m)
+            pelvis: girdles.as_ref().map(|g| Pelvis {
+                model: Arc::clone(model),
+                nominal_rad: g.pelvis_off_rad,
+            }),
+            sides: girdles.as_ref().map_or_else(Vec::new, |g| g.sides(model)),
+            snout_vent_m: girdles.map_or(0.0, |g| {
+                shapes.foremost_m(&places, g.ahead) - g.along(g.hind_m)
             }),
             nominal_rad: PerJoint::of(nominal),
             range_rad: PerJoint::from_fn(joints, range),
@@ -87,62 +93,45 @@ pub struct Pelvis {
 }
 
 impl Pelvis {
-    fn of(model: &Arc<RobotModel>) -> Option<Self> {
-        model.heading_sites()?;
-        let mut pelvis = Self {
-            model: Arc::clone(model),
-            nominal_rad: 0.0,
-        };
-        let mut at = Kinematics::default();
-        pelvis.nominal_rad = pelvis.yaw_off_heading_rad(model.nominal_pos_rad(), &mut at);
-        Some(pelvis)
-    }
-
     /// How far it is turned to the left of the line between the girdles at these positions of the actuated
     /// joints (rad), and off how it is in the nominal pose, rad. `at` is room to work in.
     pub(crate) fn yaw_off_heading_rad(&self, joint_pos_rad: &[f64], at: &mut Kinematics) -> f64 {
-        let Some((hind, front)) = self.model.heading_sites() else {
-            return 0.0;
-        };
         let full = self.model.full_pos_rad(joint_pos_rad);
         let placed = full.and_then(|q| self.model.kinematics_into(&Pose::IDENTITY, &q, at));
-        if placed.is_err() {
-            return 0.0;
-        }
-        let site = |s: &Site| at.links[s.link].point(s.link_from_site.pos_m);
-        let (from, to) = (site(hind), site(front));
-        let ahead = (to[1] - from[1]).atan2(to[0] - from[0]);
-        let link = &at.links[hind.link];
-        let (here, there) = (link.point([0.0; 3]), link.point([1.0, 0.0, 0.0]));
-        let yaw = (there[1] - here[1]).atan2(there[0] - here[0]);
-        (yaw - ahead - self.nominal_rad + PI).rem_euclid(TAU) - PI
+        let girdles = placed.ok().and_then(|()| Girdles::of(&self.model, at));
+        let off = girdles.map_or(0.0, |g| g.pelvis_off_rad) - self.nominal_rad;
+        (off + PI).rem_euclid(TAU) - PI
     }
 }
 
-/// The nominal pose, and where its girdles are in it.
-struct Girdles {
-    places: Kinematics,
+/// Where the girdles of a robot are whose links are placed.
+struct Girdles<'a> {
+    places: &'a Kinematics,
     hind_m: [f64; 3],
     front_m: [f64; 3],
     /// Unit vector from the hind to the front girdle, seen from above.
     ahead: [f64; 2],
+    /// Yaw of the hind girdle's link off that line, rad.
+    pelvis_off_rad: f64,
 }
 
-impl Girdles {
+impl<'a> Girdles<'a> {
     /// `None` for a robot whose file names none, or both in one place.
-    fn of(model: &RobotModel) -> Option<Self> {
+    fn of(model: &RobotModel, places: &'a Kinematics) -> Option<Self> {
         let (hind, front) = model.heading_sites()?;
-        let pos = model.full_pos_rad(model.nominal_pos_rad()).ok()?;
-        let places = model.kinematics(&Pose::IDENTITY, &pos).ok()?;
         let at = |site: &Site| places.links[site.link].point(site.link_from_site.pos_m);
         let (hind_m, front_m) = (at(hind), at(front));
         let way = [front_m[0] - hind_m[0], front_m[1] - hind_m[1]];
         let length = way[0].hypot(way[1]);
+        let link = &places.links[hind.link];
+        let (here, there) = (link.point([0.0; 3]), link.point([1.0, 0.0, 0.0]));
+        let yaw_rad = (there[1] - here[1]).atan2(there[0] - here[0]);
         (length > 1e-6).then(|| Self {
-            ahead: way.map(|w| w / length),
             places,
             hind_m,
             front_m,
+            ahead: way.map(|w| w / length),
+            pelvis_off_rad: yaw_rad - way[1].atan2(way[0]),
         })
     }
 

@@ -5,6 +5,13 @@
 use crate::anatomy::Anatomy;
 use crate::result::{AnimalRow, ScenarioResult};
 
+/// Least change of the duty factor with speed that counts as falling, s: the source gives no size, so any fall
+/// down to this is within the animal's range.
+const STEEPEST_S: f64 = -1.0;
+/// Where a standing wave ends and a travelling one begins, degrees along the trunk. The source says standing and
+/// travelling without a figure; an eighth of a cycle is ours.
+const STANDING_DEG: f64 = 45.0;
+
 /// Speeds at which animals were filmed, snout-vent lengths per second.
 const WALK_PER_S: f64 = 0.63;
 const TROT_PER_S: f64 = 2.9;
@@ -80,7 +87,7 @@ pub fn animal(scenarios: &[ScenarioResult], anatomy: &Anatomy) -> Vec<AnimalRow>
         row(
             "… and its change per snout-vent length/s",
             "s",
-            [-1.0, 0.0],
+            [STEEPEST_S, 0.0],
             slope,
             GIANT_SALAMANDER_SPEED,
         ),
@@ -108,14 +115,14 @@ pub fn animal(scenarios: &[ScenarioResult], anatomy: &Anatomy) -> Vec<AnimalRow>
         row(
             "lag along the trunk on land: a standing wave",
             "°",
-            [-45.0, 45.0],
+            [-STANDING_DEG, STANDING_DEG],
             degrees(lag(walk)),
             TIGER_SALAMANDER,
         ),
         row(
             "lag along the trunk swimming: a travelling wave",
             "°",
-            [45.0, 360.0],
+            [STANDING_DEG, 360.0],
             degrees(lag(swim)),
             TIGER_SALAMANDER,
         ),

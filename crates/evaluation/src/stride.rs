@@ -3,6 +3,7 @@
 use std::f64::consts::{PI, TAU};
 
 use caudata_model::Kinematics;
+use caudata_task::PerJoint;
 use rustfft::num_complex::Complex;
 use serde::{Deserialize, Serialize};
 
@@ -45,7 +46,8 @@ impl Stride {
                 .sum()
         };
         let yaws = unwrapped(frames.iter().map(|f| {
-            let pos: Vec<f64> = f.joint_pos_rad.iter().map(|&q| f64::from(q)).collect();
+            let joints = f.joint_pos_rad.len();
+            let pos = PerJoint::from_fn(joints, |j| f64::from(f.joint_pos_rad[j]));
             f64::from(f.heading_rad) + pelvis.yaw_off_heading_rad(&pos, &mut at)
         }));
         let trunk: Vec<f64> = frames.iter().map(bends).collect();
