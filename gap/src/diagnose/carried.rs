@@ -15,11 +15,8 @@ use crate::report::{Carried, Cause};
 
 /// What the model before names were sought must leave of the misfit that is left without what got no name.
 const SUPPORTED: f64 = 0.95;
-/// What a model that was built joint by joint must leave of the error of angles that the others leave, where
-/// they leave much …
+/// What a model that was built joint by joint must leave of the error of angles that the others leave.
 const BUILT: f64 = 0.95;
-/// … and where they do not.
-const BUILT_WELL: f64 = 0.8;
 
 /// The model of the extended file.
 pub struct Model {
@@ -43,10 +40,6 @@ pub fn choose(
     let supported = penalised(context, before) < SUPPORTED * penalised(context, named);
     let of_search = if supported { before } else { named };
     if let Some(built) = &tracking.built {
-        let most = match gates::worst(context, of_search) >= NOTHING_LEFT {
-            true => BUILT,
-            false => BUILT_WELL,
-        };
         let angles = Angles::of(context, &context.fit.data);
         let off = angles
             .residuals(std::slice::from_ref(&of_search.terms))?
@@ -56,7 +49,11 @@ pub fn choose(
             .map(|a| mean_abs(&off[a]))
             .collect();
         let mean_rad = own.iter().sum::<f64>() / own.len().max(1) as f64;
-        if built.cross_rad < most * mean_rad {
+        // a few causes that explain the runs are carried as they are, unless a standard model does better
+        let better = |m: &super::tracking::Model| m.cross_rad < mean_rad;
+        let wanted = gates::worst(context, of_search) >= NOTHING_LEFT
+            || tracking.standard.iter().any(better);
+        if wanted && built.cross_rad < BUILT * mean_rad {
             let mut variant = built.joints.variant();
             // what angles do not show they have nothing to say of
             let unseen =

@@ -42,6 +42,7 @@ mod signature;
 mod spread;
 mod state;
 mod tracking;
+mod unexplained;
 mod verdict;
 mod words;
 

@@ -1,11 +1,12 @@
 //! What cannot be reproduced: noise of each channel in each run, from repeats where there are some, else from
-//! counts and jitter.
+//! counts, jitter, and what the joint's own motion does not explain.
 
 use std::collections::BTreeMap;
 
 use caudata_model::RobotModel;
 use caudata_runlog::BaseHold;
 
+use super::unexplained::unexplained;
 use crate::replay::{Data, Piece};
 use crate::trial::{Channel, Kind, Trial};
 
@@ -86,12 +87,7 @@ impl Noise {
         let channel = &own.channels[piece.channel];
         let range = piece.range.clone();
         let values = &data.value[range.clone()];
-        let white = match piece.kind {
-            // read now and then in the middle of a bridge's pulse: rare and large
-            Kind::Voltage => spikes(values),
-            _ => jitter(values),
-        };
-        let floor = (quantum(model, channel) / 12.0_f64.sqrt()).max(white);
+        let floor = (quantum(model, channel) / 12.0_f64.sqrt()).max(white(piece.kind, values));
         let least = (self.white.entry((trial, piece.kind, piece.index))).or_insert(floor);
         *least = least.min(floor);
         let members: Vec<(f64, &Channel)> = (own.members.iter())
@@ -130,7 +126,13 @@ impl Noise {
             }
             self.repeated = true;
         }
-        let repeat = (sum / values.len().max(1) as f64).sqrt();
+        let time_s = &data.time_s[range.clone()];
+        // what the guess holds besides noise is what its law lacks: where repeats show the noise, none is made
+        let shown = |t: &Trial| t.members.len() > 1 && t.channel(piece.kind, piece.index).is_some();
+        let repeat = match members.len() > 1 || data.trials.iter().any(shown) {
+            true => (sum / values.len().max(1) as f64).sqrt(),
+            false => unexplained(own, piece.kind, piece.index, time_s, values),
+        };
         if members.len() > 1 && !values.is_empty() {
             let all = repeats.entry((trial, piece.kind, piece.index)).or_default();
             all.0 += sum;
@@ -268,6 +270,15 @@ fn smallest(kind: Kind) -> f64 {
         Kind::Gravity | Kind::BaseAttitude => 0.003,
         Kind::BasePosition | Kind::Foot => 1e-3,
         Kind::BaseVelocity => 0.01,
+    }
+}
+
+/// White noise of a channel.
+fn white(kind: Kind, y: &[f64]) -> f64 {
+    match kind {
+        // read now and then in the middle of a bridge's pulse: rare and large
+        Kind::Voltage => spikes(y),
+        _ => jitter(y),
     }
 }
 

@@ -17,7 +17,7 @@ use super::doubt::sizes;
 use super::joints::{Angles, Joints, mean_abs, place_of, scale, weights};
 use super::product::dot;
 use super::request::{Progress, Stage};
-use super::state::Context;
+use super::state::{Context, builds_up};
 use crate::effects::{self, Domain, Effect};
 use crate::error::GapError;
 use crate::replay::{Term, Variant};
@@ -304,10 +304,9 @@ fn ranked(
             && pool.is_none_or(|p| p[a].contains(effect.id))
     };
     let mut plan: Vec<(&'static Effect, usize)> = Vec::new();
-    let of_joints = context
-        .effects
-        .iter()
-        .filter(|e| e.domain == Domain::Joints);
+    // what builds up over a session says nothing of the next one
+    let of_joints =
+        (context.effects.iter()).filter(|e| e.domain == Domain::Joints && !builds_up(e));
     for &effect in of_joints {
         if (0..joints).any(|a| may(effect, a)) {
             plan.extend((0..effect.grid.len()).map(|k| (effect, k)));

@@ -7,7 +7,7 @@ use caudata_model::RobotModel;
 use super::alike::{indistinguishable, wider};
 use super::carried::Model;
 use super::divergence::divergence;
-use super::doubt::{Doubts, meet};
+use super::doubt::{Doubts, meet, sizes};
 use super::extend::extended;
 use super::floors::floors;
 use super::levels::NOTHING_LEFT;
@@ -25,7 +25,7 @@ use crate::error::GapError;
 use crate::extension::Extension;
 use crate::plots::Plots;
 use crate::replay::Term;
-use crate::report::{Cause, Compute, Gain, LocalGap, Rejected, Report, RunUse, Verdict};
+use crate::report::{Cause, Compute, Gain, LocalGap, Parameter, Rejected, Report, RunUse, Verdict};
 
 /// Nobody is surer than the benchmark's own error rate. Of the names that nothing spoke against and no
 /// look-alike came near (set `pr`, laws outside the catalogue included) at least 112 of 126 were right with
@@ -325,11 +325,7 @@ fn cause(
         false => beside(context, best, named.index, &open, spread)?,
     };
     let parameters = parameters(context, best, named.index, spread, &wider);
-    // what wants to be larger than it can plausibly be stands in for something else
-    let trust = match parameters.values().any(|p| p.at_bound) {
-        true => trust.min(TRUST_IN_PART),
-        false => trust,
-    };
+    let trust = trust.min(trust_in(context, term, &parameters, open.is_empty()));
     Ok(Cause {
         effect: term.effect.id.to_owned(),
         layer: term.effect.layer.name().to_owned(),
@@ -341,6 +337,29 @@ fn cause(
         evidence: evidence(context, term, named),
         rejected,
     })
+}
+
+/// How far a name is to be trusted by what it would come to. `alone`: nothing else of its answer set may be there
+/// beside it, and make its interval as wide as it is.
+fn trust_in(
+    context: &Context,
+    term: &Term,
+    parameters: &BTreeMap<String, Parameter>,
+    alone: bool,
+) -> f64 {
+    let neutral = (term.effect).neutral(context.replayer.model(), &term.place);
+    let may_be_nothing = |p: usize| {
+        let of = &parameters[term.effect.parameters[p].name];
+        (of.ci_low..=of.ci_high).contains(&neutral[p])
+    };
+    if alone && sizes(term.effect).all(may_be_nothing) {
+        return TRUST_DENIED;
+    }
+    // what wants to be larger than it can plausibly be stands in for something else
+    match parameters.values().any(|p| p.at_bound) {
+        true => TRUST_IN_PART,
+        false => TRUST,
+    }
 }
 
 /// Whether two places of one effect are alike and have nothing in common: one hinge and another one, not one

@@ -35,9 +35,10 @@ pub static COMMAND_DELAY: Effect = Effect {
     ..OF_TIMING
 };
 
+/// Below zero readings are newer than their stamp: the loop takes the time, sends its commands, and reads.
 pub static MEASUREMENT_DELAY: Effect = Effect {
     id: "measurement_delay",
-    parameters: &[parameter("delay_s", "s", 0.0, (0.0, 0.1), 0.002, One)],
+    parameters: &[parameter("delay_s", "s", 0.0, (-0.02, 0.1), 0.002, One)],
     grid: &one(&DELAYS_S),
     apply: |plant, _, v| plant.sensing.measurement_delay_s += v[0] as f32,
     look_alikes: "command_delay command_low_pass clock_drift",

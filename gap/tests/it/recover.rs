@@ -314,6 +314,69 @@ fn where_a_stand_is_says_nothing_about_the_robot() {
     assert_eq!(diagnosis.report.gain, without.report.gain);
 }
 
+/// What is left of a held-out angle, mean absolute error, rad.
+fn extended_rad(d: &Diagnosis) -> f64 {
+    d.report.position_errors.last().unwrap().mean_rad
+}
+
+#[test]
+fn a_speed_and_a_torque_that_wander_spoil_nothing() {
+    let mut clean = request(0, &|p| p.joint_friction_nm[0] += 0.05);
+    clean.options.only = [
+        "coulomb_friction",
+        "kp_error",
+        "velocity_lag",
+        "torque_constant",
+    ]
+    .map(str::to_owned)
+    .to_vec();
+    // without repeats, which would show it
+    clean.runs.retain(|run| run.name.ends_with("_0"));
+    let mut without = clean.clone();
+    for run in &mut without.runs {
+        let signals: Vec<Signal> = (run.log.table.signals().iter())
+            .filter(|s| !matches!(s, Signal::Velocity(_) | Signal::Torque(_)))
+            .cloned()
+            .collect();
+        let table = run.log.table.clone();
+        run.log = common::rebuilt(&run.log, &signals, |k, t| {
+            let kept = table.signals().iter().zip(table.row(k).unwrap());
+            let kept = kept.filter(|(s, _)| signals.contains(s));
+            (t, kept.map(|(_, v)| v).collect())
+        });
+    }
+    let mut bad = clean;
+    for (number, run) in bad.runs.iter_mut().enumerate() {
+        // 0.5 rad/s and 0.1 N·m over 60 ms: next to nothing from row to row
+        let mut noise = Stream::new(Key::for_run(number as u64), Purpose::Sensor);
+        let keep = (-0.01_f64 / 0.06).exp();
+        let mut wander = |x: f64| keep * x + (1.0 - keep * keep).sqrt() * noise.normal_f64();
+        let (mut v, mut torque) = (vec![0.0], vec![0.0]);
+        for k in 0..run.log.table.len() {
+            v.push(wander(v[k]));
+            torque.push(wander(torque[k]));
+        }
+        run.log = common::changed(&run.log, |s, k, _, value| match s {
+            Signal::Velocity(_) => value.map(|x| x + 0.5 * v[k + 1]),
+            Signal::Torque(_) => value.map(|x| x + 0.1 * torque[k + 1]),
+            _ => value,
+        });
+    }
+    let [bad, without] = [bad, without].map(|r| diagnose(&r, &mut |_| {}).unwrap());
+    assert_eq!(names(&bad), ["coulomb_friction"], "{}", bad.report.summary);
+    assert_eq!(
+        bad.report.verdict,
+        Verdict::Explained,
+        "{}",
+        bad.report.summary
+    );
+    let (bad, without) = (extended_rad(&bad), extended_rad(&without));
+    assert!(
+        bad <= 1.05 * without,
+        "{bad} rad with them, {without} rad without"
+    );
+}
+
 #[test]
 fn a_diagnosis_that_is_asked_to_stop_tells_what_it_has() {
     let mut request = request(0, &|p| p.joint_friction_nm[0] += 0.05);
