@@ -33,6 +33,9 @@ Exit codes: 0 done · 64 configuration or flag · 65 bad input file · 66 input 
 enum Command {
     /// Train on this machine: start, watch and stop everything, then evaluate the policy
     Train(commands::train::TrainArgs),
+    /// Change settings of a training that runs: weights of rewards, learning rate, ranges of commands and
+    /// randomisation
+    Tune(say::WithJson<commands::tune::Wish>),
     /// Run this host's part of a cluster: policy server, learner, some actors; or go on with it
     Up(commands::cluster::up::UpArgs),
     /// Run actors on this host for a learner elsewhere
@@ -52,6 +55,8 @@ enum Command {
     /// Runs of training side by side
     #[command(subcommand)]
     Runs(commands::runs::RunsCommand),
+    /// A training for each seed and each point of a grid of settings, and a table of them
+    Sweep(say::WithJson<commands::sweep::Plan>),
     /// Print or check the configuration in effect
     #[command(subcommand)]
     Config(commands::config::ConfigCommand),
@@ -110,6 +115,8 @@ fn dispatch(command: &Command, process: &Process) -> Result<(), Failure> {
         Command::Play(args) => commands::play::run(args, process),
         Command::Eval(args) => commands::eval::run(args, process),
         Command::Explain(args) => commands::explain::run(args, process),
+        Command::Sweep(args) => commands::sweep::run(&args.plan, args.json, process),
+        Command::Tune(args) => commands::tune::run(&args.plan, args.json, process),
         Command::Runs(command) => commands::runs::run(command),
         Command::Config(command) => commands::config::run(command),
         Command::Sim(command) => commands::sim::run(command, process),

@@ -22,6 +22,7 @@ mod network;
 mod policy;
 mod pulse;
 pub mod quota;
+mod retune;
 mod run;
 mod settings;
 mod snapshot;
@@ -39,6 +40,7 @@ pub use link::{
 pub use metrics::ActorMetrics;
 pub use network::Network;
 pub use pulse::{ALIVE, JOINED, PulsedLink, say_alive};
+pub use retune::Retunes;
 pub use run::{ActorReport, run};
 pub use settings::{ActorSettings, actor_key, build_env, tracer_of};
 pub use snapshot::{ActorSnapshot, SnapshotPort};

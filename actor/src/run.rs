@@ -69,6 +69,9 @@ pub fn run(
         sent: 0,
         greeted: false,
     };
+    if let Some(task) = settings.retunes.under(0) {
+        actor.env.retune(&task);
+    }
     let result = match resume {
         None => actor.env.reset_all().map_err(ActorError::from),
         Some(saved) => actor.restore(saved),
@@ -222,6 +225,9 @@ impl Actor<'_> {
         self.quota.policy_arrived(policy.version);
         // Whatever grows with training follows the policy, so that it depends on nothing else.
         self.env.set_progress(policy.env_steps);
+        if let Some(task) = self.settings.retunes.under(policy.version) {
+            self.env.retune(&task);
+        }
         self.metrics
             .policy_version
             .set(i64::try_from(policy.version).unwrap_or(i64::MAX));

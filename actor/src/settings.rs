@@ -10,7 +10,7 @@ use caudata_model::RobotModel;
 use caudata_telemetry::traces::{TraceError, TraceSettings, Tracer};
 use caudata_telemetry::{Metrics, build_info};
 
-use crate::ActorError;
+use crate::{ActorError, Retunes};
 
 /// What an actor is told. All of it comes from the configuration except who it is.
 #[derive(Clone, Debug)]
@@ -39,6 +39,8 @@ pub struct ActorSettings {
     pub build: String,
     /// Where traces go.
     pub traces: Tracer,
+    /// What a learner in this process changes of the task.
+    pub retunes: Retunes,
 }
 
 impl ActorSettings {
@@ -59,6 +61,7 @@ impl ActorSettings {
             ledger: None,
             build: format!("{}, {}", build.version, build.code),
             traces: Tracer::off(),
+            retunes: Retunes::default(),
         }
     }
 }

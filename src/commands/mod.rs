@@ -34,5 +34,7 @@ pub mod sim_rollout;
 pub mod sim_show;
 pub mod sim_verify;
 mod sim_walk;
+pub mod sweep;
 pub mod task;
 pub mod train;
+pub mod tune;

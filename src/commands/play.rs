@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use caudata_config::ConfigArgs;
-use caudata_live::{LivePage, Policy, Show};
+use caudata_live::{LivePage, Policy, Show, TakeChange};
 use caudata_sim::TerrainKind;
 use caudata_studies::{files, flags};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
@@ -51,12 +51,12 @@ pub struct PageArgs {
 }
 
 impl PageArgs {
-    /// Serves a live page.
+    /// Serves a live page; `take` takes changes of a training.
     ///
     /// # Errors
     /// When the address cannot be had.
-    pub fn serve(&self, show: Show) -> Result<LivePage, Failure> {
-        let page = LivePage::start(self.page, show).or_exit(ExitCode::OsResource)?;
+    pub fn serve(&self, show: Show, take: Option<TakeChange>) -> Result<LivePage, Failure> {
+        let page = LivePage::start(self.page, show, take).or_exit(ExitCode::OsResource)?;
         if !self.page.ip().is_loopback() {
             tracing::warn!(
                 "the live page is not encrypted: whoever reads the network reads its token"
@@ -90,7 +90,7 @@ pub fn run(args: &PlayArgs, process: &Process) -> Result<(), Failure> {
     };
     // What cannot be shown is refused here, not on the page.
     show.check().or_exit(ExitCode::BadConfig)?;
-    let page = args.page.serve(show)?;
+    let page = args.page.serve(show, None)?;
     say::line(format!("page  {}", page.address()));
     say::line("Ctrl-C ends it");
     while !process.stop.wait(PAUSE) {}

@@ -4,7 +4,7 @@ use std::cmp::Ordering;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use caudata_config::{Config, Source};
+use caudata_config::{Changes, Config, Source};
 use caudata_studies::files;
 use caudata_telemetry::progress::{Event, Iteration};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
@@ -86,9 +86,13 @@ pub fn run(command: &RunsCommand) -> Result<(), Failure> {
 const SUMMARY: &str = "run robot state iteration env_steps episode_return forward_mps power_w gates_missed fall_share";
 
 /// What is in one run folder.
-struct Run {
+pub struct Run {
     folder: PathBuf,
-    config: Config,
+    /// What it began with.
+    pub config: Config,
+    changes: Changes,
+    /// Wall time of its learners that came to an end, s.
+    seconds: f64,
     iterations: Vec<Iteration>,
     /// `evaluation` of its report, or null.
     evaluation: Value,
@@ -96,17 +100,24 @@ struct Run {
 }
 
 impl Run {
-    fn read(folder: &Path) -> Result<Self, Failure> {
+    /// Reads one.
+    ///
+    /// # Errors
+    /// When the folder is none of a run, or its configuration cannot be read.
+    pub fn read(folder: &Path) -> Result<Self, Failure> {
         let config = folder.join("config.toml");
         if !folder.join("run_id.txt").is_file() || !config.is_file() {
             let message = format!("{} is no run folder", folder.display());
             return Err(Failure::message(ExitCode::NoInput, message));
         }
         let config = Config::load(&Source::file(&config)).or_exit(ExitCode::BadInput)?;
+        let changes = Changes::of_run(folder, &config).or_exit(ExitCode::BadInput)?;
         let text = std::fs::read_to_string(folder.join(PROGRESS)).unwrap_or_default();
         let mut run = Self {
             folder: folder.to_owned(),
             config,
+            changes,
+            seconds: 0.0,
             iterations: Vec::new(),
             evaluation: Value::Null,
             state: "stopped or running",
@@ -121,8 +132,11 @@ impl Run {
                     }
                     run.iterations.push(*iteration);
                 }
-                Ok(Event::Finished(finished)) if finished.reason == "completed" => {
-                    run.state = "completed"
+                Ok(Event::Finished(finished)) => {
+                    run.seconds += finished.wall_s;
+                    if finished.reason == "completed" {
+                        run.state = "completed";
+                    }
                 }
                 Ok(Event::Started(_)) => run.state = "stopped or running",
                 _ => {}
@@ -133,6 +147,16 @@ impl Run {
             run.evaluation = files::read_json::<Value>(&report)?["evaluation"].take();
         }
         Ok(run)
+    }
+
+    /// What it began with, and how that changed on the way.
+    fn settings(&self) -> Vec<(String, String)> {
+        let changes = self.changes.change.iter();
+        let changes = changes.map(|c| format!("after {}: {}", c.iteration, c.set.join(", ")));
+        let changes = changes.collect::<Vec<_>>().join("; ");
+        let mut settings = self.config.entries();
+        settings.extend((!changes.is_empty()).then(|| ("changes".to_owned(), changes)));
+        settings
     }
 
     fn name(&self) -> String {
@@ -164,7 +188,8 @@ impl Run {
         a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))
     }
 
-    fn summary(&self) -> Value {
+    /// Its figures.
+    pub fn summary(&self) -> Value {
         let last = self.iterations.last();
         let robot = self.config.robot_path();
         let robot = robot.file_name().unwrap_or_default().to_string_lossy();
@@ -180,6 +205,8 @@ impl Run {
             "power_w": self.evaluation["power_w"]["mean"],
             "gates_missed": self.missed().map(|missed| missed.len()),
             "fall_share": self.evaluation["fall_share"]["mean"],
+            "seconds": self.seconds,
+            "changes": self.changes.change.len(),
         })
     }
 
@@ -290,7 +317,7 @@ fn evaluations(runs: &[Run]) -> Vec<Vec<String>> {
 
 /// The keys that do not have one value in all runs, with each run's.
 fn differing(runs: &[Run]) -> Vec<(String, Vec<String>)> {
-    let all: Vec<Vec<(String, String)>> = runs.iter().map(|run| run.config.entries()).collect();
+    let all: Vec<Vec<(String, String)>> = runs.iter().map(Run::settings).collect();
     let keys: BTreeSet<&String> = all.iter().flatten().map(|(key, _)| key).collect();
     let value = |entries: &Vec<(String, String)>, key: &String| {
         let found = entries.iter().find(|(name, _)| name == key);

@@ -74,8 +74,12 @@ pub fn run(args: &VerifyArgs) -> Result<(), Failure> {
         threads: flags::cores(),
         only: args.only.clone(),
     };
-    let mut progress = |check: &str| tracing::info!(check, "checking");
-    let rows = verify(&settings, &mut progress).map_err(|error| {
+    let checks = match args.only.len() {
+        0 => CHECKS.len(),
+        some => some,
+    };
+    let mut share = say::Share::new("checks", checks);
+    let rows = verify(&settings, &mut |_| share.one_more()).map_err(|error| {
         let code = match &error {
             VerifyError::Model(_) => ExitCode::BadInput,
             VerifyError::Read { .. } => ExitCode::NoInput,
@@ -84,6 +88,7 @@ pub fn run(args: &VerifyArgs) -> Result<(), Failure> {
         };
         Failure::new(code, error)
     })?;
+    drop(share);
     let failed = rows.iter().filter(|r| r.pass == Some(false)).count();
     let passed = rows.iter().filter(|r| r.pass == Some(true)).count();
     let skipped = rows

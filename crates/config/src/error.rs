@@ -69,6 +69,22 @@ pub enum ConfigError {
         /// What its owner says.
         message: String,
     },
+    /// A key that stays as it is while a run goes on.
+    #[error("`{key}` cannot change while a run goes on: {reason}")]
+    Fixed {
+        /// Full key.
+        key: String,
+        /// Why.
+        reason: &'static str,
+    },
+    /// Changes that cannot be taken as they are.
+    #[error("{origin} {message}")]
+    Changes {
+        /// File, or what it is.
+        origin: String,
+        /// What is wrong.
+        message: String,
+    },
     /// A robot that the preset cannot be worked out for.
     #[error("{0}")]
     Robot(String),

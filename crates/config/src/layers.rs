@@ -49,11 +49,16 @@ impl Source {
 
 /// Lays the layers on top of each other; the result has the right types, its values are not checked.
 fn merge(source: &Source) -> Result<Config, ConfigError> {
-    let known = keys::table_of(&Config::default());
-    let mut merged = known.clone();
-    for (origin, layer) in with_derived(source, layers(source)?)? {
-        let unknown = keys::first_unknown(&layer, &known);
-        lay_over(&mut merged, layer);
+    let layers = with_derived(source, layers(source)?)?;
+    lay(keys::table_of(&Config::default()), &layers)
+}
+
+/// Lays layers, each with where it comes from, over all keys of a configuration.
+pub(crate) fn lay(mut merged: Table, layers: &[(String, Table)]) -> Result<Config, ConfigError> {
+    let known = merged.clone();
+    for (origin, layer) in layers {
+        let unknown = keys::first_unknown(layer, &known);
+        lay_over(&mut merged, layer.clone());
         // The types decide what is known (a section may have optional keys); the tree finds the place.
         if let Err(error) = Config::deserialize_from(&merged) {
             return Err(match unknown {
@@ -61,7 +66,7 @@ fn merge(source: &Source) -> Result<Config, ConfigError> {
                     let suggestion = keys::nearest(&key, &known);
                     ConfigError::UnknownKey {
                         key,
-                        origin,
+                        origin: origin.clone(),
                         suggestion,
                     }
                 }
@@ -207,7 +212,7 @@ fn parse(origin: &str, text: &str) -> Result<Table, ConfigError> {
 }
 
 /// `a.b=c` as a tree. The value is TOML; a bare word is taken as a string.
-fn parse_override(assignment: &str) -> Result<Table, ConfigError> {
+pub(crate) fn parse_override(assignment: &str) -> Result<Table, ConfigError> {
     let bad = || ConfigError::BadOverride(assignment.to_owned());
     let (key, value) = assignment.split_once('=').ok_or_else(bad)?;
     let value = value.trim();
@@ -232,11 +237,31 @@ fn lay_over(base: &mut Table, layer: Table) {
     for (key, value) in layer {
         match (base.get_mut(&key), value) {
             (Some(Value::Table(base)), Value::Table(layer)) => lay_over(base, layer),
+            (Some(Value::Array(items)), Value::Table(layer)) => {
+                if !lay_over_named(items, &layer) {
+                    base.insert(key, Value::Table(layer));
+                }
+            }
             (_, value) => {
                 base.insert(key, value);
             }
         }
     }
+}
+
+/// Lays tables over the items of an array that have their names, `task.reward.term.NAME.weight=2`; false, and
+/// nothing changed, where one has none.
+fn lay_over_named(items: &mut [Value], layer: &Table) -> bool {
+    let named = |item: &Value, name: &str| item.get("name").and_then(Value::as_str) == Some(name);
+    let mut laid = items.to_vec();
+    for (name, over) in layer {
+        match (laid.iter_mut().find(|item| named(item, name)), over) {
+            (Some(Value::Table(item)), Value::Table(over)) => lay_over(item, over.clone()),
+            _ => return false,
+        }
+    }
+    items.clone_from_slice(&laid);
+    true
 }
 
 /// The parser says `… in \`a.b\`` below its message; that is the key.

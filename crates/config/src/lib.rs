@@ -10,12 +10,14 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod args;
+mod asked;
 mod derive;
 mod error;
 mod keys;
 mod layers;
 mod presets;
 mod sections;
+mod tune;
 mod validate;
 
 use std::path::{Path, PathBuf};
@@ -27,11 +29,13 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 pub use args::{ConfigArgs, robot_assignment};
+pub use asked::{ask, asked};
 pub use derive::can_walk;
 pub use error::ConfigError;
 pub use layers::Source;
 pub use presets::{PRESETS, Preset};
 pub use sections::*;
+pub use tune::{CHANGES, CHANGES_MAX, Change, Changes, SETTINGS_MAX};
 
 /// The whole configuration.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

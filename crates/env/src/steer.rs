@@ -1,6 +1,7 @@
-//! Taking over from the draws: which command a lane follows, where it starts, what befalls it. Evaluation and
-//! the live page need that, training does not.
+//! Taking over from the draws: which command a lane follows, where it starts, what befalls it, as evaluation
+//! and the live page need it; and a task that changes while a training goes on.
 
+use caudata_task::TaskConfig;
 use caudata_task::layout::Part;
 use caudata_task::observation::write_phase;
 
@@ -45,6 +46,18 @@ impl VecEnv {
         }
         if !self.layout.range(Part::Phase).is_empty() {
             write_phase(&now.phases_rad(), &mut observation[newest(Part::Phase)..]);
+        }
+    }
+
+    /// Takes over from `task` what may change while a training goes on: weights of rewards (at once), ranges of
+    /// commands (with the next command) and of randomisation (with the next episode). The contract stays. A
+    /// [`Self::restore`] needs the same changes first.
+    pub fn retune(&mut self, task: &TaskConfig) {
+        self.task.command = task.command;
+        self.task.randomisation = task.randomisation;
+        self.task.reward.weights = task.reward.weights;
+        for (own, now) in self.task.reward.term.iter_mut().zip(&task.reward.term) {
+            own.weight = now.weight;
         }
     }
 

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use caudata_config::{Config, Preset, Source};
+use caudata_config::{Changes, Config, Preset, Source};
 use caudata_model::RobotModel;
 use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
@@ -40,8 +40,10 @@ const INCIDENTAL: [&str; 13] = [
 pub struct Run {
     /// Its folder.
     pub folder: PathBuf,
-    /// Its configuration.
+    /// Its configuration, with the changes that were made while it ran.
     pub config: Config,
+    /// These changes, `a.b=c` each, in order.
+    changed: Vec<String>,
     /// What is known to train such a robot: the preset for it, or what follows from its file.
     pub reference: Config,
     /// Its robot.
@@ -56,6 +58,8 @@ impl Run {
     pub fn read(folder: &Path) -> Result<Self, Failure> {
         let config = Config::load(&Source::file(&folder.join("config.toml")));
         let config = config.or_exit(ExitCode::BadConfig)?;
+        let changes = Changes::of_run(folder, &config).or_exit(ExitCode::BadInput)?;
+        let config = changes.at(&config, u64::MAX).or_exit(ExitCode::BadInput)?;
         let robot = config.robot_path();
         let model = Arc::new(files::robot(&robot)?);
         // a run is named after its preset where nobody named it
@@ -69,6 +73,7 @@ impl Run {
             folder: folder.to_owned(),
             reference: Config::load(&source).or_exit(ExitCode::BadConfig)?,
             config,
+            changed: changes.settings(),
             model,
         })
     }
@@ -81,7 +86,7 @@ impl Run {
         let source = Source {
             preset: None,
             file: Some(self.folder.join("config.toml")),
-            overrides: sets.to_vec(),
+            overrides: [&self.changed, sets].concat(),
         };
         Config::load(&source).or_exit(ExitCode::BadConfig)
     }

@@ -4,8 +4,8 @@
 //! while somebody looks, and at no other time; each step goes to every client as a server-sent event, and
 //! [`Order`]s come back. All clients see and drive the same robot.
 //!
-//! *Invariant:* nothing is answered without the token that [`LivePage::address`] holds; a client that does not
-//! keep up is cut off, and keeps nobody waiting.
+//! *Invariant:* nothing is answered without the token that [`LivePage::address`] holds, and no training changes
+//! without another; a client that does not keep up is cut off, and keeps nobody waiting.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod hub;
@@ -19,8 +19,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
-use caudata_telemetry::progress::Iteration;
+use caudata_telemetry::progress::{Changed, Iteration};
 use caudata_telemetry::{HttpServer, ServeError};
+use serde::Serialize;
 
 pub use order::Order;
 pub use performance::{Policy, Show};
@@ -30,6 +31,18 @@ use hub::Hub;
 
 /// Orders that may wait for the next step; more are refused.
 const ORDERS_WAITING_MAX: usize = 64;
+
+/// Takes settings, `key=value` each, that a training shall change to; or says in a line what is wrong.
+pub type TakeChange = Box<dyn Fn(&[String]) -> Result<(), String> + Send + Sync>;
+
+/// What may change in a training, and what has.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Settings {
+    /// Keys with their values at present.
+    pub values: Vec<(String, String)>,
+    /// The changes that were made, in order.
+    pub made: Vec<Changed>,
+}
 
 /// Why there is no live page.
 #[derive(Debug, thiserror::Error)]
@@ -47,21 +60,37 @@ pub enum LiveError {
 pub struct LivePage {
     server: HttpServer,
     token: String,
+    /// With which a training may be changed; empty where nothing can be.
+    change: String,
     hub: Arc<Hub>,
     ended: Arc<AtomicBool>,
     robot: Option<JoinHandle<()>>,
 }
 
 impl LivePage {
-    /// Serves `show` at `addr` (port 0: any free port).
+    /// Serves `show` at `addr` (port 0: any free port); `take` is what takes changes of a training.
     ///
     /// # Errors
     /// When the address is taken, or the system refuses a thread.
-    pub fn start(addr: SocketAddr, show: Show) -> Result<Self, LiveError> {
+    pub fn start(
+        addr: SocketAddr,
+        show: Show,
+        take: Option<TakeChange>,
+    ) -> Result<Self, LiveError> {
         let token = token()?;
+        let change = match take {
+            Some(_) => self::token()?,
+            None => String::new(),
+        };
         let hub = Arc::new(Hub::default());
         let (sender, orders) = crossbeam_channel::bounded(ORDERS_WAITING_MAX);
-        let router = server::router(show.title(), token.clone(), Arc::clone(&hub), sender);
+        let doors = server::Doors {
+            token: token.clone(),
+            change: change.clone(),
+            orders: sender,
+            take: take.map(Arc::from),
+        };
+        let router = server::router(&show.title(), doors, Arc::clone(&hub));
         let server = HttpServer::start(addr, "the live page", router)?;
         let ended = Arc::new(AtomicBool::new(false));
         let robot = {
@@ -73,6 +102,7 @@ impl LivePage {
         Ok(Self {
             server,
             token,
+            change,
             hub,
             ended,
             robot: Some(robot),
@@ -82,6 +112,16 @@ impl LivePage {
     /// Where the page is, with the token that opens it.
     pub fn address(&self) -> String {
         format!("http://{}/?token={}", self.server.addr(), self.token)
+    }
+
+    /// As [`Self::address`], with the token that lets a training be changed.
+    pub fn changing_address(&self) -> String {
+        format!("{}&change={}", self.address(), self.change)
+    }
+
+    /// Shows what may change in a training, and what has.
+    pub fn settings(&self, settings: &Settings) {
+        self.hub.keep("settings", settings);
     }
 
     /// Shows an iteration of training.

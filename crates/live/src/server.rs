@@ -1,4 +1,5 @@
-//! The page over HTTP: `/` is the page, `/events` what happens, `/order` what is asked for.
+//! The page over HTTP: `/` is the page, `/events` what happens, `/order` what is asked of the robot, `/change` what
+//! is asked of a training.
 
 use std::sync::Arc;
 
@@ -21,8 +22,12 @@ use crate::order::Order;
 
 /// Longest order, bytes.
 const ORDER_BYTES_MAX: usize = 1024;
+/// Longest change of a training, bytes.
+const CHANGE_BYTES_MAX: usize = 16 << 10;
 /// Header that orders carry the token in.
 const TOKEN_HEADER: &str = "x-caudata-token";
+/// Header that changes of a training carry their token in.
+const CHANGE_HEADER: &str = "x-caudata-change";
 /// The page asks nobody but its own server.
 const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; \
     connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
@@ -31,22 +36,33 @@ const CLOSED: &str = "This page opens only at the address that caudata printed i
 
 const FRAME: &str = include_str!("page/live.html");
 const STYLE: &str = include_str!("page/live.css");
-const SCRIPT: [&str; 3] = [
+const SCRIPT: [&str; 4] = [
     include_str!("page/charts.js"),
     include_str!("page/drive.js"),
+    include_str!("page/settings.js"),
     include_str!("page/live.js"),
 ];
 
+/// Who may, and where what they ask for goes.
+pub struct Doors {
+    /// To look and to drive.
+    pub token: String,
+    /// To change a training.
+    pub change: String,
+    pub orders: Sender<Order>,
+    pub take: Option<Arc<Take>>,
+}
+
+type Take = dyn Fn(&[String]) -> Result<(), String> + Send + Sync;
+
 struct Shared {
     page: Bytes,
-    token: String,
+    doors: Doors,
     hub: Arc<Hub>,
-    orders: Sender<Order>,
 }
 
 impl Shared {
-    /// Whether a request has the token, in its address or its header. How long the comparison takes does not
-    /// tell how much of a token is right.
+    /// Whether a request has the token, in its address or its header.
     fn admits(&self, uri: &Uri, headers: &HeaderMap) -> bool {
         let query = uri.query().unwrap_or_default();
         let given = query
@@ -54,29 +70,31 @@ impl Shared {
             .find_map(|pair| pair.strip_prefix("token="))
             .or_else(|| headers.get(TOKEN_HEADER)?.to_str().ok())
             .unwrap_or_default();
-        let differing = given
-            .bytes()
-            .zip(self.token.bytes())
-            .fold(0, |differing, (a, b)| differing | (a ^ b));
-        given.len() == self.token.len() && differing == 0
+        is_token(given, &self.doors.token)
     }
 }
 
-/// The page for a robot named `title`; only requests with `token` are answered.
-pub fn router(title: String, token: String, hub: Arc<Hub>, orders: Sender<Order>) -> Router {
+/// How long the comparison takes does not tell how much of a token is right.
+fn is_token(given: &str, token: &str) -> bool {
+    let pairs = given.bytes().zip(token.bytes());
+    let differing = pairs.fold(0, |differing, (a, b)| differing | (a ^ b));
+    given.len() == token.len() && differing == 0
+}
+
+/// The page for a robot named `title`; only requests with the token are answered.
+pub fn router(title: &str, doors: Doors, hub: Arc<Hub>) -> Router {
     let script = [report::COMMON_SCRIPT.concat(), SCRIPT.concat()].concat();
     let style = [report::STYLE, STYLE].concat();
-    let page = report::fill(FRAME, &style, &script, &title, "{}").into();
-    let shared = Shared {
-        page,
-        token,
-        hub,
-        orders,
-    };
+    let page = report::fill(FRAME, &style, &script, title, "{}").into();
+    let shared = Shared { page, doors, hub };
     Router::new()
         .route("/", get(page_of))
         .route("/events", get(events))
         .route("/order", post(order))
+        .route(
+            "/change",
+            post(change).layer(DefaultBodyLimit::max(CHANGE_BYTES_MAX)),
+        )
         .fallback(|| async { (StatusCode::FORBIDDEN, CLOSED) })
         .layer(DefaultBodyLimit::max(ORDER_BYTES_MAX))
         .with_state(Arc::new(shared))
@@ -131,10 +149,35 @@ async fn order(
         Ok(order) => order,
         Err(wrong) => return (StatusCode::BAD_REQUEST, format!("{wrong}\n")).into_response(),
     };
-    match shared.orders.try_send(order) {
+    match shared.doors.orders.try_send(order) {
         Ok(()) => StatusCode::NO_CONTENT.into_response(),
         Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => {
             (StatusCode::SERVICE_UNAVAILABLE, "too many orders wait\n").into_response()
         }
+    }
+}
+
+/// A list of settings, `key=value` each.
+async fn change(
+    State(shared): State<Arc<Shared>>,
+    uri: Uri,
+    headers: HeaderMap,
+    body: Bytes,
+) -> Response {
+    let given = headers.get(CHANGE_HEADER).and_then(|v| v.to_str().ok());
+    let Some(take) = shared.doors.take.clone().filter(|_| {
+        shared.admits(&uri, &headers) && is_token(given.unwrap_or_default(), &shared.doors.change)
+    }) else {
+        return (StatusCode::FORBIDDEN, CLOSED).into_response();
+    };
+    let set = match serde_json::from_slice::<Vec<String>>(&body) {
+        Ok(set) => set,
+        Err(wrong) => return (StatusCode::BAD_REQUEST, format!("{wrong}\n")).into_response(),
+    };
+    // It writes a file: not on the thread that streams.
+    match tokio::task::spawn_blocking(move || take(&set)).await {
+        Ok(Ok(())) => StatusCode::NO_CONTENT.into_response(),
+        Ok(Err(wrong)) => (StatusCode::BAD_REQUEST, format!("{wrong}\n")).into_response(),
+        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
     }
 }

@@ -19,6 +19,8 @@ pub enum Event {
     Checkpoint(Checkpoint),
     /// A policy was published to the policy server.
     Published(Published),
+    /// Settings changed while the run goes on.
+    Changed(Changed),
     /// Something a person should know; training goes on.
     Warning(Warning),
     /// The learner is done; this is its last line.
@@ -122,6 +124,15 @@ pub struct Published {
     pub sha256: String,
     /// Size of the ONNX bytes.
     pub bytes: u64,
+}
+
+/// Settings changed while the run goes on.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Changed {
+    /// Iterations that were done before.
+    pub iteration: u64,
+    /// `key=value` each.
+    pub set: Vec<String>,
 }
 
 /// Something a person should know.
@@ -305,6 +316,7 @@ mod tests {
             Event::Iteration(Box::default()),
             Event::Checkpoint(Checkpoint::default()),
             Event::Published(Published::default()),
+            Event::Changed(Changed::default()),
             Event::Warning(Warning::default()),
             Event::Finished(Box::new(finished)),
         ];

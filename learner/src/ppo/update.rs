@@ -140,6 +140,11 @@ impl Ppo {
         &self.settings
     }
 
+    /// Other hyper-parameters, from the next update on.
+    pub fn set_settings(&mut self, settings: PpoSettings) {
+        self.settings = settings;
+    }
+
     /// The network.
     pub fn net(&self) -> &ActorCritic {
         &self.net

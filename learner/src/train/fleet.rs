@@ -5,8 +5,8 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use caudata_actor::{
-    ActorError, ActorMetrics, ActorReport, ActorSettings, ActorSnapshot, SnapshotPort, actor_key,
-    build_env, ledger_path,
+    ActorError, ActorMetrics, ActorReport, ActorSettings, ActorSnapshot, Retunes, SnapshotPort,
+    actor_key, build_env, ledger_path,
 };
 use caudata_model::RobotModel;
 use caudata_telemetry::StopFlag;
@@ -42,6 +42,7 @@ impl Fleet {
         accounting: &Accounting,
         snapshots: &[ActorSnapshot],
         tracer: &Tracer,
+        retunes: &Retunes,
     ) -> Result<Self, LearnerError> {
         let config = &settings.config;
         let metrics = ActorMetrics::register(&settings.metrics);
@@ -56,6 +57,7 @@ impl Fleet {
             let mut actor = ActorSettings::from_config(config, &settings.run_id, id, incarnation);
             // Kept here too: a run that is killed and goes on knows what was sent after its last checkpoint.
             actor.traces = tracer.clone();
+            actor.retunes = retunes.clone();
             actor.ledger = Some(ledger_path(&ledgers, id, incarnation));
             let saved = snapshots.iter().find(|saved| saved.actor_id == id).cloned();
             let key = saved

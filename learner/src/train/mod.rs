@@ -6,11 +6,13 @@ mod fleet;
 mod metrics;
 mod report;
 mod resume;
+mod retune;
 mod run;
 mod seen;
 mod settings;
 mod setup;
 mod traces;
+mod tuning;
 mod versions;
 
 pub use settings::{Resume, TrainSettings};

@@ -19,6 +19,7 @@ use super::fleet::Fleet;
 use super::report::{IterationReport, Reporter};
 use super::seen::PoliciesSeen;
 use super::traces::Traces;
+use super::tuning::Tuning;
 use super::versions::Versions;
 use crate::LearnerError;
 use crate::batch::{Batch, Collector, side_by_side};
@@ -75,6 +76,7 @@ pub(super) struct Run<'a> {
     pub traces: Traces,
     /// Where actors outlive this process.
     pub versions: Option<Versions>,
+    pub tuning: Tuning,
     pub began: Instant,
 }
 
@@ -119,6 +121,7 @@ impl Run<'_> {
     }
 
     fn iterate(&mut self, state: &mut LoopState) -> Result<String, LearnerError> {
+        self.retune()?;
         self.announce(state)?;
         // In lockstep a policy goes out when everything that older ones were to collect is there.
         let holds_back = self.config.actors.lockstep && self.config.actors.max_lead > 0;
@@ -154,6 +157,7 @@ impl Run<'_> {
                 return Ok(self.stop_reason());
             }
             if self.progress.iteration < self.config.run.iterations {
+                self.retune()?;
                 self.hand_out(state, holds_back)?;
                 held_back = holds_back;
             }

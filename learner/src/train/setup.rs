@@ -22,6 +22,7 @@ use super::resume;
 use super::run::{Progress, Run};
 use super::settings::{Resume, TrainSettings, ledger_folder, torn_ledger};
 use super::traces::Traces;
+use super::tuning::Tuning;
 use super::versions::Versions;
 use crate::LearnerError;
 use crate::batch::{Accounting, Collector, CollectorSettings};
@@ -70,7 +71,8 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
             let (hub, saved) = (InprocHub::new(inproc)?, &start.snapshots);
             let link = hub.learner()?;
             let model = Arc::new(model);
-            let fleet = Fleet::start(&settings, &model, &hub, accounting, saved, &tracer)?;
+            let tasks = start.tuning.retunes();
+            let fleet = Fleet::start(&settings, &model, &hub, accounting, saved, &tracer, &tasks)?;
             (link, Some(fleet))
         }
         _ => (learner_link(&transport, &settings.run_id)?, None),
@@ -118,6 +120,7 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         progress: start.progress,
         traces: Traces::new(tracer),
         versions,
+        tuning: start.tuning,
         began: Instant::now(),
     }
     .train()
@@ -168,6 +171,7 @@ struct Start {
     store: CheckpointStore,
     resumed_from: Option<String>,
     training_commit: String,
+    tuning: Tuning,
 }
 
 impl Start {
@@ -195,7 +199,10 @@ impl Start {
             }
             _ => None,
         };
-        let mut ppo = Ppo::new(net, PpoSettings::new(config), threads(config, inproc))?;
+        let done = state.as_ref().map_or(0, |state| state.saved.iteration);
+        let tuning = Tuning::open(settings, done, inproc)?;
+        let hyper = PpoSettings::new(tuning.now());
+        let mut ppo = Ppo::new(net, hyper, threads(config, inproc))?;
         ppo.beat(settings.pulse.clone());
         let ((mut progress, mut accounting), snapshots) = restore(&mut ppo, state, config)?;
         if let Some(moments) = moments {
@@ -218,6 +225,7 @@ impl Start {
             store,
             resumed_from,
             training_commit,
+            tuning,
         })
     }
 }

@@ -16,3 +16,4 @@ mod publish;
 mod resume;
 mod slow_actor;
 mod symmetry;
+mod tuning;

@@ -97,7 +97,15 @@ pub fn evaluate(
         )),
         None => None,
     };
-    let robot = match config.evaluation.robot_run_s > 0.0 {
+    let [runs, judged] = [
+        config.evaluation.robot_run_s > 0.0,
+        config.evaluation.episodes > 0,
+    ];
+    let mut share = say::Share::new(
+        "parts of the evaluation",
+        usize::from(runs) + usize::from(judged),
+    );
+    let robot = match runs {
         true => Some(run_robot(
             config,
             folder,
@@ -106,8 +114,11 @@ pub fn evaluate(
         )?),
         false => None,
     };
+    if runs {
+        share.one_more();
+    }
     let mut evaluation = None;
-    if config.evaluation.episodes > 0 {
+    if judged {
         let page = folder.root().join(EVALUATION);
         let result = eval::evaluate(config, &model, &policy, &page, stop)?;
         let summary = Summary::of(&result, model.hash_hex(), config.run.seed);

@@ -3,8 +3,10 @@
 mod accounting;
 pub mod backoff;
 pub mod children;
+pub mod desk;
 mod finish;
 pub mod folder;
+mod fork;
 mod robot;
 mod start;
 pub mod supervise;
@@ -14,7 +16,7 @@ pub mod watched;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use caudata_config::{Config, ConfigArgs, Source, TransportKind};
+use caudata_config::{CHANGES, Changes, Config, ConfigArgs, Source, TransportKind};
 use caudata_live::{LivePage, Policy, Show};
 use caudata_model::RobotModel;
 use caudata_studies::files;
@@ -25,7 +27,9 @@ use crate::commands::play::PageArgs;
 use crate::commands::robot::load as load_robot;
 use crate::say;
 pub use children::Programs;
+use desk::Desk;
 use folder::RunFolder;
+use fork::{Fork, Origin, same_training};
 pub use start::Resume;
 use supervise::{Plan, Supervisor};
 use view::View;
@@ -53,6 +57,13 @@ pub struct TrainArgs {
     /// Go on from this checkpoint of the run in --out, for instance iter_000100
     #[arg(long, value_name = "NAME", requires = "out", conflicts_with = "resume")]
     resume_from: Option<String>,
+    /// Begin a new run with a checkpoint of another one; settings that may change in a running training
+    /// (caudata tune) may be other ones from there on
+    #[arg(long, value_name = "RUN@ITERATION", conflicts_with_all = ["resume", "resume_from", "changes", "preset", "config"])]
+    from: Option<Origin>,
+    /// Make the changes of this record, each after its iteration: changes.toml of a run that is to be repeated
+    #[arg(long, value_name = "FILE.toml", conflicts_with_all = ["resume", "resume_from"])]
+    changes: Option<PathBuf>,
     /// Events as JSON lines; the last line is the report
     #[arg(long)]
     json: bool,
@@ -98,24 +109,25 @@ pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
     let view = View::new(args.json);
     // What is refused must not leave a folder behind.
     let programs = programs()?;
-    let (config, folder) = prepare(args, &mut view.wait_for_owner(&process.stop))?;
+    let (config, folder, resume) = prepare(args, &mut view.wait_for_owner(&process.stop))?;
     let model = Arc::new(load_robot(&config.robot_path())?);
     view.note(&format!("run folder {}", folder.root().display()));
-    let resume = args.resume();
     let plan = Plan {
-        resume: resume.clone(),
+        resume,
         actors: match config.transport.kind {
             TransportKind::Inproc => 0,
             TransportKind::Iceoryx2 | TransportKind::Zenoh => config.actors.count,
         },
         restart_learner: false,
     };
-    let page = live_page(args, &config, &model, &folder, &view);
+    let desk = Arc::new(Desk::open(folder.root(), &config)?);
+    let page = live_page(args, &config, &model, &folder, &view, &desk);
+    let shown = page.as_ref().map(|page| (page, desk.as_ref()));
     let supervisor = Supervisor::start(&programs, &config, &folder, &process.stop, view, plan);
-    if supervisor.is_err() && resume == Resume::No {
+    if supervisor.is_err() && args.resume() == Resume::No {
         folder.disown();
     }
-    let mut outcome = supervisor?.shown_on(page.as_ref()).watch()?;
+    let mut outcome = supervisor?.shown_on(shown).watch()?;
     if outcome.finished.reason != "completed" {
         outcome.stop_server();
         return stopped_early(args, &folder, &outcome);
@@ -140,15 +152,22 @@ fn live_page(
     model: &Arc<RobotModel>,
     folder: &RunFolder,
     view: &View,
+    desk: &Arc<Desk>,
 ) -> Option<LivePage> {
     let show = Show {
         config: config.clone(),
         model: Arc::clone(model),
         policy: Policy::Newest(folder.policy()),
     };
-    match args.page.serve(show) {
+    let desk = Arc::clone(desk);
+    let take = move |set: &[String]| match desk.ask(set) {
+        Ok(_) => Ok(()),
+        Err(error) => Err(error.to_string()),
+    };
+    match args.page.serve(show, Some(Box::new(take))) {
         Ok(page) => {
             view.note(&format!("live at {}", page.address()));
+            view.note(&format!("change it at {}", page.changing_address()));
             Some(page)
         }
         Err(failure) => {
@@ -175,8 +194,12 @@ pub fn programs() -> Result<Programs, Failure> {
     Ok(programs)
 }
 
-/// The configuration in effect and the run folder that it lies in.
-fn prepare(args: &TrainArgs, wait: folder::Wait<'_>) -> Result<(Config, RunFolder), Failure> {
+/// The configuration in effect, the run folder that it lies in, and where its learner begins.
+fn prepare(
+    args: &TrainArgs,
+    wait: folder::Wait<'_>,
+) -> Result<(Config, RunFolder, Resume), Failure> {
+    let mut resume = args.resume();
     let mut config = Config::load(&source(args, None)).or_exit(ExitCode::BadConfig)?;
     let out = args.out.as_deref();
     let folder = if args.resume() != Resume::No {
@@ -189,14 +212,14 @@ fn prepare(args: &TrainArgs, wait: folder::Wait<'_>) -> Result<(Config, RunFolde
         let before = Config::load(&Source::file(&folder.config())).or_exit(ExitCode::BadConfig)?;
         config =
             Config::load(&source(args, Some(&folder.config()))).or_exit(ExitCode::BadConfig)?;
-        if before.hash() != config.hash() {
-            let message = format!(
-                "a resumed run must keep what decides its training: {}",
-                differing(&before, &config).join(", ")
-            );
-            return Err(Failure::message(ExitCode::BadConfig, message)
-                .hint("only names, length, transport, services and telemetry may change"));
-        }
+        same_training(&before, &config)?;
+        folder
+    } else if let Some(origin) = &args.from {
+        let fork = Fork::read(origin, &source(args, None).overrides)?;
+        config = fork.config.clone();
+        let folder = RunFolder::create(out, &config.run.out_dir, &config.run.name)?;
+        fork.fill(&folder)?;
+        resume = Resume::Named(fork.name());
         folder
     } else {
         // A robot or a policy to begin with that cannot be read must not leave a folder behind.
@@ -205,7 +228,13 @@ fn prepare(args: &TrainArgs, wait: folder::Wait<'_>) -> Result<(Config, RunFolde
             .warm_start_path()
             .map(|path| files::policy(&path))
             .transpose()?;
-        RunFolder::create(out, &config.run.out_dir, &config.run.name)?
+        let record = args.changes.as_deref().map(|path| record(path, &config));
+        let record = record.transpose()?;
+        let folder = RunFolder::create(out, &config.run.out_dir, &config.run.name)?;
+        if let Some(record) = record {
+            folder.write(CHANGES, record.as_bytes())?;
+        }
+        folder
     };
     config.robot = std::path::absolute(config.robot_path()).or_exit(ExitCode::NoInput)?;
     if !config.terrain.map.as_os_str().is_empty() {
@@ -215,29 +244,17 @@ fn prepare(args: &TrainArgs, wait: folder::Wait<'_>) -> Result<(Config, RunFolde
         "config.toml",
         config.to_toml().or_exit(ExitCode::BadConfig)?.as_bytes(),
     )?;
-    Ok((config, folder))
+    Ok((config, folder, resume))
 }
 
-/// The keys of decisive sections whose values differ, in words.
-fn differing(before: &Config, now: &Config) -> Vec<String> {
-    const DECISIVE: [&str; 6] = [
-        "run.seed", "actors.", "learner.", "engine.", "terrain.", "task.",
-    ];
-    let (before, now) = (before.entries(), now.entries());
-    let value = |entries: &[(String, String)], key: &str| {
-        let found = entries.iter().find(|(name, _)| name == key);
-        found.map_or_else(|| "absent".to_owned(), |(_, value)| value.clone())
-    };
-    let mut keys: Vec<&String> = before.iter().chain(&now).map(|(key, _)| key).collect();
-    keys.sort_unstable();
-    keys.dedup();
-    keys.into_iter()
-        .filter(|key| DECISIVE.iter().any(|prefix| key.starts_with(prefix)))
-        .filter_map(|key| {
-            let (was, is) = (value(&before, key), value(&now, key));
-            (was != is).then(|| format!("{key} was {was} and is {is}"))
-        })
-        .collect()
+/// A record of changes that fits a configuration, as it is to lie in the run folder.
+fn record(path: &Path, config: &Config) -> Result<String, Failure> {
+    let found = path.metadata().map(|_| ());
+    found.or_exit_with(ExitCode::NoInput, || {
+        format!("cannot read {}", path.display())
+    })?;
+    let record = Changes::read(path, config).or_exit(ExitCode::BadConfig)?;
+    record.to_toml().or_exit(ExitCode::Internal)
 }
 
 /// Preset, file and overrides as the flags say; with `resumed`, that file instead of preset and file.
@@ -336,20 +353,6 @@ mod tests {
         let refused = |line: &str| Command::try_parse_from(line.split_whitespace()).is_err();
         assert!(refused("train --resume-from iter_000004"), "of which run?");
         assert!(refused("train --out r --resume --resume-from iter_000004"));
-    }
-
-    #[test]
-    fn the_key_that_keeps_a_run_from_going_on_is_named() {
-        let config = |set: &str| Config::load(&Source::default().set(set)).unwrap();
-        let (before, now) = (
-            config("learner.ppo.gamma=0.97"),
-            config("learner.ppo.gamma=0.9"),
-        );
-        assert_eq!(
-            differing(&before, &now),
-            ["learner.ppo.gamma was 0.97 and is 0.9"]
-        );
-        assert!(differing(&before, &config("learner.ppo.gamma=0.97")).is_empty());
     }
 
     #[test]

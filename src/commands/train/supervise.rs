@@ -15,6 +15,7 @@ use nix::sys::signal::Signal;
 
 use super::backoff::{Backoff, Verdict};
 use super::children::{self, Process, Programs};
+use super::desk::Desk;
 use super::folder::RunFolder;
 use super::start::{
     Resume, add_telemetry, failed_child, is_permanent, start_learner, start_server,
@@ -55,7 +56,7 @@ pub struct Supervisor<'a> {
     folder: &'a RunFolder,
     stop: &'a StopFlag,
     view: View,
-    page: Option<&'a LivePage>,
+    shown: Option<(&'a LivePage, &'a Desk)>,
     began: Instant,
     server: Process,
     server_addr: SocketAddr,
@@ -142,7 +143,7 @@ impl<'a> Supervisor<'a> {
             folder,
             stop,
             view,
-            page: None,
+            shown: None,
             began: Instant::now(),
             server,
             server_addr,
@@ -165,9 +166,9 @@ impl<'a> Supervisor<'a> {
         })
     }
 
-    /// Shows iterations on a live page too.
-    pub fn shown_on(self, page: Option<&'a LivePage>) -> Self {
-        Self { page, ..self }
+    /// Shows the training on a live page too.
+    pub fn shown_on(self, shown: Option<(&'a LivePage, &'a Desk)>) -> Self {
+        Self { shown, ..self }
     }
 
     /// Watches until the learner has ended, then stops the actors. The policy server stays up for the
@@ -329,8 +330,8 @@ impl<'a> Supervisor<'a> {
             self.end_early(failure);
         }
         self.view.event(&event, line);
-        if let (Some(page), Event::Iteration(iteration)) = (self.page, &event) {
-            page.training(iteration);
+        if let Some((page, desk)) = self.shown {
+            desk.follow(&event, page);
         }
         match event {
             Event::Started(started) => {

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use caudata_durable::OwnerError;
 use caudata_telemetry::StopFlag;
-use caudata_telemetry::progress::{Event, Iteration, Started, Warning};
+use caudata_telemetry::progress::{Changed, Event, Iteration, Started, Warning};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::say;
@@ -51,6 +51,12 @@ impl View {
             (View::Json, _) => say::line(line),
             (_, Event::Started(started)) => self.started(started),
             (_, Event::Iteration(iteration)) => self.iteration(iteration),
+            (_, Event::Changed(Changed { iteration, set })) => {
+                self.note(&format!(
+                    "changed after iteration {iteration}: {}",
+                    set.join(", ")
+                ));
+            }
             (_, Event::Warning(warning)) => self.warn(&warning.message),
             (_, Event::Checkpoint(_) | Event::Published(_) | Event::Finished(_)) => {}
         }

@@ -4,6 +4,7 @@ mod browser;
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -22,6 +23,8 @@ struct Served {
     /// `127.0.0.1:port`
     host: String,
     token: String,
+    /// With which a training is changed; empty without one.
+    change: String,
 }
 
 impl Served {
@@ -29,20 +32,34 @@ impl Served {
     fn play(flags: &[&str]) -> Self {
         let mut command = command("caudata", &["play"]).unwrap();
         command.args(flags);
-        Self::start(command)
+        Self::start(command, false)
+    }
+
+    /// A tiny training without an end, in `run`.
+    fn train(run: &Path) -> Self {
+        let mut command = command("caudata", &["train"]).unwrap();
+        command.args(TINY.iter().filter(|flag| **flag != "--json"));
+        command.args(FEW_SAMPLES).arg("--out").arg(run);
+        command.args(["--iterations", "1000000"]);
+        command.args(["--set", "learner.publish_every=5"]);
+        Self::start(command, true)
     }
 
     /// Waits for the address, and reads what else is printed, so that nothing waits for a reader.
-    fn start(mut command: Command) -> Self {
+    fn start(mut command: Command, trains: bool) -> Self {
         let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
         let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
-        let address = lines.find_map(|line| Some(line.ok()?.split_once("http://")?.1.to_owned()));
+        let mut after =
+            |mark: &str| lines.find_map(|line| Some(line.ok()?.split_once(mark)?.1.to_owned()));
+        let address = after("http://");
+        let change = if trains { after("&change=") } else { None };
         std::thread::spawn(move || lines.for_each(drop));
         let address = address.expect("an address");
         let (host, token) = address.split_once("/?token=").expect("a token");
         Self {
             host: host.to_owned(),
             token: token.trim().to_owned(),
+            change: change.unwrap_or_default(),
             child,
         }
     }
@@ -77,6 +94,13 @@ impl Served {
     fn order(&self, order: &Value) -> String {
         let token = format!("x-caudata-token: {}\r\n", self.token);
         self.ask("POST /order", &token, &order.to_string())
+    }
+
+    /// Asks for a change of the training, with this token for it.
+    fn change(&self, token: &str, set: &[&str]) -> String {
+        let (look, set) = (&self.token, json!(set).to_string());
+        let headers = format!("x-caudata-token: {look}\r\nx-caudata-change: {token}\r\n");
+        self.ask("POST /change", &headers, &set)
     }
 
     fn events(&self) -> Events {
@@ -255,19 +279,7 @@ fn every_robot_that_ships_comes_onto_the_page() {
 #[test]
 fn a_training_is_watched_under_its_newest_policy() {
     let folder = tempfile::tempdir().unwrap();
-    let mut training = command("caudata", &["train"]).unwrap();
-    training.args(TINY.iter().filter(|flag| **flag != "--json"));
-    training
-        .args(FEW_SAMPLES)
-        .arg("--out")
-        .arg(folder.path().join("run"));
-    training.args([
-        "--iterations",
-        "1000000",
-        "--set",
-        "learner.publish_every=5",
-    ]);
-    let served = Served::start(training);
+    let served = Served::train(&folder.path().join("run"));
     let stranger = served.ask("GET /events", "", "");
     assert!(stranger.starts_with("HTTP/1.1 403"), "{stranger}");
     let mut events = served.events();
@@ -279,6 +291,90 @@ fn a_training_is_watched_under_its_newest_policy() {
     let first = versions.next().unwrap();
     assert!(versions.any(|version| version > first), "a newer one comes");
     events.place(10);
+}
+
+#[test]
+fn a_training_is_changed_with_the_token_for_it_and_not_without() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    let served = Served::train(&run);
+    let set = ["task.reward.weights.bend=-0.75"];
+    for wrong in ["", &served.token, &served.change[1..]] {
+        let answer = served.change(wrong, &set);
+        assert!(answer.starts_with("HTTP/1.1 403"), "{answer}");
+    }
+    let mut events = served.events();
+    events.named("training");
+    for (wrong, said) in [
+        ("task.reward.weights.bend=2", "this term costs"),
+        ("task.reward.weights.bent=-1", "unknown key"),
+        ("actors.lanes=9", "cannot change while a run goes on"),
+    ] {
+        let answer = served.change(&served.change, &[wrong]);
+        assert!(answer.starts_with("HTTP/1.1 400"), "{answer}");
+        assert!(answer.contains(said), "{answer}");
+    }
+    let long = "x".repeat(20_000);
+    let refused = served.change(&served.change, &[&long]);
+    assert!(refused.starts_with("HTTP/1.1 413"), "{refused}");
+
+    let asked = served.change(&served.change, &set);
+    assert!(asked.starts_with("HTTP/1.1 204"), "{asked}");
+    let made = |settings: &Value| settings["made"][0]["set"][0] == set[0];
+    while !made(&events.named("settings")) {}
+    let record = std::fs::read_to_string(run.join("changes.toml")).unwrap();
+    assert!(record.contains(set[0]), "{record}");
+
+    // The same from the command line.
+    let tune = |more: &[&str]| {
+        let mut tune = command("caudata", &["tune", run.to_str().unwrap()]).unwrap();
+        tune.args(more).output().unwrap()
+    };
+    let listed = String::from_utf8(tune(&[]).stdout).unwrap();
+    assert!(
+        listed.contains("task.reward.weights.bend = -0.75"),
+        "{listed}"
+    );
+    let done = tune(&["learner.ppo.entropy_weight=0.01"]);
+    let said = String::from_utf8(done.stdout).unwrap();
+    assert!(said.contains("changed after iteration"), "{said}");
+    assert_eq!(tune(&["learner.ppo.gamma=0.9"]).status.code(), Some(64));
+    drop(served);
+    assert_eq!(tune(&set).status.code(), Some(66), "nothing runs any more");
+}
+
+#[test]
+fn a_browser_changes_a_weight() {
+    let Some(mut browser) = Browser::start() else {
+        return skipped("there is no Chromium here");
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    let served = Served::train(&run);
+    let input = "document.querySelector('[title=\"task.reward.weights.power\"] input')";
+    // Who only looks sees what it is, and cannot change it.
+    browser.open(&served.address());
+    browser.until(&format!("{input} && {input}.readOnly"));
+    browser.open(&format!("{}&change={}", served.address(), served.change));
+    browser.until(&format!("{input} && !{input}.readOnly && caudata.live"));
+    let send = |browser: &mut Browser, value: &str| {
+        browser.evaluate(&format!(
+            "{{ {input}.value = '{value}'; {input}.dispatchEvent(new Event('input', {{ bubbles: true }})); \
+             document.getElementById('settings-send').click(); }}"
+        ));
+    };
+    let said = "document.getElementById('settings-said').textContent";
+    send(&mut browser, "5");
+    browser.until(&format!("{said}.includes('this term costs')"));
+    send(&mut browser, "-0.2");
+    browser.until(&format!("{said}.startsWith('changed after iteration')"));
+    browser.until("document.querySelector('#settings-made li').textContent.includes('power=-0.2')");
+    let record = std::fs::read_to_string(run.join("changes.toml")).unwrap();
+    assert!(record.contains("power=-0.2"), "{record}");
+    browser.width(390);
+    browser.until("document.documentElement.scrollWidth <= 390");
+    let errors = browser.evaluate("document.documentElement.dataset.errors");
+    assert_eq!(errors, "0");
 }
 
 #[test]

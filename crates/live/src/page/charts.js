@@ -43,6 +43,7 @@ caudata.Training = class {
 
   constructor() {
     this.points = [];
+    this.marks = [];
     this.hidden = new Set();
     for (const name of ["return", "terms"]) this[name] = new caudata.Sheet(document.getElementById(`plot-${name}`));
   }
@@ -54,6 +55,9 @@ caudata.Training = class {
     if (this.points.length > caudata.Training.POINTS) this.points = this.points.filter((_, i, all) => i % 2 === 1 || i === all.length - 1);
     this.show();
   }
+
+  // Where settings changed.
+  mark(made) { this.marks = made.map(({ iteration }) => iteration); this.show(); }
 
   show() {
     const last = this.points.at(-1);
@@ -80,6 +84,7 @@ caudata.Training = class {
     const xs = this.points.map((p) => p.iteration);
     const { width, height } = sheet.begin();
     const axes = sheet.axes({ box: [62, 8, width - 10, height - 38], x: [xs[0], Math.max(xs.at(-1), xs[0] + 1)], y: caudata.range(values, 0.1), xTicks: 5, yTicks: 5, xLabel: "iteration" });
+    for (const at of this.marks) sheet.line(axes, [at, at], axes.y, sheet.theme.command, 1, [2, 3]);
     return [axes, xs];
   }
 
