@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 
+use caudata_declare::settings;
 use caudata_proto::checks::Check;
 use caudata_proto::hex::{from_hex, hex};
 use caudata_proto::registry::Manifest;
@@ -292,50 +293,37 @@ pub const TRUST: &[Check<TrustCheck>] = &[Check {
     refuse: |seen, version| version < seen,
 }];
 
-/// What the robot knows about policies; `state.json`.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct RobotState {
-    /// [`STATE_FORMAT`].
-    pub format: String,
-    /// Grows with every change.
-    pub generation: u64,
-    /// Verified, and the one to run.
-    pub active: Option<PolicyRef>,
-    /// Ran well; what is run when the active one turns out bad.
-    pub last_good: Option<PolicyRef>,
-    /// Refused, oldest first.
-    pub quarantined: Vec<Quarantined>,
-    /// Highest version of each stream that was taken or found bad: nothing older is taken any more, also
-    /// where the robot went back.
-    #[serde(default)]
-    pub seen: BTreeMap<String, u64>,
-    /// The policy on trial, if there is one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub trial: Option<Trial>,
-    /// Highest version of a trust file that was in force here; 0 where none above version 1 was, see
-    /// [`RobotState::saw_trust`]. A lower one would bring back keys that were given up.
-    #[serde(default, skip_serializing_if = "is_zero")]
-    pub trust_version: u64,
+settings! {
+    /// What the robot knows about policies; `state.json`.
+    #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    pub struct RobotState {
+        /// [`STATE_FORMAT`].
+        pub format: String = STATE_FORMAT.to_owned(),
+        /// Grows with every change.
+        pub generation: u64 = 0,
+        /// Verified, and the one to run.
+        pub active: Option<PolicyRef>,
+        /// Ran well; what is run when the active one turns out bad.
+        pub last_good: Option<PolicyRef>,
+        /// Refused, oldest first.
+        pub quarantined: Vec<Quarantined>,
+        /// Highest version of each stream that was taken or found bad: nothing older is taken any more, also
+        /// where the robot went back.
+        #[serde(default)]
+        pub seen: BTreeMap<String, u64>,
+        /// The policy on trial, if there is one.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        pub trial: Option<Trial>,
+        /// Highest version of a trust file that was in force here; 0 where none above version 1 was, see
+        /// [`RobotState::saw_trust`]. A lower one would bring back keys that were given up.
+        #[serde(default, skip_serializing_if = "is_zero")]
+        pub trust_version: u64 = 0,
+    }
 }
 
 fn is_zero(number: &u64) -> bool {
     *number == 0
-}
-
-impl Default for RobotState {
-    fn default() -> Self {
-        Self {
-            format: STATE_FORMAT.to_owned(),
-            generation: 0,
-            active: None,
-            last_good: None,
-            quarantined: Vec::new(),
-            seen: BTreeMap::new(),
-            trial: None,
-            trust_version: 0,
-        }
-    }
 }
 
 impl RobotState {

@@ -333,7 +333,7 @@ impl Store {
         } else {
             "nack"
         };
-        let words = format!("{} {} {}", report.robot, report.state.word(), report.reason);
+        let words = format!("{} {} {}", report.robot, report.state.name(), report.reason);
         let deed = Deed {
             what,
             stream: report.stream.as_str(),

@@ -13,6 +13,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
+use caudata_declare::settings;
 use caudata_telemetry::ACCEPT_PAUSE;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream};
@@ -41,21 +42,14 @@ const READY_MAX: usize = 16;
 /// Refused connections are told of once in this time.
 const TELL_PAUSE: Duration = Duration::from_secs(1);
 
-/// See [`CONNECTIONS_MAX`] and [`PEER_CONNECTIONS_MAX`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ConnectionLimits {
-    /// Altogether.
-    pub total: usize,
-    /// From one host; this host itself is not counted.
-    pub per_peer: usize,
-}
-
-impl Default for ConnectionLimits {
-    fn default() -> Self {
-        Self {
-            total: CONNECTIONS_MAX,
-            per_peer: PEER_CONNECTIONS_MAX,
-        }
+settings! {
+    /// See [`CONNECTIONS_MAX`] and [`PEER_CONNECTIONS_MAX`].
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub struct ConnectionLimits {
+        /// Altogether.
+        pub total: usize = CONNECTIONS_MAX,
+        /// From one host; this host itself is not counted.
+        pub per_peer: usize = PEER_CONNECTIONS_MAX,
     }
 }
 

@@ -285,7 +285,7 @@ fn state(report: &RobotReport) -> String {
     };
     format!(
         "<span class=\"{class}\">{}</span>{reason}",
-        report.state.word()
+        report.state.name()
     )
 }
 

@@ -195,12 +195,12 @@ impl RegistryService {
             )));
         }
         if report.state.went_well() != well {
-            let word = report.state.word();
+            let word = report.state.name();
             return Err(Status::invalid_argument(format!(
                 "`{word}` is not for this call: what went well is an Ack, what did not a Nack"
             )));
         }
-        let (robot, version, state) = (report.robot.clone(), report.version, report.state.word());
+        let (robot, version, state) = (report.robot.clone(), report.version, report.state.name());
         let news = self
             .change(move |store| store.report(&origin, report))
             .await?;

@@ -21,6 +21,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Weak};
 
+use caudata_declare::settings;
 use caudata_durable::{Disk, Owner};
 use caudata_proto::hex::hex;
 use caudata_proto::registry::{LabelName, LabelState, Manifest, StreamName};
@@ -35,28 +36,20 @@ use crate::notes::{Hash, Quarantined, Reports, UsedUp, UsedUpFile};
 use crate::quota::Quota;
 use crate::record::Record;
 
-/// Limits of the store.
-#[derive(Clone, Copy, Debug)]
-pub struct StoreLimits {
-    /// Streams at most; protects the disk from a publisher that invents names.
-    pub streams_max: usize,
-    /// Versions kept per stream, newest first; older ones are removed after each publication. Too small:
-    /// robots that were offline find their version gone; too large: disk (about 0.2 MB each for a 128-128
-    /// network).
-    pub versions_kept: usize,
-    /// Robots that must have run a version through its trial before `stable` may lead to it. 0: none. Too
-    /// small: one lucky walk makes a policy everybody's; too large: a small lab never gets there without an
-    /// override.
-    pub stable_needs: usize,
-}
-
-impl Default for StoreLimits {
-    fn default() -> Self {
-        Self {
-            streams_max: 256,
-            versions_kept: 64,
-            stable_needs: 1,
-        }
+settings! {
+    /// Limits of the store.
+    #[derive(Clone, Copy, Debug)]
+    pub struct StoreLimits {
+        /// Streams at most; protects the disk from a publisher that invents names.
+        pub streams_max: usize = 256,
+        /// Versions kept per stream, newest first; older ones are removed after each publication. Too small:
+        /// robots that were offline find their version gone; too large: disk (about 0.2 MB each for a 128-128
+        /// network).
+        pub versions_kept: usize = 64,
+        /// Robots that must have run a version through its trial before `stable` may lead to it. 0: none. Too
+        /// small: one lucky walk makes a policy everybody's; too large: a small lab never gets there without
+        /// an override.
+        pub stable_needs: usize = 1,
     }
 }
 

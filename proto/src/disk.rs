@@ -17,14 +17,14 @@ pub(crate) mod state_word {
     pub(crate) fn serialize<S: Serializer>(state: &i32, to: S) -> Result<S::Ok, S::Error> {
         let known = State::try_from(*state).ok().and_then(|s| s.try_into().ok());
         match known {
-            Some(state) => to.serialize_str(RobotState::word(state)),
+            Some(state) => to.serialize_str(RobotState::name(state)),
             None => Err(serde::ser::Error::custom("not a state of a report")),
         }
     }
 
     pub(crate) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<i32, D::Error> {
         let word = String::deserialize(from)?;
-        match RobotState::of_word(&word) {
+        match RobotState::of_name(&word) {
             Some(state) => Ok(State::from(state).into()),
             None => Err(serde::de::Error::custom(format!(
                 "`{word}` is not a state of a report"

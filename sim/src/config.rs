@@ -1,31 +1,22 @@
 //! `[engine]` of the configuration file.
 
+use caudata_declare::{named, settings};
 use caudata_model::{BaseKind, Joint, JointKind, RobotModel};
 use serde::{Deserialize, Serialize};
 
 use crate::SimError;
 
-/// Which engine.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum EngineKind {
-    /// Articulated bodies in vector lanes, compliant contact. The engine for training and diagnosis.
-    Batch,
-    /// Rapier multibody joints, one world per lane.
-    Rapier,
-    /// MuJoCo in a Python process beside, one model per lane.
-    Mujoco,
-}
-
-impl EngineKind {
-    /// Its name in configuration files and on the command line.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Batch => "batch",
-            Self::Rapier => "rapier",
-            Self::Mujoco => "mujoco",
-        }
+named! {
+    /// Which engine.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum EngineKind {
+        /// Articulated bodies in vector lanes, compliant contact. The engine for training and diagnosis.
+        Batch = "batch",
+        /// Rapier multibody joints, one world per lane.
+        Rapier = "rapier",
+        /// MuJoCo in a Python process beside, one model per lane.
+        Mujoco = "mujoco",
     }
 }
 
@@ -39,94 +30,71 @@ pub enum Precision {
     Double,
 }
 
-/// Table `[engine]`: step sizes and solver settings.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct EngineConfig {
-    /// The engine, `batch`, `rapier` or `mujoco`. Default `batch`. The others are independent referees, some
-    /// hundred times slower: `rapier` is tuned for `dt_s` = 0.004 and `substeps` = 5; `mujoco` needs a Python
-    /// with MuJoCo, named by `CAUDATA_MUJOCO_PYTHON`.
-    pub kind: EngineKind,
-    /// Physics step, s, 0.0002..=0.01. Default 0.002: an open-loop trot then travels within 2 % of its
-    /// small-step limit. Smaller is more accurate and proportionally slower; above about 5 ms foot contact
-    /// gets coarse, and with `rapier` the servo loop soft (it is explicit there).
-    pub dt_s: f64,
-    /// Physics steps per control period, 1..=200; `substeps * dt_s` is the control period. Default 10 (20
-    /// ms).
-    pub substeps: u32,
-    /// `rapier`: solver iterations per physics step, 1..=16. Each costs nearly a whole step. Default 1.
-    pub solver_iterations: u32,
-    /// `rapier`: natural frequency of the contact constraint, Hz, 1..=1000. Higher is stiffer: less sinking
-    /// in, harder impacts. Default 60 (Rapier's value against fixed ground).
-    pub contact_frequency_hz: f64,
-    /// `rapier`: damping ratio of the contact constraint, 0.1..=50. Higher pushes penetration out more
-    /// slowly. Default 10 (Rapier's).
-    pub contact_damping_ratio: f64,
-    /// `rapier`: gap at which contacts are prepared ahead of touching, m, 0..=0.05. Too small: fast feet sink
-    /// in before they are noticed. Too large: more contact points to solve. Default 0.005.
-    pub contact_margin_m: f64,
-    /// Whether backlash hinges are held at zero although the model has them. Default false. True is about 1.5
-    /// times as fast (four of the Polymander's 28 degrees of freedom less) and walks like a stiffer robot:
-    /// farther, with less power.
-    pub lock_backlash: bool,
-    /// Whether the base link is held in the air (a robot on a stand) although the model lets it move. Default
-    /// false.
-    pub fixed_base: bool,
-    /// Whether legs touch the trunk and other legs, with the shapes that touch the ground. Default false: gaits on land do not need it (legs of the
-    /// Polymander meet only when it bends its spine with hips at their ends), and every pair costs.
-    pub self_collision: bool,
-    /// `batch`: whether, with `self_collision`, the shapes meet that are to be looked at, instead of those that
-    /// touch the ground; boxes with rounded edges. Default false: a salamander's ground contact set is balls,
-    /// between which a leg can pass through the trunk; its shells cost more.
-    pub self_shells: bool,
-    /// Joint speed, and spin of the base, beyond which a lane counts as diverged, rad/s. Default 200 (the
-    /// servos end at 8).
-    pub max_joint_speed_radps: f64,
-    /// Base speed beyond which a lane counts as diverged, m/s. Default 50.
-    pub max_base_speed_mps: f64,
-    /// `batch`: lanes per vector register, 0 (the widest the processor has), 1, 4, 8 or 16. Default 0. Others
-    /// are for measuring.
-    pub lane_width: u32,
-    /// `batch`: `single` or `double`. Default `single`.
-    pub precision: Precision,
-    /// `batch`: friction as MuJoCo's elliptic cone has it, instead of Coulomb's on a bristle. Default false.
-    /// True: open-loop gaits go as in MuJoCo, but a sliding foot lifts itself, and sticking sets in over the
-    /// contact's time constant.
-    pub convex_friction: bool,
-    /// `batch`: stiffness of a contact point's friction bristle, N/m, 100..=1e6. Default 30000. Softer: feet
-    /// give way sideways before they hold. Stiffer: sticking needs smaller steps.
-    pub bristle_stiffness_n_per_m: f64,
-    /// `batch`: damping of that bristle, N·s/m, 0..=1e4. Default 100: sticking feet come to rest within a
-    /// step or two. Zero: they ring.
-    pub bristle_damping_ns_per_m: f64,
-    /// `batch`: how many times faster contacts push back than the MJCF's `solref` says, 0.1..=10. Default 1.
-    /// Harder: feet land with a jolt, and small steps are needed. Softer: they sink in.
-    pub contact_hardness: f64,
-}
-
-impl Default for EngineConfig {
-    fn default() -> Self {
-        Self {
-            kind: EngineKind::Batch,
-            dt_s: 0.002,
-            substeps: 10,
-            solver_iterations: 1,
-            contact_frequency_hz: 60.0,
-            contact_damping_ratio: 10.0,
-            contact_margin_m: 0.005,
-            lock_backlash: false,
-            fixed_base: false,
-            self_collision: false,
-            self_shells: false,
-            max_joint_speed_radps: 200.0,
-            max_base_speed_mps: 50.0,
-            lane_width: 0,
-            precision: Precision::Single,
-            convex_friction: false,
-            bristle_stiffness_n_per_m: 30_000.0,
-            bristle_damping_ns_per_m: 100.0,
-            contact_hardness: 1.0,
-        }
+settings! {
+    /// Table `[engine]`: step sizes and solver settings.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct EngineConfig {
+        /// The engine, `batch`, `rapier` or `mujoco`. Default `batch`. The others are independent referees,
+        /// some hundred times slower: `rapier` is tuned for `dt_s` = 0.004 and `substeps` = 5; `mujoco` needs
+        /// a Python with MuJoCo, named by `CAUDATA_MUJOCO_PYTHON`.
+        pub kind: EngineKind = EngineKind::Batch,
+        /// Physics step, s, 0.0002..=0.01. Default 0.002: an open-loop trot then travels within 2 % of its
+        /// small-step limit. Smaller is more accurate and proportionally slower; above about 5 ms foot
+        /// contact gets coarse, and with `rapier` the servo loop soft (it is explicit there).
+        pub dt_s: f64 = 0.002,
+        /// Physics steps per control period, 1..=200; `substeps * dt_s` is the control period. Default 10 (20
+        /// ms).
+        pub substeps: u32 = 10,
+        /// `rapier`: solver iterations per physics step, 1..=16. Each costs nearly a whole step. Default 1.
+        pub solver_iterations: u32 = 1,
+        /// `rapier`: natural frequency of the contact constraint, Hz, 1..=1000. Higher is stiffer: less
+        /// sinking in, harder impacts. Default 60 (Rapier's value against fixed ground).
+        pub contact_frequency_hz: f64 = 60.0,
+        /// `rapier`: damping ratio of the contact constraint, 0.1..=50. Higher pushes penetration out more
+        /// slowly. Default 10 (Rapier's).
+        pub contact_damping_ratio: f64 = 10.0,
+        /// `rapier`: gap at which contacts are prepared ahead of touching, m, 0..=0.05. Too small: fast feet
+        /// sink in before they are noticed. Too large: more contact points to solve. Default 0.005.
+        pub contact_margin_m: f64 = 0.005,
+        /// Whether backlash hinges are held at zero although the model has them. Default false. True is about
+        /// 1.5 times as fast (four of the Polymander's 28 degrees of freedom less) and walks like a stiffer
+        /// robot: farther, with less power.
+        pub lock_backlash: bool = false,
+        /// Whether the base link is held in the air (a robot on a stand) although the model lets it move.
+        /// Default false.
+        pub fixed_base: bool = false,
+        /// Whether legs touch the trunk and other legs, with the shapes that touch the ground. Default false:
+        /// gaits on land do not need it (legs of the Polymander meet only when it bends its spine with hips
+        /// at their ends), and every pair costs.
+        pub self_collision: bool = false,
+        /// `batch`: whether, with `self_collision`, the shapes meet that are to be looked at, instead of
+        /// those that touch the ground; boxes with rounded edges. Default false: a salamander's ground
+        /// contact set is balls, between which a leg can pass through the trunk; its shells cost more.
+        pub self_shells: bool = false,
+        /// Joint speed, and spin of the base, beyond which a lane counts as diverged, rad/s. Default 200 (the
+        /// servos end at 8).
+        pub max_joint_speed_radps: f64 = 200.0,
+        /// Base speed beyond which a lane counts as diverged, m/s. Default 50.
+        pub max_base_speed_mps: f64 = 50.0,
+        /// `batch`: lanes per vector register, 0 (the widest the processor has), 1, 4, 8 or 16. Default 0.
+        /// Others are for measuring.
+        pub lane_width: u32 = 0,
+        /// `batch`: `single` or `double`. Default `single`.
+        pub precision: Precision = Precision::Single,
+        /// `batch`: friction as MuJoCo's elliptic cone has it, instead of Coulomb's on a bristle. Default
+        /// false. True: open-loop gaits go as in MuJoCo, but a sliding foot lifts itself, and sticking sets
+        /// in over the contact's time constant.
+        pub convex_friction: bool = false,
+        /// `batch`: stiffness of a contact point's friction bristle, N/m, 100..=1e6. Default 30000. Softer:
+        /// feet give way sideways before they hold. Stiffer: sticking needs smaller steps.
+        pub bristle_stiffness_n_per_m: f64 = 30_000.0,
+        /// `batch`: damping of that bristle, N·s/m, 0..=1e4. Default 100: sticking feet come to rest within a
+        /// step or two. Zero: they ring.
+        pub bristle_damping_ns_per_m: f64 = 100.0,
+        /// `batch`: how many times faster contacts push back than the MJCF's `solref` says, 0.1..=10. Default
+        /// 1. Harder: feet land with a jolt, and small steps are needed. Softer: they sink in.
+        pub contact_hardness: f64 = 1.0,
     }
 }
 

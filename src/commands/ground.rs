@@ -6,11 +6,8 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 /// The kinds of terrain, as words on the command line.
 pub fn terrain_parser() -> impl TypedValueParser<Value = TerrainKind> {
     PossibleValuesParser::new(TerrainKind::ALL.map(TerrainKind::name)).map(|name| {
-        let named = |kind: &TerrainKind| kind.name() == name;
-        TerrainKind::ALL
-            .into_iter()
-            .find(named)
-            .unwrap_or(TerrainKind::Flat)
+        // The parser let through no other word.
+        TerrainKind::of_name(&name).unwrap_or(TerrainKind::Flat)
     })
 }
 

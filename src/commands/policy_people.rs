@@ -271,7 +271,7 @@ fn reports_json(overview: &Overview, manifest: &Manifest) -> serde_json::Value {
     let reports: Vec<_> = reports
         .map(|r| {
             json!({
-                "robot": r.robot, "state": r.state.word(), "reason": r.reason, "walked_s": r.walked_s,
+                "robot": r.robot, "state": r.state.name(), "reason": r.reason, "walked_s": r.walked_s,
                 "falls": r.falls, "attempts": r.attempts, "unix_ms": r.unix_ms,
             })
         })

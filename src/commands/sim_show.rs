@@ -199,11 +199,8 @@ fn choose_terrain(
 ) -> Result<u64, Failure> {
     let mut seed = 1;
     if let Some(log) = log {
-        if let Some(kind) = TerrainKind::ALL
-            .iter()
-            .find(|k| k.name() == log.meta.terrain)
-        {
-            config.terrain = logged_terrain(log, *kind)?;
+        if let Some(kind) = TerrainKind::of_name(&log.meta.terrain) {
+            config.terrain = logged_terrain(log, kind)?;
         }
         match log.meta.settings.get("seed") {
             Some(Setting::Text(logged)) => seed = logged.parse().unwrap_or(seed),

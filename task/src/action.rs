@@ -1,33 +1,26 @@
 //! What an action means: joint offsets, clipped, low-pass filtered, scaled and kept within the joint limits.
 
+use caudata_declare::settings;
 use serde::{Deserialize, Serialize};
 
 use crate::error::checks;
 use crate::{JointTable, PerJoint, TaskError};
 
-/// Table `[task.action]`: `q_des = q_nominal + scale · filter(clip(a))`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ActionConfig {
-    /// Radians of joint offset per unit of action, > 0. Default 0.5 (MuJoCo Playground; the paper gives
-    /// none). Too small: the legs cannot reach. Too large: a network's small errors become large motions.
-    pub scale: f32,
-    /// First-order low pass at the control rate: y ← y + α(a − y), in (0, 1]; 1 is no filter. Default 0.5. At
-    /// 50 Hz α = 0.15 passes up to about 1.3 Hz, 0.5 up to about 6 Hz. Too large: policies learn to vibrate;
-    /// too small: they cannot react to a push.
-    pub filter_alpha: f32,
-    /// Actions beyond ± this are cut off before the filter, > 0. Default 5. Far outside what a policy
-    /// should want; it keeps the observed past actions bounded when an exploration draw is extreme.
-    pub clip: f32,
-}
-
-impl Default for ActionConfig {
-    fn default() -> Self {
-        Self {
-            scale: 0.5,
-            filter_alpha: 0.5,
-            clip: 5.0,
-        }
+settings! {
+    /// Table `[task.action]`: `q_des = q_nominal + scale · filter(clip(a))`.
+    #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct ActionConfig {
+        /// Radians of joint offset per unit of action, > 0. Default 0.5 (MuJoCo Playground; the paper gives
+        /// none). Too small: the legs cannot reach. Too large: a network's small errors become large motions.
+        pub scale: f32 = 0.5,
+        /// First-order low pass at the control rate: y ← y + α(a − y), in (0, 1]; 1 is no filter. Default
+        /// 0.5. At 50 Hz α = 0.15 passes up to about 1.3 Hz, 0.5 up to about 6 Hz. Too large: policies learn
+        /// to vibrate; too small: they cannot react to a push.
+        pub filter_alpha: f32 = 0.5,
+        /// Actions beyond ± this are cut off before the filter, > 0. Default 5. Far outside what a policy
+        /// should want; it keeps the observed past actions bounded when an exploration draw is extreme.
+        pub clip: f32 = 5.0,
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::f32::consts::PI;
 
+use caudata_declare::settings;
 use caudata_random::Stream;
 use serde::{Deserialize, Serialize};
 
@@ -13,43 +14,32 @@ use crate::{COMMAND_DIM, TaskError};
 /// sways.
 pub const COURSE_GAIN_PER_S: f32 = 1.0;
 
-/// Table `[task.command]`: what the robot is asked to do, in the heading frame.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct CommandConfig {
-    /// Forward velocity, m/s, uniform in [min, max]. Default −0.2 to 0.5: the robot walks at about 0.3,
-    /// and a range that it cannot reach teaches it to ignore commands.
-    pub vx_mps: [f32; 2],
-    /// Velocity to the left, m/s. Default ±0.1.
-    pub vy_mps: [f32; 2],
-    /// Yaw rate to the left, rad/s. Default ±0.5.
-    pub yaw_rate_radps: [f32; 2],
-    /// How long a command holds, s, uniform in [min, max]. Default 4 to 8. Too short: nothing but
-    /// transitions; too long: few transitions, and a policy that stumbles over them.
-    pub resample_s: [f32; 2],
-    /// Probability that a command is zero (stand), 0 to 1. Default 0.1 (MuJoCo Playground).
-    pub zero_share: f32,
-    /// Probability that a command other than zero holds a course, as a person with a joystick would, 0 to 1:
-    /// a heading is drawn, the yaw rate is 1 s⁻¹ times the missing angle within `yaw_rate_radps` (which must
-    /// hold 0 then), and `tracking_lin_vel` looks at the velocity along that course and across it, whatever
-    /// the robot's heading. Default 0. Without it a robot that a beach has turned aside follows its command
-    /// perfectly, in its own frame; too large: free turns are trained too little.
-    pub course_share: f32,
-    /// Courses are drawn within ± this of the present heading, rad, 0 to π. Default π/3.
-    pub course_within_rad: f32,
-}
-
-impl Default for CommandConfig {
-    fn default() -> Self {
-        Self {
-            vx_mps: [-0.2, 0.5],
-            vy_mps: [-0.1, 0.1],
-            yaw_rate_radps: [-0.5, 0.5],
-            resample_s: [4.0, 8.0],
-            zero_share: 0.1,
-            course_share: 0.0,
-            course_within_rad: std::f32::consts::FRAC_PI_3,
-        }
+settings! {
+    /// Table `[task.command]`: what the robot is asked to do, in the heading frame.
+    #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct CommandConfig {
+        /// Forward velocity, m/s, uniform in [min, max]. Default −0.2 to 0.5: the robot walks at about 0.3,
+        /// and a range that it cannot reach teaches it to ignore commands.
+        pub vx_mps: [f32; 2] = [-0.2, 0.5],
+        /// Velocity to the left, m/s. Default ±0.1.
+        pub vy_mps: [f32; 2] = [-0.1, 0.1],
+        /// Yaw rate to the left, rad/s. Default ±0.5.
+        pub yaw_rate_radps: [f32; 2] = [-0.5, 0.5],
+        /// How long a command holds, s, uniform in [min, max]. Default 4 to 8. Too short: nothing but
+        /// transitions; too long: few transitions, and a policy that stumbles over them.
+        pub resample_s: [f32; 2] = [4.0, 8.0],
+        /// Probability that a command is zero (stand), 0 to 1. Default 0.1 (MuJoCo Playground).
+        pub zero_share: f32 = 0.1,
+        /// Probability that a command other than zero holds a course, as a person with a joystick would, 0 to
+        /// 1: a heading is drawn, the yaw rate is 1 s⁻¹ times the missing angle within `yaw_rate_radps`
+        /// (which must hold 0 then), and `tracking_lin_vel` looks at the velocity along that course and
+        /// across it, whatever the robot's heading. Default 0. Without it a robot that a beach has turned
+        /// aside follows its command perfectly, in its own frame; too large: free turns are trained too
+        /// little.
+        pub course_share: f32 = 0.0,
+        /// Courses are drawn within ± this of the present heading, rad, 0 to π. Default π/3.
+        pub course_within_rad: f32 = std::f32::consts::FRAC_PI_3,
     }
 }
 

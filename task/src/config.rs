@@ -1,5 +1,6 @@
 //! Table `[task]`: everything about the task that a run may choose.
 
+use caudata_declare::settings;
 use serde::{Deserialize, Serialize};
 
 use crate::TaskError;
@@ -16,75 +17,53 @@ use crate::reset::ResetConfig;
 use crate::reward::RewardConfig;
 use crate::termination::TerminationConfig;
 
-/// The task. Defaults are the paper's values, and MuJoCo Playground's where the paper gives none.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct TaskConfig {
-    /// Time between two actions, s; must be a whole number of physics steps. Default 0.02 (50 Hz, paper).
-    pub control_period_s: f64,
-    /// Time limit of an episode, control steps. Default 1000 (20 s, paper). Reaching it is truncation, not
-    /// failure.
-    pub episode_steps: u32,
-    /// Gives the first episode of each environment a random length, so that later they do not all end at the
-    /// same step (which would make some batches all starts and others none). Default true.
-    pub stagger_first_episode: bool,
-    /// Appends the medium bit (1 afloat, 0 otherwise) to the observation. Default false.
-    pub observe_medium: bool,
-    /// Height of the centre of mass above the highest ground under a foot or a girdle from which on a robot
-    /// in water counts as afloat, m: the medium bit and the rewards of swimming begin there. Default 0.09 (it
-    /// stands at 0.073). Smaller: a robot that swims ashore keeps its legs folded and never stands up;
-    /// larger: it must get along without swimming where its feet find no ground.
-    pub afloat_above_m: f32,
-    /// Height of a girdle above the ground under it up to which, in water, its feet are asked to step (the
-    /// reward `phase`), m. Default 0.09. Not afloat (the centre of mass is near the highest ground) and with
-    /// a girdle higher than this (the other one is over deep water) its feet are asked for nothing. Larger:
-    /// feet are judged that reach no ground; smaller: a robot that wades need not step.
-    pub feet_reach_m: f32,
-    /// What the policy sees.
-    pub observation: ObservationConfig,
-    /// What the value function sees besides.
-    pub critic: CriticConfig,
-    /// What an action means.
-    pub action: ActionConfig,
-    /// The gait clock.
-    pub phase: PhaseConfig,
-    /// Commanded velocities.
-    pub command: CommandConfig,
-    /// Rewards.
-    pub reward: RewardConfig,
-    /// Failing states.
-    pub termination: TerminationConfig,
-    /// Starts.
-    pub reset: ResetConfig,
-    /// Randomised physics.
-    pub randomisation: RandomisationConfig,
-    /// Pushes.
-    pub push: PushConfig,
-    /// Observation noise.
-    pub noise: ObservationNoiseConfig,
-}
-
-impl Default for TaskConfig {
-    fn default() -> Self {
-        Self {
-            control_period_s: 0.02,
-            episode_steps: 1000,
-            stagger_first_episode: true,
-            observe_medium: false,
-            afloat_above_m: 0.09,
-            feet_reach_m: 0.09,
-            observation: ObservationConfig::default(),
-            critic: CriticConfig::default(),
-            action: ActionConfig::default(),
-            phase: PhaseConfig::default(),
-            command: CommandConfig::default(),
-            reward: RewardConfig::default(),
-            termination: TerminationConfig::default(),
-            reset: ResetConfig::default(),
-            randomisation: RandomisationConfig::default(),
-            push: PushConfig::default(),
-            noise: ObservationNoiseConfig::default(),
-        }
+settings! {
+    /// The task. Defaults are the paper's values, and MuJoCo Playground's where the paper gives none.
+    #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct TaskConfig {
+        /// Time between two actions, s; must be a whole number of physics steps. Default 0.02 (50 Hz, paper).
+        pub control_period_s: f64 = 0.02,
+        /// Time limit of an episode, control steps. Default 1000 (20 s, paper). Reaching it is truncation,
+        /// not failure.
+        pub episode_steps: u32 = 1000,
+        /// Gives the first episode of each environment a random length, so that later they do not all end at
+        /// the same step (which would make some batches all starts and others none). Default true.
+        pub stagger_first_episode: bool = true,
+        /// Appends the medium bit (1 afloat, 0 otherwise) to the observation. Default false.
+        pub observe_medium: bool = false,
+        /// Height of the centre of mass above the highest ground under a foot or a girdle from which on a
+        /// robot in water counts as afloat, m: the medium bit and the rewards of swimming begin there.
+        /// Default 0.09 (it stands at 0.073). Smaller: a robot that swims ashore keeps its legs folded and
+        /// never stands up; larger: it must get along without swimming where its feet find no ground.
+        pub afloat_above_m: f32 = 0.09,
+        /// Height of a girdle above the ground under it up to which, in water, its feet are asked to step
+        /// (the reward `phase`), m. Default 0.09. Not afloat (the centre of mass is near the highest ground)
+        /// and with a girdle higher than this (the other one is over deep water) its feet are asked for
+        /// nothing. Larger: feet are judged that reach no ground; smaller: a robot that wades need not step.
+        pub feet_reach_m: f32 = 0.09,
+        /// What the policy sees.
+        pub observation: ObservationConfig,
+        /// What the value function sees besides.
+        pub critic: CriticConfig,
+        /// What an action means.
+        pub action: ActionConfig,
+        /// The gait clock.
+        pub phase: PhaseConfig,
+        /// Commanded velocities.
+        pub command: CommandConfig,
+        /// Rewards.
+        pub reward: RewardConfig,
+        /// Failing states.
+        pub termination: TerminationConfig,
+        /// Starts.
+        pub reset: ResetConfig,
+        /// Randomised physics.
+        pub randomisation: RandomisationConfig,
+        /// Pushes.
+        pub push: PushConfig,
+        /// Observation noise.
+        pub noise: ObservationNoiseConfig,
     }
 }
 

@@ -1,6 +1,7 @@
 //! The policy contract: all that a policy's numbers depend on. It is written into every policy file, its hash
 //! rides in every rollout, and every reader compares it with its own.
 
+use caudata_declare::named;
 use caudata_model::{Pose, RobotModel};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -128,36 +129,38 @@ pub struct CommandContract {
     pub yaw_rate_radps: [f32; 2],
 }
 
-/// A field in which two contracts differ.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ContractDifference {
-    /// Another robot.
-    Robot,
-    /// The same robot with other parameters (its files have another hash).
-    RobotModel,
-    /// Other joints, or the same in another order.
-    JointOrder,
-    /// Another nominal pose.
-    NominalPose,
-    /// Other joint limits.
-    JointLimits,
-    /// Other gains.
-    Gains,
-    /// Another control rate.
-    ControlPeriod,
-    /// Another meaning of actions.
-    Action,
-    /// Another observation.
-    Observation,
-    /// An IMU at another place, or with other axes.
-    Imu,
-    /// Another gait clock.
-    Phase,
-    /// Other command ranges.
-    CommandRange,
-    /// Another depth from which on it swims.
-    Afloat,
+named! {
+    /// A field in which two contracts differ.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum ContractDifference {
+        /// Another robot.
+        Robot = "robot",
+        /// The same robot with other parameters (its files have another hash).
+        RobotModel = "robot model",
+        /// Other joints, or the same in another order.
+        JointOrder = "joint order",
+        /// Another nominal pose.
+        NominalPose = "nominal pose",
+        /// Other joint limits.
+        JointLimits = "joint limits",
+        /// Other gains.
+        Gains = "gains",
+        /// Another control rate.
+        ControlPeriod = "control period",
+        /// Another meaning of actions.
+        Action = "action",
+        /// Another observation.
+        Observation = "observation layout",
+        /// An IMU at another place, or with other axes.
+        Imu = "place and axes of the IMU",
+        /// Another gait clock.
+        Phase = "gait phase",
+        /// Other command ranges.
+        CommandRange = "command range",
+        /// Another depth from which on it swims.
+        Afloat = "height from which on it swims",
+    }
 }
 
 impl ContractDifference {
@@ -165,25 +168,6 @@ impl ContractDifference {
     /// file with other physical parameters (as diagnosis writes), or other command ranges.
     pub fn is_breaking(self) -> bool {
         !matches!(self, Self::RobotModel | Self::CommandRange | Self::Afloat)
-    }
-
-    /// What differs, in words.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Robot => "robot",
-            Self::RobotModel => "robot model",
-            Self::JointOrder => "joint order",
-            Self::NominalPose => "nominal pose",
-            Self::JointLimits => "joint limits",
-            Self::Gains => "gains",
-            Self::ControlPeriod => "control period",
-            Self::Action => "action",
-            Self::Observation => "observation layout",
-            Self::Imu => "place and axes of the IMU",
-            Self::Phase => "gait phase",
-            Self::CommandRange => "command range",
-            Self::Afloat => "height from which on it swims",
-        }
     }
 }
 

@@ -1,5 +1,6 @@
 //! Where each quantity lies in the observation: the one definition, written into every policy file.
 
+use caudata_declare::named;
 use serde::{Deserialize, Serialize};
 
 use std::ops::Range;
@@ -10,59 +11,30 @@ use crate::{ACTION_HISTORY, COMMAND_DIM, TaskError};
 /// Most control steps that a term may hold.
 pub const HISTORY_MAX: u32 = 16;
 
-/// The observation terms that are functions here; any other is an expression.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Part {
-    /// Joint velocities.
-    JointVel,
-    /// Joint position offsets.
-    JointPos,
-    /// Angular velocity.
-    Gyro,
-    /// Gravity direction.
-    Gravity,
-    /// Phase: cos, sin of the first foot, then of the next; of the clock for a robot without feet.
-    Phase,
-    /// Command.
-    Command,
-    /// Past actions, newest first.
-    Actions,
-    /// Medium bit.
-    Medium,
+named! {
+    /// The observation terms that are functions here; any other is an expression.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum Part {
+        /// Joint velocities.
+        JointVel = "joint_vel",
+        /// Joint position offsets.
+        JointPos = "joint_pos_offset",
+        /// Angular velocity.
+        Gyro = "gyro",
+        /// Gravity direction.
+        Gravity = "gravity",
+        /// Phase: cos, sin of the first foot, then of the next; of the clock for a robot without feet.
+        Phase = "phase",
+        /// Command.
+        Command = "command",
+        /// Past actions, newest first.
+        Actions = "actions",
+        /// Medium bit.
+        Medium = "medium",
+    }
 }
 
 impl Part {
-    /// All, in the order of the standard observation.
-    pub const ALL: [Self; 8] = [
-        Self::JointVel,
-        Self::JointPos,
-        Self::Gyro,
-        Self::Gravity,
-        Self::Phase,
-        Self::Command,
-        Self::Actions,
-        Self::Medium,
-    ];
-
-    /// Its name in task files and policy files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::JointVel => "joint_vel",
-            Self::JointPos => "joint_pos_offset",
-            Self::Gyro => "gyro",
-            Self::Gravity => "gravity",
-            Self::Phase => "phase",
-            Self::Command => "command",
-            Self::Actions => "actions",
-            Self::Medium => "medium",
-        }
-    }
-
-    /// The part with this name.
-    pub fn named(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|part| part.name() == name)
-    }
-
     /// Unit of its values.
     pub fn unit(self) -> &'static str {
         match self {
@@ -189,7 +161,7 @@ impl ObservationLayout {
                     "has a history that is not 1 to {HISTORY_MAX}"
                 )));
             }
-            match (Part::named(term.name), term.value) {
+            match (Part::of_name(term.name), term.value) {
                 (Some(Part::Actions), None)
                     if term
                         .history

@@ -1,49 +1,38 @@
 //! Noise on what the policy sees, per part of the observation.
 
+use caudata_declare::settings;
 use caudata_random::Stream;
 use serde::{Deserialize, Serialize};
 
 use crate::error::checks;
 use crate::{PerJoint, TaskError};
 
-/// Table `[task.noise]`: noise on the observation, bell-shaped with the given standard deviations (and never
-/// beyond 3.45 of them).
-///
-/// It comes on top of the sensors' own quantisation and noise from the robot file (`sensor_models`), and
-/// stands for what those leave out: filtering, mounting, vibration, the attitude estimator.
-/// Too small: the policy trusts single readings; too large: it stops using them.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ObservationNoiseConfig {
-    /// Whether observations carry any noise, that of the sensor models included. Default true.
-    pub enabled: bool,
-    /// Whether encoders and IMU are modelled as the robot file describes them (steps, noise, bias). Default
-    /// true.
-    pub sensor_models: bool,
-    /// On joint velocities, rad/s. Default 0.1 (four steps of the servo's velocity reading).
-    pub joint_vel_std_radps: f32,
-    /// On joint positions, rad. Default 0.005.
-    pub joint_pos_std_rad: f32,
-    /// Constant offset of each joint's position per episode, rad. Default 0.01: horns sit on a spline and are
-    /// zeroed by eye.
-    pub joint_offset_std_rad: f32,
-    /// On the angular velocity, rad/s. Default 0.05.
-    pub gyro_std_radps: f32,
-    /// On each component of the gravity direction, which is normalised again. Default 0.02 (about 1°).
-    pub gravity_std: f32,
-}
-
-impl Default for ObservationNoiseConfig {
-    fn default() -> Self {
-        Self {
-            enabled: true,
-            sensor_models: true,
-            joint_vel_std_radps: 0.1,
-            joint_pos_std_rad: 0.005,
-            joint_offset_std_rad: 0.01,
-            gyro_std_radps: 0.05,
-            gravity_std: 0.02,
-        }
+settings! {
+    /// Table `[task.noise]`: noise on the observation, bell-shaped with the given standard deviations (and
+    /// never beyond 3.45 of them).
+    ///
+    /// It comes on top of the sensors' own quantisation and noise from the robot file (`sensor_models`), and
+    /// stands for what those leave out: filtering, mounting, vibration, the attitude estimator. Too small:
+    /// the policy trusts single readings; too large: it stops using them.
+    #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct ObservationNoiseConfig {
+        /// Whether observations carry any noise, that of the sensor models included. Default true.
+        pub enabled: bool = true,
+        /// Whether encoders and IMU are modelled as the robot file describes them (steps, noise, bias).
+        /// Default true.
+        pub sensor_models: bool = true,
+        /// On joint velocities, rad/s. Default 0.1 (four steps of the servo's velocity reading).
+        pub joint_vel_std_radps: f32 = 0.1,
+        /// On joint positions, rad. Default 0.005.
+        pub joint_pos_std_rad: f32 = 0.005,
+        /// Constant offset of each joint's position per episode, rad. Default 0.01: horns sit on a spline and
+        /// are zeroed by eye.
+        pub joint_offset_std_rad: f32 = 0.01,
+        /// On the angular velocity, rad/s. Default 0.05.
+        pub gyro_std_radps: f32 = 0.05,
+        /// On each component of the gravity direction, which is normalised again. Default 0.02 (about 1°).
+        pub gravity_std: f32 = 0.02,
     }
 }
 

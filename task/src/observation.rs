@@ -46,7 +46,7 @@ impl ObservationConfig {
                 return Err(wrong("has a noise_std that is not 0 to 1000".to_owned()));
             }
             match term.value.is_empty() {
-                true if Part::named(&term.name).is_none() => {
+                true if Part::of_name(&term.name).is_none() => {
                     let known = Part::ALL.map(Part::name).join(", ");
                     return Err(wrong(format!("has no value and is none of: {known}")));
                 }
@@ -159,7 +159,7 @@ impl Observer {
         let mut terms = Vec::new();
         for slice in layout.slices() {
             let wrong = |reason| TaskError::term("task.observation.term", &slice.name, reason);
-            let term = match (&slice.value, Part::named(&slice.name)) {
+            let term = match (&slice.value, Part::of_name(&slice.name)) {
                 (Some(value), _) => Term::Own(expression::compile(value, names).map_err(wrong)?),
                 (None, Some(part)) => Term::Part(part),
                 (None, None) => return Err(wrong("is unknown".to_owned())),

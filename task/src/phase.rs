@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::f32::consts::{PI, TAU};
 
+use caudata_declare::settings;
 use caudata_random::Stream;
 use serde::{Deserialize, Serialize};
 
@@ -50,37 +51,28 @@ impl GaitPattern {
     }
 }
 
-/// Table `[task.phase]`: the gait clock.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct PhaseConfig {
-    /// Stride frequency, Hz: each episode draws its own, uniformly. Default 1.25 to 1.5 (MuJoCo Playground).
-    /// Too low: speed needs long strides; too high: the servos cannot follow and power rises.
-    pub frequency_hz: [f32; 2],
-    /// Which feet step together: `alternate` (a biped's walk, a trot, a tripod), `walk` (one after the
-    /// other), `pace`, `bound`, `pronk`, or `none` (no clock). Default alternate.
-    pub pattern: GaitPattern,
-    /// Height h of the foot reference at the top of the swing, m. Default 0.05; 0.06 to 0.07 suits rough
-    /// ground. Too low: feet drag; too high: the trunk has to roll to lift them.
-    pub swing_height_m: f32,
-    /// Commands whose norm (m/s and rad/s together) is at most this stop the clock: every phase is then π
-    /// (foot reference 0), so that the robot stands instead of trotting on the spot. Default 0.01 (MuJoCo
-    /// Playground); 0 stops it for the zero command only; negative: the clock never stops.
-    pub stand_command_norm: f32,
-    /// Phase of single feet relative to the clock, by name, in cycles; feet that are not named follow
-    /// `pattern`. Default none. 0.5 is half a stride.
-    pub offset_cycles: BTreeMap<String, f32>,
-}
-
-impl Default for PhaseConfig {
-    fn default() -> Self {
-        Self {
-            frequency_hz: [1.25, 1.5],
-            pattern: GaitPattern::default(),
-            swing_height_m: 0.05,
-            stand_command_norm: 0.01,
-            offset_cycles: BTreeMap::new(),
-        }
+settings! {
+    /// Table `[task.phase]`: the gait clock.
+    #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct PhaseConfig {
+        /// Stride frequency, Hz: each episode draws its own, uniformly. Default 1.25 to 1.5 (MuJoCo
+        /// Playground). Too low: speed needs long strides; too high: the servos cannot follow and power
+        /// rises.
+        pub frequency_hz: [f32; 2] = [1.25, 1.5],
+        /// Which feet step together: `alternate` (a biped's walk, a trot, a tripod), `walk` (one after the
+        /// other), `pace`, `bound`, `pronk`, or `none` (no clock). Default alternate.
+        pub pattern: GaitPattern,
+        /// Height h of the foot reference at the top of the swing, m. Default 0.05; 0.06 to 0.07 suits rough
+        /// ground. Too low: feet drag; too high: the trunk has to roll to lift them.
+        pub swing_height_m: f32 = 0.05,
+        /// Commands whose norm (m/s and rad/s together) is at most this stop the clock: every phase is then π
+        /// (foot reference 0), so that the robot stands instead of trotting on the spot. Default 0.01 (MuJoCo
+        /// Playground); 0 stops it for the zero command only; negative: the clock never stops.
+        pub stand_command_norm: f32 = 0.01,
+        /// Phase of single feet relative to the clock, by name, in cycles; feet that are not named follow
+        /// `pattern`. Default none. 0.5 is half a stride.
+        pub offset_cycles: BTreeMap<String, f32>,
     }
 }
 

@@ -2,40 +2,31 @@
 
 use std::f32::consts::PI;
 
+use caudata_declare::settings;
 use caudata_random::Stream;
 use serde::{Deserialize, Serialize};
 
 use crate::TaskError;
 use crate::error::{checks, within};
 
-/// Table `[task.push]`: when and how hard the robot is pushed.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct PushConfig {
-    /// Whether there are pushes. Default true.
-    pub enabled: bool,
-    /// Time from the end of a push to the next one, s, uniform in [min, max]. Default 3 to 8.
-    /// Too short: the policy learns to brace all the time instead of walking.
-    pub interval_s: [f32; 2],
-    /// How long a push lasts, s. Default 0.1 to 0.3.
-    pub duration_s: [f32; 2],
-    /// Size of the force, N, in a uniformly drawn horizontal direction. Default 0 to 5: on 2.6 kg, 5 N for
-    /// 0.2 s is a jolt of 0.4 m/s. Too large: nothing can be learnt from falling over.
-    pub force_n: [f32; 2],
-    /// Environment steps of the whole run after which pushes have their full size; until then the size grows
-    /// in proportion. Default 0: full size from the start.
-    pub full_after_env_steps: u64,
-}
-
-impl Default for PushConfig {
-    fn default() -> Self {
-        Self {
-            enabled: true,
-            interval_s: [3.0, 8.0],
-            duration_s: [0.1, 0.3],
-            force_n: [0.0, 5.0],
-            full_after_env_steps: 0,
-        }
+settings! {
+    /// Table `[task.push]`: when and how hard the robot is pushed.
+    #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct PushConfig {
+        /// Whether there are pushes. Default true.
+        pub enabled: bool = true,
+        /// Time from the end of a push to the next one, s, uniform in [min, max]. Default 3 to 8.
+        /// Too short: the policy learns to brace all the time instead of walking.
+        pub interval_s: [f32; 2] = [3.0, 8.0],
+        /// How long a push lasts, s. Default 0.1 to 0.3.
+        pub duration_s: [f32; 2] = [0.1, 0.3],
+        /// Size of the force, N, in a uniformly drawn horizontal direction. Default 0 to 5: on 2.6 kg, 5 N
+        /// for 0.2 s is a jolt of 0.4 m/s. Too large: nothing can be learnt from falling over.
+        pub force_n: [f32; 2] = [0.0, 5.0],
+        /// Environment steps of the whole run after which pushes have their full size; until then the size
+        /// grows in proportion. Default 0: full size from the start.
+        pub full_after_env_steps: u64 = 0,
     }
 }
 

@@ -3,78 +3,58 @@
 //! Draws are multipliers and offsets on the nominal robot; what they mean for an engine is the business of
 //! `caudata-env`.
 
+use caudata_declare::settings;
 use caudata_random::Stream;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{checks, within};
 use crate::{PerJoint, TaskError};
 
-/// Table `[task.randomisation]`: ranges [min, max] of uniform draws, once per episode. `[1, 1]` (or `[0, 0]`
-/// for offsets) leaves a quantity alone. Ranges too narrow: the policy fits one simulator; too wide: it walks
-/// carefully everywhere and well nowhere. The paper names the quantities, not their ranges; the defaults are
-/// what MuJoCo Playground and ToddlerBot use for robots with such servos.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RandomisationConfig {
-    /// Whether anything is randomised. Default true.
-    pub enabled: bool,
-    /// Factor on the friction of the feet. Default 0.6 to 1.2.
-    pub foot_friction_scale: [f32; 2],
-    /// Factor on the friction of everything else. Default 0.7 to 1.3.
-    pub body_friction_scale: [f32; 2],
-    /// Factor on the mass and inertia of all links together (payload). Default 0.95 to 1.1.
-    pub total_mass_scale: [f32; 2],
-    /// Factor on the mass and inertia of each link, on top. Default 0.9 to 1.1.
-    pub link_mass_scale: [f32; 2],
-    /// Shift of each link's centre of mass along each axis, m. Default ±0.003.
-    pub com_offset_m: [f32; 2],
-    /// Factor on each joint's friction loss. Default 0.5 to 2: dry friction is what models know least.
-    pub joint_friction_scale: [f32; 2],
-    /// Factor on each joint's armature. Default 0.9 to 1.2.
-    pub armature_scale: [f32; 2],
-    /// Factor on each joint's viscous damping. Default 0.7 to 1.3.
-    pub damping_scale: [f32; 2],
-    /// Factor on each servo's Kp. Default 0.85 to 1.1.
-    pub kp_scale: [f32; 2],
-    /// Factor on each servo's Kd. Default 0.85 to 1.15.
-    pub kd_scale: [f32; 2],
-    /// Factor on all servos' torque limits (heat). Default 0.85 to 1.
-    pub torque_scale: [f32; 2],
-    /// Factor on the supply voltage (battery charge). Default 0.85 to 1.02.
-    pub supply_scale: [f32; 2],
-    /// Delay from a command to the servo acting on it, s. Default 0 to 0.02: bus and loop of the real robot.
-    pub command_delay_s: [f32; 2],
-    /// Factor on the width of each backlash joint's play. Default 0.5 to 1.2.
-    pub backlash_scale: [f32; 2],
-    /// Share of the episodes in which one servo, any of them, gives no torque (a torn cable), 0 to 1. Default
-    /// 0. Too large: little is trained with all of them.
-    pub limp_share: f32,
-    /// Share of the episodes in which one servo, any of them, does not turn (a jammed gear), 0 to 1; together
-    /// with `limp_share` at most 1. It stays where the episode begins. Default 0.
-    pub stuck_share: f32,
-}
-
-impl Default for RandomisationConfig {
-    fn default() -> Self {
-        Self {
-            enabled: true,
-            foot_friction_scale: [0.6, 1.2],
-            body_friction_scale: [0.7, 1.3],
-            total_mass_scale: [0.95, 1.1],
-            link_mass_scale: [0.9, 1.1],
-            com_offset_m: [-0.003, 0.003],
-            joint_friction_scale: [0.5, 2.0],
-            armature_scale: [0.9, 1.2],
-            damping_scale: [0.7, 1.3],
-            kp_scale: [0.85, 1.1],
-            kd_scale: [0.85, 1.15],
-            torque_scale: [0.85, 1.0],
-            supply_scale: [0.85, 1.02],
-            command_delay_s: [0.0, 0.02],
-            backlash_scale: [0.5, 1.2],
-            limp_share: 0.0,
-            stuck_share: 0.0,
-        }
+settings! {
+    /// Table `[task.randomisation]`: ranges [min, max] of uniform draws, once per episode. `[1, 1]` (or `[0,
+    /// 0]` for offsets) leaves a quantity alone. Ranges too narrow: the policy fits one simulator; too wide:
+    /// it walks carefully everywhere and well nowhere. The paper names the quantities, not their ranges; the
+    /// defaults are what MuJoCo Playground and ToddlerBot use for robots with such servos.
+    #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct RandomisationConfig {
+        /// Whether anything is randomised. Default true.
+        pub enabled: bool = true,
+        /// Factor on the friction of the feet. Default 0.6 to 1.2.
+        pub foot_friction_scale: [f32; 2] = [0.6, 1.2],
+        /// Factor on the friction of everything else. Default 0.7 to 1.3.
+        pub body_friction_scale: [f32; 2] = [0.7, 1.3],
+        /// Factor on the mass and inertia of all links together (payload). Default 0.95 to 1.1.
+        pub total_mass_scale: [f32; 2] = [0.95, 1.1],
+        /// Factor on the mass and inertia of each link, on top. Default 0.9 to 1.1.
+        pub link_mass_scale: [f32; 2] = [0.9, 1.1],
+        /// Shift of each link's centre of mass along each axis, m. Default ±0.003.
+        pub com_offset_m: [f32; 2] = [-0.003, 0.003],
+        /// Factor on each joint's friction loss. Default 0.5 to 2: dry friction is what models know least.
+        pub joint_friction_scale: [f32; 2] = [0.5, 2.0],
+        /// Factor on each joint's armature. Default 0.9 to 1.2.
+        pub armature_scale: [f32; 2] = [0.9, 1.2],
+        /// Factor on each joint's viscous damping. Default 0.7 to 1.3.
+        pub damping_scale: [f32; 2] = [0.7, 1.3],
+        /// Factor on each servo's Kp. Default 0.85 to 1.1.
+        pub kp_scale: [f32; 2] = [0.85, 1.1],
+        /// Factor on each servo's Kd. Default 0.85 to 1.15.
+        pub kd_scale: [f32; 2] = [0.85, 1.15],
+        /// Factor on all servos' torque limits (heat). Default 0.85 to 1.
+        pub torque_scale: [f32; 2] = [0.85, 1.0],
+        /// Factor on the supply voltage (battery charge). Default 0.85 to 1.02.
+        pub supply_scale: [f32; 2] = [0.85, 1.02],
+        /// Delay from a command to the servo acting on it, s. Default 0 to 0.02: bus and loop of the real
+        /// robot.
+        pub command_delay_s: [f32; 2] = [0.0, 0.02],
+        /// Factor on the width of each backlash joint's play. Default 0.5 to 1.2.
+        pub backlash_scale: [f32; 2] = [0.5, 1.2],
+        /// Share of the episodes in which one servo, any of them, gives no torque (a torn cable), 0 to 1.
+        /// Default 0. Too large: little is trained with all of them.
+        pub limp_share: f32 = 0.0,
+        /// Share of the episodes in which one servo, any of them, does not turn (a jammed gear), 0 to 1;
+        /// together with `limp_share` at most 1. It stays where the episode begins. Default 0.
+        pub stuck_share: f32 = 0.0,
     }
 }
 

@@ -1,6 +1,7 @@
 //! When an episode ends by failing. Reaching the time limit is not failing: that is truncation, and the
 //! learner goes on from the value of the last observation.
 
+use caudata_declare::settings;
 use serde::{Deserialize, Serialize};
 
 use crate::TaskError;
@@ -9,29 +10,21 @@ use crate::expression::Names;
 use crate::reward::TERMS;
 use crate::reward::own::{self, OwnCondition, Programs};
 
-/// Table `[task.termination]`: states that end an episode.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct TerminationConfig {
-    /// Largest angle between the body's z axis and the vertical, rad, above 0 to π. Default 1.0 (57°):
-    /// steeper than the hardest terrain (25°) plus the trunk's roll in a step. Too small: episodes end on
-    /// slopes.
-    pub max_tilt_rad: f32,
-    /// Allowed height of the whole-body centre of mass above the ground under the feet, m, [min, max].
-    /// Default −0.1 to 1.0, which catches falling through the ground and flying off; lying on the belly
-    /// (about 0.04) is allowed, because the robot can crawl and swim that way.
-    pub com_height_m: [f32; 2],
-    /// Further states that end an episode. Default none.
-    pub when: Vec<OwnCondition>,
-}
-
-impl Default for TerminationConfig {
-    fn default() -> Self {
-        Self {
-            max_tilt_rad: 1.0,
-            com_height_m: [-0.1, 1.0],
-            when: Vec::new(),
-        }
+settings! {
+    /// Table `[task.termination]`: states that end an episode.
+    #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct TerminationConfig {
+        /// Largest angle between the body's z axis and the vertical, rad, above 0 to π. Default 1.0 (57°):
+        /// steeper than the hardest terrain (25°) plus the trunk's roll in a step. Too small: episodes end on
+        /// slopes.
+        pub max_tilt_rad: f32 = 1.0,
+        /// Allowed height of the whole-body centre of mass above the ground under the feet, m, [min, max].
+        /// Default −0.1 to 1.0, which catches falling through the ground and flying off; lying on the belly
+        /// (about 0.04) is allowed, because the robot can crawl and swim that way.
+        pub com_height_m: [f32; 2] = [-0.1, 1.0],
+        /// Further states that end an episode. Default none.
+        pub when: Vec<OwnCondition>,
     }
 }
 

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use caudata_declare::settings;
 use serde::{Deserialize, Serialize};
 
 use crate::TransportError;
@@ -21,42 +22,31 @@ pub enum TransportConfig {
     Zenoh(ZenohConfig),
 }
 
-/// Bounds that hold on every transport. Both sides must have the same.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Limits {
-    /// Largest rollout frame, bytes. Default 8 MiB; at most 256 MiB. Too small: `TooLarge` on send.
-    /// Too large: iceoryx2 reserves `window_frames + 4` of them per actor in shared memory.
-    pub max_frame_bytes: usize,
-    /// Largest policy, bytes. Default 8 MiB; at most 256 MiB. iceoryx2 reserves four of them.
-    pub max_policy_bytes: usize,
-    /// Frames of one actor that may wait unread at the learner. Default 4; 1 to 1024. Smaller: actors stall
-    /// while the learner learns. Larger: more memory (`max_actors * window_frames * frame`), older data.
-    pub window_frames: usize,
-    /// Actors connected at once. Default 64; 1 to 1024. One more is refused and keeps getting
-    /// [`SendError::Disconnected`](crate::SendError::Disconnected).
-    pub max_actors: usize,
-    /// Rollout frames that the learner takes from one actor per second, in the long run; up to
-    /// `window_frames` at once. Default 0: as many as it can read. 1 to 100,000 otherwise. Lower than what an
-    /// actor makes: it waits (back-pressure), nothing is lost. In-process actors are not limited.
-    pub max_frames_per_s: u32,
-    /// How often the sides tell each other that they live, ms. Default 250; 10 to 60,000.
-    pub heartbeat_ms: u64,
-    /// Silence after which the other side counts as gone, ms. Default 3,000; at least three heartbeats.
-    pub peer_timeout_ms: u64,
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        Self {
-            max_frame_bytes: 8 << 20,
-            max_policy_bytes: 8 << 20,
-            window_frames: 4,
-            max_actors: 64,
-            max_frames_per_s: 0,
-            heartbeat_ms: 250,
-            peer_timeout_ms: 3_000,
-        }
+settings! {
+    /// Bounds that hold on every transport. Both sides must have the same.
+    #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Limits {
+        /// Largest rollout frame, bytes. Default 8 MiB; at most 256 MiB. Too small: `TooLarge` on send.
+        /// Too large: iceoryx2 reserves `window_frames + 4` of them per actor in shared memory.
+        pub max_frame_bytes: usize = 8 << 20,
+        /// Largest policy, bytes. Default 8 MiB; at most 256 MiB. iceoryx2 reserves four of them.
+        pub max_policy_bytes: usize = 8 << 20,
+        /// Frames of one actor that may wait unread at the learner. Default 4; 1 to 1024. Smaller: actors
+        /// stall while the learner learns. Larger: more memory (`max_actors * window_frames * frame`), older
+        /// data.
+        pub window_frames: usize = 4,
+        /// Actors connected at once. Default 64; 1 to 1024. One more is refused and keeps getting
+        /// [`SendError::Disconnected`](crate::SendError::Disconnected).
+        pub max_actors: usize = 64,
+        /// Rollout frames that the learner takes from one actor per second, in the long run; up to
+        /// `window_frames` at once. Default 0: as many as it can read. 1 to 100,000 otherwise. Lower than
+        /// what an actor makes: it waits (back-pressure), nothing is lost. In-process actors are not limited.
+        pub max_frames_per_s: u32 = 0,
+        /// How often the sides tell each other that they live, ms. Default 250; 10 to 60,000.
+        pub heartbeat_ms: u64 = 250,
+        /// Silence after which the other side counts as gone, ms. Default 3,000; at least three heartbeats.
+        pub peer_timeout_ms: u64 = 3_000,
     }
 }
 
@@ -117,24 +107,27 @@ pub struct Iceoryx2Config {
     pub root: Option<PathBuf>,
 }
 
-/// Settings of the network transport.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ZenohConfig {
-    /// Bounds.
-    pub limits: Limits,
-    /// Where the learner listens, zenoh endpoints. Default `["tcp/127.0.0.1:0"]`: this host only, the system
-    /// chooses the port, and [`LearnerLink::actor_config`](crate::LearnerLink::actor_config) says which.
-    /// `tcp/` is plain and accepted on loopback only; other addresses are `quic/` (UDP) and need
-    /// [`tls`](Self::tls).
-    pub listen: Vec<String>,
-    /// What to connect to: for actors the learner's address or routers; for a learner behind a router
-    /// the routers (then `listen` may be empty). Default empty.
-    pub connect: Vec<String>,
-    /// Own certificate and key, and the authority that the other side's must come from. Needed for `quic/`
-    /// endpoints. What the other side may do follows from its certificate's common name: an actor may send
-    /// rollouts and ask for policies, a learner and a router may do everything, nobody else anything.
-    pub tls: Option<TlsFiles>,
+settings! {
+    /// Settings of the network transport.
+    #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct ZenohConfig {
+        /// Bounds.
+        pub limits: Limits,
+        /// Where the learner listens, zenoh endpoints. Default `["tcp/127.0.0.1:0"]`: this host only, the
+        /// system chooses the port, and [`LearnerLink::actor_config`](crate::LearnerLink::actor_config) says
+        /// which. `tcp/` is plain and accepted on loopback only; other addresses are `quic/` (UDP) and need
+        /// [`tls`](Self::tls).
+        pub listen: Vec<String> = vec!["tcp/127.0.0.1:0".to_owned()],
+        /// What to connect to: for actors the learner's address or routers; for a learner behind a router
+        /// the routers (then `listen` may be empty). Default empty.
+        pub connect: Vec<String>,
+        /// Own certificate and key, and the authority that the other side's must come from. Needed for
+        /// `quic/` endpoints. What the other side may do follows from its certificate's common name: an actor
+        /// may send rollouts and ask for policies, a learner and a router may do everything, nobody else
+        /// anything.
+        pub tls: Option<TlsFiles>,
+    }
 }
 
 /// Certificates of one side, PEM files.
@@ -167,17 +160,6 @@ impl TlsFiles {
                 let error = std::fs::File::open(path).err()?;
                 Some(format!("{}: {error}", path.display()))
             })
-    }
-}
-
-impl Default for ZenohConfig {
-    fn default() -> Self {
-        Self {
-            limits: Limits::default(),
-            listen: vec!["tcp/127.0.0.1:0".to_owned()],
-            connect: Vec::new(),
-            tls: None,
-        }
     }
 }
 

@@ -9,6 +9,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use caudata_config::ConfigArgs;
+use caudata_declare::named;
 use caudata_model::RobotModel;
 use caudata_sim::batch::{BatchEngine, Phase};
 use caudata_sim::{
@@ -35,29 +36,21 @@ const PERIODS: usize = 500;
 /// How often ours and MuJoCo's rounds alternate; the best of each counts.
 const ROUNDS: u32 = 5;
 
-/// Where the robot is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum SceneName {
-    /// A trot on level ground
-    Flat,
-    /// A trot on hills with 4 cm of random height
-    Rough,
-    /// The trot's motions in deep water, all drag on
-    Water,
+named! {
+    /// Where the robot is.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
+    #[serde(rename_all = "lowercase")]
+    pub enum SceneName {
+        /// A trot on level ground
+        Flat = "flat",
+        /// A trot on hills with 4 cm of random height
+        Rough = "rough",
+        /// The trot's motions in deep water, all drag on
+        Water = "water",
+    }
 }
 
 impl SceneName {
-    /// As on the command line.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Flat => "flat",
-            Self::Rough => "rough",
-            Self::Water => "water",
-        }
-    }
-
     fn terrain(self) -> TerrainConfig {
         TerrainConfig::of(match self {
             Self::Flat => TerrainKind::Flat,

@@ -23,6 +23,7 @@ mod validate;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
+use caudata_declare::settings;
 use caudata_sim::{EngineConfig, TerrainConfig};
 use caudata_task::TaskConfig;
 use serde::{Deserialize, Serialize};
@@ -37,53 +38,36 @@ pub use presets::{PRESETS, Preset};
 pub use sections::*;
 pub use tune::{CHANGES, CHANGES_MAX, Change, Changes, SETTINGS_MAX};
 
-/// The whole configuration.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Config {
-    /// Robot file (`*.robot.toml`). A relative path is looked for in the current
-    /// directory, then in the folders above the executable.
-    pub robot: PathBuf,
-    /// Name, seed, length.
-    pub run: RunConfig,
-    /// Who collects, and how much.
-    pub actors: ActorsConfig,
-    /// Networks and PPO.
-    pub learner: LearnerConfig,
-    /// Physics.
-    pub engine: EngineConfig,
-    /// Ground.
-    pub terrain: TerrainConfig,
-    /// The Markov decision process.
-    pub task: TaskConfig,
-    /// Between actors and learner.
-    pub transport: TransportSection,
-    /// The registry of policies.
-    pub policy_server: PolicyServerConfig,
-    /// Logs and metrics.
-    pub telemetry: TelemetryConfig,
-    /// What is done with the policy at the end.
-    pub evaluation: EvaluationConfig,
-    /// A run on several hosts.
-    pub cluster: ClusterConfig,
-}
-
-impl Default for Config {
-    fn default() -> Self {
-        Self {
-            robot: "robots/polymander.robot.toml".into(),
-            run: RunConfig::default(),
-            actors: ActorsConfig::default(),
-            learner: LearnerConfig::default(),
-            engine: EngineConfig::default(),
-            terrain: TerrainConfig::default(),
-            task: TaskConfig::default(),
-            transport: TransportSection::default(),
-            policy_server: PolicyServerConfig::default(),
-            telemetry: TelemetryConfig::default(),
-            evaluation: EvaluationConfig::default(),
-            cluster: ClusterConfig::default(),
-        }
+settings! {
+    /// The whole configuration.
+    #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+    #[serde(default, deny_unknown_fields)]
+    pub struct Config {
+        /// Robot file (`*.robot.toml`). A relative path is looked for in the current
+        /// directory, then in the folders above the executable.
+        pub robot: PathBuf = "robots/polymander.robot.toml".into(),
+        /// Name, seed, length.
+        pub run: RunConfig,
+        /// Who collects, and how much.
+        pub actors: ActorsConfig,
+        /// Networks and PPO.
+        pub learner: LearnerConfig,
+        /// Physics.
+        pub engine: EngineConfig,
+        /// Ground.
+        pub terrain: TerrainConfig,
+        /// The Markov decision process.
+        pub task: TaskConfig,
+        /// Between actors and learner.
+        pub transport: TransportSection,
+        /// The registry of policies.
+        pub policy_server: PolicyServerConfig,
+        /// Logs and metrics.
+        pub telemetry: TelemetryConfig,
+        /// What is done with the policy at the end.
+        pub evaluation: EvaluationConfig,
+        /// A run on several hosts.
+        pub cluster: ClusterConfig,
     }
 }
 

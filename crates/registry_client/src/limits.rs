@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use caudata_declare::settings;
+
 /// Time to reach the server.
 pub const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 /// Time for one call that is not a stream.
@@ -23,26 +25,17 @@ pub const FETCH_MAX: Duration = Duration::from_secs(600);
 /// A watch that is silent for this long is dead: the server sends progress every 10 s.
 pub const WATCH_IDLE_MAX: Duration = Duration::from_secs(35);
 
-/// How long a fetch bears with a server, and how fast that one must be.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Patience {
-    /// See [`FETCH_IDLE_MAX`].
-    pub idle_max: Duration,
-    /// See [`FETCH_MAX`].
-    pub whole_max: Duration,
-    /// See [`RATE_WINDOW`].
-    pub rate_window: Duration,
-    /// See [`RETRY_PAUSE`].
-    pub retry_pause: Duration,
-}
-
-impl Default for Patience {
-    fn default() -> Self {
-        Self {
-            idle_max: FETCH_IDLE_MAX,
-            whole_max: FETCH_MAX,
-            rate_window: RATE_WINDOW,
-            retry_pause: RETRY_PAUSE,
-        }
+settings! {
+    /// How long a fetch bears with a server, and how fast that one must be.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub struct Patience {
+        /// See [`FETCH_IDLE_MAX`].
+        pub idle_max: Duration = FETCH_IDLE_MAX,
+        /// See [`FETCH_MAX`].
+        pub whole_max: Duration = FETCH_MAX,
+        /// See [`RATE_WINDOW`].
+        pub rate_window: Duration = RATE_WINDOW,
+        /// See [`RETRY_PAUSE`].
+        pub retry_pause: Duration = RETRY_PAUSE,
     }
 }

@@ -49,7 +49,9 @@ pub use exit::{ExitCode, Failure, FailureExt};
 pub use files::raise_file_limit;
 pub use http::{ACCEPT_PAUSE, Connection, serve_http};
 pub use logging::{LogArgs, LogFormat};
-pub use metrics::{Counter, Gauge, Histogram, IntGauge, Metrics, SecondsCounter};
+pub use metrics::{
+    Counter, Gauge, Histogram, IntGauge, Kind, LabelledCounter, Metrics, SecondsCounter,
+};
 pub use parent::PARENT_PID_VAR;
 pub use process::{Process, parse_args};
 pub use pulse::Pulse;

@@ -17,6 +17,63 @@ pub type IntGauge = prometheus_client::metrics::gauge::Gauge;
 /// A distribution over fixed buckets.
 pub type Histogram = prometheus_client::metrics::histogram::Histogram;
 
+/// Numbers that only grow, told apart by labels.
+pub type LabelledCounter =
+    prometheus_client::metrics::family::Family<Vec<(String, String)>, Counter>;
+
+/// What a metric can be.
+pub trait Kind: prometheus_client::registry::Metric + Clone {
+    /// One to which nothing has happened.
+    fn empty() -> Self;
+}
+
+/// Those that begin at 0.
+macro_rules! from_nothing {
+    ($($kind:ty),+) => {
+        $(impl Kind for $kind {
+            fn empty() -> Self {
+                Self::default()
+            }
+        })+
+    };
+}
+
+from_nothing!(Counter, SecondsCounter, Gauge, IntGauge, LabelledCounter);
+
+/// Over durations in seconds, with buckets from 10 µs to 100 s, three to a decade.
+impl Kind for Histogram {
+    fn empty() -> Self {
+        let buckets = (-5..=1)
+            .flat_map(|decade| [1.0, 2.0, 5.0].map(|mantissa| mantissa * 10f64.powi(decade)));
+        Self::new(buckets.chain([100.0]))
+    }
+}
+
+/// The metrics of a part of a program: for each its handle, kind, full name and help text. Handles are cheap to
+/// clone and share what they count.
+#[macro_export]
+macro_rules! metrics {
+    ($(#[$about:meta])* $visible:vis struct $name:ident {
+        $($field:ident: $kind:ty = $full_name:literal, $help:literal;)+
+    }) => {
+        $(#[$about])*
+        #[derive(Clone, Debug)]
+        $visible struct $name {
+            $(#[doc = $help] pub $field: $kind,)+
+        }
+
+        impl $name {
+            /// Puts all of them on the page.
+            #[must_use]
+            pub fn register(metrics: &$crate::Metrics) -> Self {
+                Self {
+                    $($field: metrics.make($full_name, $help),)+
+                }
+            }
+        }
+    };
+}
+
 /// The registry of one process. Names are full and in base units, as they appear on the page:
 /// `caudata_actor_steps_total`, `caudata_inference_latency_seconds`.
 #[derive(Clone, Debug, Default)]
@@ -57,77 +114,19 @@ impl Metrics {
         std::fs::rename(new, file)
     }
 
-    /// A counter. `name` ends in `_total`.
-    pub fn counter(&self, name: &'static str, help: &'static str) -> Counter {
-        let counter = Counter::default();
+    /// A new metric on the page. A counter's `name` ends in `_total`.
+    pub fn make<K: Kind>(&self, name: &str, help: &str) -> K {
+        let metric = K::empty();
         // The encoder appends `_total` itself; we keep it in the name so that one string finds all uses.
-        self.register(
-            name.strip_suffix("_total").unwrap_or(name),
-            help,
-            counter.clone(),
-        );
-        counter
-    }
-
-    /// A counter of seconds. `name` ends in `_seconds_total`.
-    pub fn seconds_counter(&self, name: &'static str, help: &'static str) -> SecondsCounter {
-        let counter = SecondsCounter::default();
-        self.register(
-            name.strip_suffix("_total").unwrap_or(name),
-            help,
-            counter.clone(),
-        );
-        counter
-    }
-
-    /// A gauge of a real number.
-    pub fn gauge(&self, name: &'static str, help: &'static str) -> Gauge {
-        let gauge = Gauge::default();
-        self.register(name, help, gauge.clone());
-        gauge
-    }
-
-    /// A gauge of a whole number.
-    pub fn int_gauge(&self, name: &'static str, help: &'static str) -> IntGauge {
-        let gauge = IntGauge::default();
-        self.register(name, help, gauge.clone());
-        gauge
-    }
-
-    /// A histogram over durations in seconds, with buckets from 10 µs to 100 s, three to a decade.
-    pub fn seconds(&self, name: &'static str, help: &'static str) -> Histogram {
-        let buckets = (-5..=1)
-            .flat_map(|decade| [1.0, 2.0, 5.0].map(|mantissa| mantissa * 10f64.powi(decade)));
-        self.histogram(name, help, buckets.chain([100.0]))
-    }
-
-    /// A histogram with the given upper bounds.
-    pub fn histogram(
-        &self,
-        name: &'static str,
-        help: &'static str,
-        buckets: impl IntoIterator<Item = f64>,
-    ) -> Histogram {
-        let histogram = Histogram::new(buckets);
-        self.register(name, help, histogram.clone());
-        histogram
-    }
-
-    /// Any other metric of `prometheus-client`, for instance a `Family` with labels. A counter's name
-    /// comes without `_total` here.
-    pub fn register(
-        &self,
-        name: &str,
-        help: &str,
-        metric: impl prometheus_client::registry::Metric,
-    ) {
-        // The encoder ends each help text with a full stop.
+        let name = name.strip_suffix("_total").unwrap_or(name);
+        // It ends each help text with a full stop.
         let help = help.trim_end_matches('.');
         let mut registry = self
             .registry
             .write()
             .unwrap_or_else(PoisonError::into_inner);
-        registry.register(name, help, metric);
+        registry.register(name, help, metric.clone());
+        metric
     }
 
     /// The page as Prometheus reads it.
@@ -157,13 +156,12 @@ mod tests {
     #[test]
     fn a_page_shows_each_metric_under_its_full_name() {
         let metrics = Metrics::new();
-        metrics
-            .counter("caudata_test_steps_total", "Steps")
-            .inc_by(3);
-        metrics.gauge("caudata_test_lag_seconds", "Lag").set(0.5);
-        metrics
-            .seconds("caudata_test_wait_seconds", "Waiting")
-            .observe(0.003);
+        let steps: Counter = metrics.make("caudata_test_steps_total", "Steps");
+        steps.inc_by(3);
+        let lag: Gauge = metrics.make("caudata_test_lag_seconds", "Lag");
+        lag.set(0.5);
+        let waiting: Histogram = metrics.make("caudata_test_wait_seconds", "Waiting");
+        waiting.observe(0.003);
         let page = metrics.encode();
         assert!(page.contains("\ncaudata_test_steps_total 3\n"), "{page}");
         assert!(page.contains("\ncaudata_test_lag_seconds 0.5\n"), "{page}");
@@ -184,8 +182,11 @@ mod tests {
         std::fs::create_dir_all(&folder).unwrap();
         let file = folder.join("loop.prom");
         let (here, there) = (Metrics::new(), Metrics::new());
-        here.counter("caudata_test_here_total", "Here").inc();
-        there.counter("caudata_test_there_total", "There").inc();
+        here.make::<Counter>("caudata_test_here_total", "Here")
+            .inc();
+        there
+            .make::<Counter>("caudata_test_there_total", "There")
+            .inc();
         let here = here.beside(file.clone());
         assert!(!here.encode().contains("there"));
         there.write_page(&file).unwrap();

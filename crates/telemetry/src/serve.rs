@@ -180,9 +180,8 @@ mod tests {
     #[test]
     fn serves_the_page_and_turns_unhealthy_while_stopping() {
         let metrics = Metrics::new();
-        metrics
-            .counter("caudata_test_steps_total", "Steps")
-            .inc_by(7);
+        let steps: crate::Counter = metrics.make("caudata_test_steps_total", "Steps");
+        steps.inc_by(7);
         let stop = StopFlag::new();
         let any = "127.0.0.1:0".parse().unwrap();
         let server = MetricsServer::start(any, metrics, stop.clone()).unwrap();

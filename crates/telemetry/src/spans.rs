@@ -8,70 +8,38 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// A part of the work of a training.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(usize)]
-pub enum Part {
-    /// Actors: steps of the physics.
-    Physics,
-    /// Actors: rewards, ends of episodes, sensors, observations, resets.
-    Task,
-    /// Actors: means of the actions.
-    Inference,
-    /// Actors: exploration noise, log-probabilities, copies into the chunk, statistics of observations.
-    Recording,
-    /// Actors: new policies, checked and made ready.
-    Loading,
-    /// Actors: chunks turned into what the link takes, and handed over. Learner: the way back, and checks.
-    Encoding,
-    /// Learner: chunks laid out as a batch, normalised, values before the update, returns, targets.
-    Returns,
-    /// Learner: matrix products, forward and backward.
-    Products,
-    /// Learner: non-linearities, loss, shuffling.
-    ElementWise,
-    /// Learner: gradients added, clipped, and Adam.
-    Optimiser,
-    /// Learner: the policy file.
-    Export,
-    /// Learner: policies handed out and published, reports, checkpoints.
-    Publishing,
-}
+use caudata_declare::named;
 
-impl Part {
-    /// Every part, in the order of an iteration.
-    pub const ALL: [Self; 12] = [
-        Self::Physics,
-        Self::Task,
-        Self::Inference,
-        Self::Recording,
-        Self::Loading,
-        Self::Encoding,
-        Self::Returns,
-        Self::Products,
-        Self::ElementWise,
-        Self::Optimiser,
-        Self::Export,
-        Self::Publishing,
-    ];
-
-    /// Its name in events and tables.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Physics => "physics",
-            Self::Task => "task",
-            Self::Inference => "inference",
-            Self::Recording => "recording",
-            Self::Loading => "loading",
-            Self::Encoding => "encoding",
-            Self::Returns => "returns",
-            Self::Products => "products",
-            Self::ElementWise => "element_wise",
-            Self::Optimiser => "optimiser",
-            Self::Export => "export",
-            Self::Publishing => "publishing",
-        }
+named! {
+    /// A part of the work of a training.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    #[repr(usize)]
+    pub enum Part {
+        /// Actors: steps of the physics.
+        Physics = "physics",
+        /// Actors: rewards, ends of episodes, sensors, observations, resets.
+        Task = "task",
+        /// Actors: means of the actions.
+        Inference = "inference",
+        /// Actors: exploration noise, log-probabilities, copies into the chunk, statistics of observations.
+        Recording = "recording",
+        /// Actors: new policies, checked and made ready.
+        Loading = "loading",
+        /// Actors: chunks turned into what the link takes, and handed over. Learner: the way back, and
+        /// checks.
+        Encoding = "encoding",
+        /// Learner: chunks laid out as a batch, normalised, values before the update, returns, targets.
+        Returns = "returns",
+        /// Learner: matrix products, forward and backward.
+        Products = "products",
+        /// Learner: non-linearities, loss, shuffling.
+        ElementWise = "element_wise",
+        /// Learner: gradients added, clipped, and Adam.
+        Optimiser = "optimiser",
+        /// Learner: the policy file.
+        Export = "export",
+        /// Learner: policies handed out and published, reports, checkpoints.
+        Publishing = "publishing",
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use caudata_declare::named;
 use serde::{Deserialize, Serialize};
 
 /// Missing sequence numbers that are remembered per incarnation, in case they come late. Older ones count as
@@ -9,38 +10,25 @@ use serde::{Deserialize, Serialize};
 const MISSING_MAX: usize = 4096;
 /// Largest step from one sequence number to the next that is believed.
 const SEQUENCE_STEP_MAX: u64 = 1 << 20;
-/// Why a valid chunk was not used.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum DropReason {
-    /// From a policy older than the allowed lag.
-    Stale,
-    /// More chunks of one policy version than the actor's quota.
-    Surplus,
-    /// From a policy that this learner did not publish: a learner before it, which got further, did.
-    UnknownPolicy,
-    /// Came after the last batch.
-    AtShutdown,
-    /// Waited for a batch when the checkpoint was written that the run goes on from.
-    Restart,
-    /// Sent after that checkpoint was written: whatever became of it then does not count any more.
-    RolledBack,
-    /// Sent, but never arrived.
-    Lost,
-}
-
-impl DropReason {
-    /// Name in counters and files.
-    pub fn id(self) -> &'static str {
-        match self {
-            Self::Stale => "stale",
-            Self::Surplus => "surplus",
-            Self::UnknownPolicy => "unknown_policy",
-            Self::AtShutdown => "at_shutdown",
-            Self::Restart => "restart",
-            Self::RolledBack => "rolled_back",
-            Self::Lost => "lost",
-        }
+named! {
+    /// Why a valid chunk was not used.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum DropReason {
+        /// From a policy older than the allowed lag.
+        Stale = "stale",
+        /// More chunks of one policy version than the actor's quota.
+        Surplus = "surplus",
+        /// From a policy that this learner did not publish: a learner before it, which got further, did.
+        UnknownPolicy = "unknown_policy",
+        /// Came after the last batch.
+        AtShutdown = "at_shutdown",
+        /// Waited for a batch when the checkpoint was written that the run goes on from.
+        Restart = "restart",
+        /// Sent after that checkpoint was written: whatever became of it then does not count any more.
+        RolledBack = "rolled_back",
+        /// Sent, but never arrived.
+        Lost = "lost",
     }
 }
 

@@ -193,7 +193,7 @@ impl Accounting {
             account
                 .dropped_by_reason()
                 .iter()
-                .for_each(|(reason, count)| add(reason.id(), *count));
+                .for_each(|(reason, count)| add(reason.name(), *count));
         }
         for (reason, count) in &self.unattributed {
             rejected += count;
@@ -262,10 +262,10 @@ fn row((actor_id, incarnation): ActorKey, account: &IncarnationAccount) -> Repor
     let mut dropped: BTreeMap<&'static str, u64> = account
         .dropped_by_reason()
         .iter()
-        .map(|(reason, count)| (reason.id(), *count))
+        .map(|(reason, count)| (reason.name(), *count))
         .collect();
     if account.lost() > 0 {
-        dropped.insert(DropReason::Lost.id(), account.lost());
+        dropped.insert(DropReason::Lost.name(), account.lost());
     }
     ReportRow {
         actor_id,

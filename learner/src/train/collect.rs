@@ -4,9 +4,9 @@ use std::time::{Duration, Instant};
 
 use caudata_config::LearnerConfig;
 use caudata_proto::RolloutChunk;
-use caudata_telemetry::StopFlag;
 use caudata_telemetry::spans::{Laps, Part};
 use caudata_telemetry::traces::now_ns;
+use caudata_telemetry::{Pulse, StopFlag};
 use caudata_transport::{Frame, LearnerLink};
 
 use super::fleet::Fleet;
@@ -36,7 +36,7 @@ pub(super) fn collect(
     mut fleet: Option<&mut Fleet>,
     config: &LearnerConfig,
     stop: &StopFlag,
-    metrics: &LearnerMetrics,
+    (metrics, pulse): (&LearnerMetrics, &Pulse),
     traces: &Traces,
 ) -> Result<Collected, LearnerError> {
     let started = Instant::now();
@@ -44,7 +44,7 @@ pub(super) fn collect(
     let starved = Duration::from_secs_f64(config.starve_timeout_s);
     let mut stopping: Option<Instant> = None;
     loop {
-        metrics.pulse.beat();
+        pulse.beat();
         if collector.is_ready() {
             return Ok(Collected::Batch(collector.take()));
         }
@@ -96,13 +96,13 @@ pub(super) fn drain(
     collector: &mut Collector,
     link: &mut dyn LearnerLink,
     fleet: Option<&Fleet>,
-    metrics: &LearnerMetrics,
+    (metrics, pulse): (&LearnerMetrics, &Pulse),
     traces: &Traces,
 ) {
     let deadline = Instant::now() + BYE_PATIENCE;
     collector.close();
     while Instant::now() < deadline {
-        metrics.pulse.beat();
+        pulse.beat();
         match link.recv(SLICE) {
             Ok(Some(frame)) => take_in(collector, frame, traces, metrics),
             // Nothing waits: done when nobody is left to send.
@@ -127,7 +127,7 @@ fn word(outcome: &Outcome) -> &'static str {
         Outcome::Bye(_) => "bye",
         Outcome::Waiting(_) => "waiting",
         Outcome::Duplicate(_) => "duplicate",
-        Outcome::Dropped(_, reason) => reason.id(),
+        Outcome::Dropped(_, reason) => reason.name(),
         Outcome::Rejected(_, reason, _) => reason,
     }
 }
@@ -160,7 +160,7 @@ fn tell(outcome: &Outcome, metrics: &LearnerMetrics) {
             tracing::debug!(
                 actor,
                 incarnation,
-                reason = reason.id(),
+                reason = reason.name(),
                 "a chunk is not used"
             );
             metrics.frame(word(outcome));

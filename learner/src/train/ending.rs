@@ -83,9 +83,9 @@ impl Run<'_> {
             control: Control::Stop,
         };
         note(self.link.publish_policy(stop).map_err(LearnerError::from));
-        let (link, metrics) = (self.link.as_mut(), &self.reporter.metrics);
+        let (link, told) = (self.link.as_mut(), self.reporter.told());
         let fleet = self.fleet.as_ref();
-        drain(&mut self.collector, link, fleet, metrics, &self.traces);
+        drain(&mut self.collector, link, fleet, told, &self.traces);
         self.fleet = None;
         if let Some(versions) = &mut self.versions {
             note(versions.at_the_end(state.policy.metadata().version));

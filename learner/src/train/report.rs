@@ -9,7 +9,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use caudata_telemetry::progress::{self, Event, EventWriter};
 use caudata_telemetry::spans::{self, Part};
-use caudata_telemetry::{Advisor, IterationLoad};
+use caudata_telemetry::{Advisor, IterationLoad, Pulse};
 
 use super::metrics::LearnerMetrics;
 use super::settings::ACCOUNT_FILE;
@@ -24,6 +24,8 @@ pub(super) struct Reporter {
     events: EventWriter<Box<dyn Write + Send>>,
     tensorboard: Option<EventFile>,
     pub metrics: LearnerMetrics,
+    /// Beats while the run makes progress, or waits for what it needs.
+    pulse: Pulse,
     advisor: Advisor,
     /// Chunks received and dropped until the last iteration.
     counted: (u64, u64),
@@ -59,12 +61,18 @@ pub(super) struct IterationReport<'a> {
 }
 
 impl Reporter {
-    pub fn new(run_dir: &Path, events: Box<dyn Write + Send>, metrics: LearnerMetrics) -> Self {
+    pub fn new(
+        run_dir: &Path,
+        events: Box<dyn Write + Send>,
+        metrics: LearnerMetrics,
+        pulse: Pulse,
+    ) -> Self {
         let mut reporter = Self {
             run_dir: run_dir.to_owned(),
             events: EventWriter::new(events),
             tensorboard: None,
             metrics,
+            pulse,
             advisor: Advisor::default(),
             counted: (0, 0),
             spans: spans::totals(),
@@ -75,6 +83,11 @@ impl Reporter {
             Err(error) => reporter.failed("the TensorBoard file", &error.to_string()),
         }
         reporter
+    }
+
+    /// What those tell who wait for actors.
+    pub fn told(&self) -> (&LearnerMetrics, &Pulse) {
+        (&self.metrics, &self.pulse)
     }
 
     pub fn event(&mut self, event: &Event) {

@@ -131,14 +131,14 @@ impl Run<'_> {
             let chunks = {
                 let _span = tracing::info_span!("collect").entered();
                 let (link, fleet) = (self.link.as_mut(), self.fleet.as_mut());
-                let (learner, metrics) = (&self.config.learner, &self.reporter.metrics);
+                let (learner, told) = (&self.config.learner, self.reporter.told());
                 collect(
                     &mut self.collector,
                     link,
                     fleet,
                     learner,
                     self.stop,
-                    metrics,
+                    told,
                     &self.traces,
                 )?
             };

@@ -82,8 +82,8 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         Some(_) => None,
         None => Some(Versions::open(&settings.run_dir, &settings.run_id)?),
     };
-    let metrics = LearnerMetrics::register(&settings.metrics, settings.pulse);
-    let mut reporter = Reporter::new(&settings.run_dir, settings.events, metrics);
+    let metrics = LearnerMetrics::register(&settings.metrics);
+    let mut reporter = Reporter::new(&settings.run_dir, settings.events, metrics, settings.pulse);
     let incarnations = (0..config.actors.count).map(|id| accounting.next_incarnation(id));
     reporter.event(&Event::Started(Started {
         run_id: settings.run_id.clone(),

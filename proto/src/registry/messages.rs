@@ -1,5 +1,6 @@
 //! What is asked and answered: versions, and what people and robots say about them.
 
+use caudata_declare::named;
 use prost::Message;
 
 use super::error::{NONCE_BYTES, RegistryError};
@@ -226,19 +227,21 @@ pub struct QuarantineState {
     pub unix_ms: u64,
 }
 
-/// What became of a version on a robot.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum RobotState {
-    /// Checked, waits for a safe moment.
-    Armed,
-    /// Drives the robot, on trial.
-    Trial,
-    /// Went through its trial.
-    Good,
-    /// A check refused it.
-    Refused,
-    /// It ran and failed.
-    Failed,
+named! {
+    /// What became of a version on a robot.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub enum RobotState {
+        /// Checked, waits for a safe moment.
+        Armed = "armed",
+        /// Drives the robot, on trial.
+        Trial = "trial",
+        /// Went through its trial.
+        Good = "good",
+        /// A check refused it.
+        Refused = "refused",
+        /// It ran and failed.
+        Failed = "failed",
+    }
 }
 
 impl RobotState {
@@ -246,32 +249,6 @@ impl RobotState {
     #[must_use]
     pub fn went_well(self) -> bool {
         matches!(self, Self::Armed | Self::Trial | Self::Good)
-    }
-
-    /// Its word, as in files and pages.
-    #[must_use]
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::Armed => "armed",
-            Self::Trial => "trial",
-            Self::Good => "good",
-            Self::Refused => "refused",
-            Self::Failed => "failed",
-        }
-    }
-
-    /// The state of a word.
-    #[must_use]
-    pub fn of_word(word: &str) -> Option<Self> {
-        [
-            Self::Armed,
-            Self::Trial,
-            Self::Good,
-            Self::Refused,
-            Self::Failed,
-        ]
-        .into_iter()
-        .find(|state| state.word() == word)
     }
 }
 

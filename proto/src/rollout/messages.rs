@@ -1,5 +1,7 @@
 //! What actors tell the learner, as checked values.
 
+use caudata_declare::settings;
+
 use super::trace::TraceContext;
 
 /// Version of the meaning of the rollout frames; a frame of any other is refused.
@@ -158,36 +160,24 @@ pub struct Moments {
     pub m2: Vec<f64>,
 }
 
-/// Bounds on what [`decode`](super::decode) accepts.
-#[derive(Debug, Clone, PartialEq)]
-pub struct DecodeLimits {
-    /// Bytes of one frame. Reading a frame takes at most about five times this.
-    pub max_frame_bytes: usize,
-    /// T.
-    pub max_steps: usize,
-    /// N.
-    pub max_lanes: usize,
-    /// D.
-    pub max_obs_dim: usize,
-    /// A.
-    pub max_act_dim: usize,
-    /// Reward terms of an episode.
-    pub max_terms: usize,
-    /// Largest magnitude of any number in a tensor. A finite 1e30 poisons the learner as surely
-    /// as an infinity does; nothing in these tensors comes near a million.
-    pub max_magnitude: f32,
-}
-
-impl Default for DecodeLimits {
-    fn default() -> Self {
-        Self {
-            max_frame_bytes: 64 << 20,
-            max_steps: 4096,
-            max_lanes: 65_536,
-            max_obs_dim: 4096,
-            max_act_dim: 256,
-            max_terms: 64,
-            max_magnitude: 1e6,
-        }
+settings! {
+    /// Bounds on what [`decode`](super::decode) accepts.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct DecodeLimits {
+        /// Bytes of one frame. Reading a frame takes at most about five times this.
+        pub max_frame_bytes: usize = 64 << 20,
+        /// T.
+        pub max_steps: usize = 4096,
+        /// N.
+        pub max_lanes: usize = 65_536,
+        /// D.
+        pub max_obs_dim: usize = 4096,
+        /// A.
+        pub max_act_dim: usize = 256,
+        /// Reward terms of an episode.
+        pub max_terms: usize = 64,
+        /// Largest magnitude of any number in a tensor. A finite 1e30 poisons the learner as surely
+        /// as an infinity does; nothing in these tensors comes near a million.
+        pub max_magnitude: f32 = 1e6,
     }
 }

@@ -2,47 +2,29 @@
 
 use std::time::Instant;
 
-/// Declares the phases with their names in the table.
-macro_rules! phases {
-    ($($(#[$about:meta])* $phase:ident = $name:literal,)+) => {
-        /// Parts of a physics step, in their order; the last is once per control period.
-        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-        pub enum Phase {
-            $($(#[$about])* $phase,)+
-        }
+use caudata_declare::named;
 
-        impl Phase {
-            /// In the order of a step.
-            pub const ALL: [Self; [$($name),+].len()] = [$(Self::$phase),+];
-
-            /// As the table has it.
-            #[must_use]
-            pub const fn name(self) -> &'static str {
-                match self {
-                    $(Self::$phase => $name,)+
-                }
-            }
-        }
-    };
-}
-
-phases! {
-    /// Pass outward: frames, velocities, bias accelerations, and contact of every point with the ground.
-    KinematicsAndContact = "kinematics and contact",
-    /// Links against each other.
-    SelfCollision = "self-collision",
-    /// Buoyancy, drag and added mass.
-    Water = "water",
-    /// Servos, losses and stops of all joints.
-    Drives = "drives",
-    /// Articulated-body pass inward.
-    Inward = "pass inward",
-    /// The base's acceleration and the pass outward.
-    Outward = "pass outward",
-    /// Contact forces that came out, and the new positions and velocities.
-    Integration = "integration",
-    /// What the task sees: commands in, sensors and sums out.
-    Report = "commands and report",
+named! {
+    /// Parts of a physics step, in their order; the last is once per control period.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub enum Phase {
+        /// Pass outward: frames, velocities, bias accelerations, and contact of every point with the ground.
+        KinematicsAndContact = "kinematics and contact",
+        /// Links against each other.
+        SelfCollision = "self-collision",
+        /// Buoyancy, drag and added mass.
+        Water = "water",
+        /// Servos, losses and stops of all joints.
+        Drives = "drives",
+        /// Articulated-body pass inward.
+        Inward = "pass inward",
+        /// The base's acceleration and the pass outward.
+        Outward = "pass outward",
+        /// Contact forces that came out, and the new positions and velocities.
+        Integration = "integration",
+        /// What the task sees: commands in, sensors and sums out.
+        Report = "commands and report",
+    }
 }
 
 /// Seconds per [`Phase`], in the order of [`Phase::ALL`].

@@ -4,27 +4,20 @@
 //! none does. With a share s of frames lost in bursts of mean length L, a burst ends with probability 1/L and
 //! starts with s/(L·(1 − s)).
 
+use caudata_declare::settings;
 use caudata_random::{Key, Purpose, Stream};
 use serde::{Deserialize, Serialize};
 
-/// How many command frames are lost, and which.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct CommandLoss {
-    /// Share of frames that do not arrive, 0..=0.9. Nominal 0.
-    pub share: f32,
-    /// Mean number of frames lost in a row, 1..=100. Nominal 1.
-    pub burst: f32,
-    /// Which ones: same seed, same losses, counted from the lane's reset.
-    pub seed: u64,
-}
-
-impl Default for CommandLoss {
-    fn default() -> Self {
-        Self {
-            share: 0.0,
-            burst: 1.0,
-            seed: 0,
-        }
+settings! {
+    /// How many command frames are lost, and which.
+    #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+    pub struct CommandLoss {
+        /// Share of frames that do not arrive, 0..=0.9. Nominal 0.
+        pub share: f32 = 0.0,
+        /// Mean number of frames lost in a row, 1..=100. Nominal 1.
+        pub burst: f32 = 1.0,
+        /// Which ones: same seed, same losses, counted from the lane's reset.
+        pub seed: u64 = 0,
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use caudata_declare::{named, settings};
 use serde::{Deserialize, Serialize};
 
 use crate::SimError;
@@ -13,124 +14,87 @@ const MAX_GRID_POINTS: f64 = 2048.0;
 /// Coarsest cell of `steps`: their risers are one cell wide.
 const STEPS_CELL_M: f64 = 0.02;
 
-/// Declares the kinds of ground with their names in configuration files.
-macro_rules! kinds {
-    ($($(#[$about:meta])* $kind:ident = $name:literal,)+) => {
-        /// Shape of the ground.
-        #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-        pub enum TerrainKind {
-            $($(#[$about])* #[serde(rename = $name)] $kind,)+
-        }
-
-        impl TerrainKind {
-            /// All kinds, in the order of the declaration.
-            pub const ALL: [Self; [$($name),+].len()] = [$(Self::$kind),+];
-
-            /// Its name in configuration files and on the command line.
-            #[must_use]
-            pub fn name(self) -> &'static str {
-                match self {
-                    $(Self::$kind => $name,)+
-                }
-            }
-        }
-    };
+named! {
+    /// Shape of the ground.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum TerrainKind {
+        /// The plane z = 0, without end.
+        Flat = "flat",
+        /// Smooth hills; steepest slope `slope_deg`.
+        Hills = "hills",
+        /// Independent random heights from 0 to `height_m` at the grid points.
+        Rugged = "rugged",
+        /// `hills` with `rugged` on top.
+        Rough = "rough",
+        /// `rough` with 2 cm and 15°, whatever `height_m` and `slope_deg` say.
+        RoughEasy = "rough_easy",
+        /// `rough` with 4 cm and 15°.
+        RoughMedium = "rough_medium",
+        /// `rough` with 4 cm and 25°.
+        RoughHard = "rough_hard",
+        /// A valley along x: a floor 1 m wide, then walls rising with `slope_deg` on both sides.
+        Valley = "valley",
+        /// One plane that rises along +x with `slope_deg`, from edge to edge.
+        Slope = "slope",
+        /// Terraces along x: every `step_length_m` a drop of `height_m` towards +x. The origin is in the middle
+        /// of one.
+        Steps = "steps",
+        /// Level ground with square patches of low friction.
+        Slippery = "slippery",
+        /// Land around the origin, a beach going down with `slope_deg` from x = 0.5 m on, then a pool; its
+        /// surface at `water_level_m`.
+        Shore = "shore",
+        /// A pool without end: level ground at z = 0 under `water_level_m` of water.
+        DeepWater = "deep_water",
+        /// The paper's training ground in one field: four squares, flat, `hills`, `rugged` and `valley`, each
+        /// ending at 0 at its border.
+        Mixed = "mixed",
+        /// Heights from the file `map`, stretched over the whole field.
+        Map = "map",
+    }
 }
 
-kinds! {
-    /// The plane z = 0, without end.
-    Flat = "flat",
-    /// Smooth hills; steepest slope `slope_deg`.
-    Hills = "hills",
-    /// Independent random heights from 0 to `height_m` at the grid points.
-    Rugged = "rugged",
-    /// `hills` with `rugged` on top.
-    Rough = "rough",
-    /// `rough` with 2 cm and 15°, whatever `height_m` and `slope_deg` say.
-    RoughEasy = "rough_easy",
-    /// `rough` with 4 cm and 15°.
-    RoughMedium = "rough_medium",
-    /// `rough` with 4 cm and 25°.
-    RoughHard = "rough_hard",
-    /// A valley along x: a floor 1 m wide, then walls rising with `slope_deg` on both sides.
-    Valley = "valley",
-    /// One plane that rises along +x with `slope_deg`, from edge to edge.
-    Slope = "slope",
-    /// Terraces along x: every `step_length_m` a drop of `height_m` towards +x. The origin is in the middle
-    /// of one.
-    Steps = "steps",
-    /// Level ground with square patches of low friction.
-    Slippery = "slippery",
-    /// Land around the origin, a beach going down with `slope_deg` from x = 0.5 m on, then a pool; its
-    /// surface at `water_level_m`.
-    Shore = "shore",
-    /// A pool without end: level ground at z = 0 under `water_level_m` of water.
-    DeepWater = "deep_water",
-    /// The paper's training ground in one field: four squares, flat, `hills`, `rugged` and `valley`, each
-    /// ending at 0 at its border.
-    Mixed = "mixed",
-    /// Heights from the file `map`, stretched over the whole field.
-    Map = "map",
-}
-
-/// Table `[terrain]`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct TerrainConfig {
-    /// Shape of the ground: `flat`, `hills`, `rugged`, `rough`, `rough_easy`, `rough_medium`, `rough_hard`,
-    /// `valley`, `slope`, `steps`, `slippery`, `shore`, `deep_water`, `mixed` or
-    /// `map`.
-    pub kind: TerrainKind,
-    /// Edge length of the square height field, m, 4..=100. Default 16: a 20 s episode at 0.3 m/s stays on it.
-    /// `mixed` needs about twice that.
-    pub size_m: f64,
-    /// Distance of its grid points, m, 0.02..=1. Default 0.1: a foot ball (radius 19 mm) meets single facets.
-    /// `steps` uses 0.02 at most, because its risers are one cell wide.
-    pub cell_m: f64,
-    /// Largest random height of `rugged` and `rough`, and drop of each of the `steps`, m, 0..=0.3. Default
-    /// 0.04 (the paper's rugged terrain).
-    pub height_m: f64,
-    /// Steepest slope of `hills`, `rough`, `valley`, `slope` and `shore`, degrees, 0..=40. Default 15 (the
-    /// paper's hills and valley). Above about 38° (atan of foot friction 0.8) nothing stands.
-    pub slope_deg: f64,
-    /// Shortest wave of `hills` and `rough`, m, 0.5..=20; the longest is three times that. Default 2: about
-    /// two body lengths.
-    pub wavelength_m: f64,
-    /// Length of each of the `steps`, m, 0.2..=20. Default 1.5: the robot (1.1 m) stands wholly on one before
-    /// it meets the next.
-    pub step_length_m: f64,
-    /// Edge of the patches of `slippery`, m, 0.1..=5. Default 0.3: one foot at a time is on one; much larger,
-    /// and whole strides are.
-    pub patch_m: f64,
-    /// Share of the ground of `slippery` that is slippery, 0..=1. Default 0.3.
-    pub patch_share: f64,
-    /// Factor on the friction coefficients there, 0..=1. Default 0.25: foot friction 0.8 becomes 0.2, wet
-    /// tiles. 0 is perfect ice.
-    pub patch_friction: f64,
-    /// Height of still water's surface above z = 0, m, 0..=10; any kind can be flooded. Default 0, which is
-    /// dry but for `shore` (0.4 m) and `deep_water` (2 m: the robot, 1.1 m long, can dive upright).
-    pub water_level_m: f64,
-    /// File of `map`: a square PNG in shades of grey, whose white is `height_m` high, or a square CSV of
-    /// heights in m. Its first row has the largest y. Default empty.
-    pub map: PathBuf,
-}
-
-impl Default for TerrainConfig {
-    fn default() -> Self {
-        Self {
-            kind: TerrainKind::Flat,
-            size_m: 16.0,
-            cell_m: 0.1,
-            height_m: 0.04,
-            slope_deg: 15.0,
-            wavelength_m: 2.0,
-            step_length_m: 1.5,
-            patch_m: 0.3,
-            patch_share: 0.3,
-            patch_friction: 0.25,
-            water_level_m: 0.0,
-            map: PathBuf::new(),
-        }
+settings! {
+    /// Table `[terrain]`.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct TerrainConfig {
+        /// Shape of the ground: `flat`, `hills`, `rugged`, `rough`, `rough_easy`, `rough_medium`,
+        /// `rough_hard`, `valley`, `slope`, `steps`, `slippery`, `shore`, `deep_water`, `mixed` or `map`.
+        pub kind: TerrainKind = TerrainKind::Flat,
+        /// Edge length of the square height field, m, 4..=100. Default 16: a 20 s episode at 0.3 m/s stays on
+        /// it. `mixed` needs about twice that.
+        pub size_m: f64 = 16.0,
+        /// Distance of its grid points, m, 0.02..=1. Default 0.1: a foot ball (radius 19 mm) meets single
+        /// facets. `steps` uses 0.02 at most, because its risers are one cell wide.
+        pub cell_m: f64 = 0.1,
+        /// Largest random height of `rugged` and `rough`, and drop of each of the `steps`, m, 0..=0.3.
+        /// Default 0.04 (the paper's rugged terrain).
+        pub height_m: f64 = 0.04,
+        /// Steepest slope of `hills`, `rough`, `valley`, `slope` and `shore`, degrees, 0..=40. Default 15
+        /// (the paper's hills and valley). Above about 38° (atan of foot friction 0.8) nothing stands.
+        pub slope_deg: f64 = 15.0,
+        /// Shortest wave of `hills` and `rough`, m, 0.5..=20; the longest is three times that. Default 2:
+        /// about two body lengths.
+        pub wavelength_m: f64 = 2.0,
+        /// Length of each of the `steps`, m, 0.2..=20. Default 1.5: the robot (1.1 m) stands wholly on one
+        /// before it meets the next.
+        pub step_length_m: f64 = 1.5,
+        /// Edge of the patches of `slippery`, m, 0.1..=5. Default 0.3: one foot at a time is on one; much
+        /// larger, and whole strides are.
+        pub patch_m: f64 = 0.3,
+        /// Share of the ground of `slippery` that is slippery, 0..=1. Default 0.3.
+        pub patch_share: f64 = 0.3,
+        /// Factor on the friction coefficients there, 0..=1. Default 0.25: foot friction 0.8 becomes 0.2, wet
+        /// tiles. 0 is perfect ice.
+        pub patch_friction: f64 = 0.25,
+        /// Height of still water's surface above z = 0, m, 0..=10; any kind can be flooded. Default 0, which
+        /// is dry but for `shore` (0.4 m) and `deep_water` (2 m: the robot, 1.1 m long, can dive upright).
+        pub water_level_m: f64 = 0.0,
+        /// File of `map`: a square PNG in shades of grey, whose white is `height_m` high, or a square CSV of
+        /// heights in m. Its first row has the largest y. Default empty.
+        pub map: PathBuf,
     }
 }
 

@@ -1,29 +1,21 @@
 //! What an expression may name: one row per signal.
 
+use caudata_declare::named;
+
 use super::Unit;
 
-/// How many values a signal has.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Shape {
-    /// One.
-    Scalar,
-    /// x, y, z.
-    Three,
-    /// One per actuated joint, policy order.
-    Joints,
-    /// One per foot, in the order of the robot file.
-    Feet,
-}
-
-impl Shape {
-    /// In words.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Scalar => "a number",
-            Self::Three => "x, y, z",
-            Self::Joints => "per joint",
-            Self::Feet => "per foot",
-        }
+named! {
+    /// How many values a signal has.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum Shape {
+        /// One.
+        Scalar = "a number",
+        /// x, y, z.
+        Three = "x, y, z",
+        /// One per actuated joint, policy order.
+        Joints = "per joint",
+        /// One per foot, in the order of the robot file.
+        Feet = "per foot",
     }
 }
 

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use caudata_config::ConfigArgs;
+use caudata_declare::named;
 use caudata_telemetry::Failure;
 use clap::{Args, ValueEnum};
 
@@ -48,28 +49,17 @@ pub struct Plan {
 /// Where the program of an actor is; asked only where one is needed.
 pub type FindActor<'a> = &'a dyn Fn() -> Result<PathBuf, Failure>;
 
-/// Links that can be measured.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Kind {
-    /// Between threads
-    Inproc,
-    /// Shared memory
-    Iceoryx2,
-    /// zenoh over plain TCP on this machine
-    Zenoh,
-    /// zenoh over QUIC with certificates on both sides
-    Quic,
-}
-
-impl Kind {
-    /// As on the command line.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Kind::Inproc => "inproc",
-            Kind::Iceoryx2 => "iceoryx2",
-            Kind::Zenoh => "zenoh",
-            Kind::Quic => "quic",
-        }
+named! {
+    /// Links that can be measured.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+    pub enum Kind {
+        /// Between threads
+        Inproc = "inproc",
+        /// Shared memory
+        Iceoryx2 = "iceoryx2",
+        /// zenoh over plain TCP on this machine
+        Zenoh = "zenoh",
+        /// zenoh over QUIC with certificates on both sides
+        Quic = "quic",
     }
 }

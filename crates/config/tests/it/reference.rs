@@ -92,6 +92,7 @@ fn read_structs(text: &str, structs: &mut BTreeMap<String, Described>) {
             if let Some((name, kind)) = field.split_once(": ")
                 && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
             {
+                let kind = kind.split(" = ").next().unwrap();
                 let kind = kind.trim_end_matches([',', ';']).to_owned();
                 described.fields.push((name.into(), kind, doc.clone()));
             }

@@ -3,49 +3,30 @@
 use std::fmt;
 use std::str::FromStr;
 
+use caudata_declare::named;
+
 use super::error::PkiError;
 
-/// What a process is. The word is the common name of its certificate.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum Role {
-    /// Receives rollouts, publishes policies.
-    Learner,
-    /// Sends rollouts, receives policies of its learner.
-    Actor,
-    /// The policy server.
-    Server,
-    /// A zenoh router between learner and actors.
-    Router,
-    /// A person: lists and pulls policies, moves labels.
-    Operator,
-    /// A robot: pulls policies and reports how they did.
-    Robot,
+named! {
+    /// What a process is. The word is the common name of its certificate.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+    pub enum Role {
+        /// Receives rollouts, publishes policies.
+        Learner = "learner",
+        /// Sends rollouts, receives policies of its learner.
+        Actor = "actor",
+        /// The policy server.
+        Server = "server",
+        /// A zenoh router between learner and actors.
+        Router = "router",
+        /// A person: lists and pulls policies, moves labels.
+        Operator = "operator",
+        /// A robot: pulls policies and reports how they did.
+        Robot = "robot",
+    }
 }
 
 impl Role {
-    /// All of them.
-    pub const ALL: [Self; 6] = [
-        Self::Learner,
-        Self::Actor,
-        Self::Server,
-        Self::Router,
-        Self::Operator,
-        Self::Robot,
-    ];
-
-    /// The common name.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Learner => "learner",
-            Self::Actor => "actor",
-            Self::Server => "server",
-            Self::Router => "router",
-            Self::Operator => "operator",
-            Self::Robot => "robot",
-        }
-    }
-
     /// Whether others connect to it, so that its certificate must name its hosts.
     #[must_use]
     pub fn listens(self) -> bool {
@@ -69,8 +50,7 @@ impl FromStr for Role {
     type Err = PkiError;
 
     fn from_str(word: &str) -> Result<Self, PkiError> {
-        let found = Self::ALL.into_iter().find(|role| role.name() == word);
-        found.ok_or_else(|| PkiError::Role(word.to_owned()))
+        Self::of_name(word).ok_or_else(|| PkiError::Role(word.to_owned()))
     }
 }
 

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use caudata_config::{Config, ConfigArgs};
+use caudata_declare::named;
 use caudata_evaluation::Suite;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Args;
@@ -51,31 +52,23 @@ pub struct Robots {
     pub truth: PathBuf,
 }
 
-/// A way to train.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Way {
-    /// In the model as given.
-    AsGiven,
-    /// In the extended model.
-    Extended,
-    /// In the model as given, with wide randomisation.
-    Wide,
-    /// In the true robot's model.
-    Truth,
+named! {
+    /// A way to train.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum Way {
+        /// In the model as given.
+        AsGiven = "as_given",
+        /// In the extended model.
+        Extended = "extended",
+        /// In the model as given, with wide randomisation.
+        Wide = "wide",
+        /// In the true robot's model.
+        Truth = "truth",
+    }
 }
 
 impl Way {
-    /// As in file names.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::AsGiven => "as_given",
-            Self::Extended => "extended",
-            Self::Wide => "wide",
-            Self::Truth => "truth",
-        }
-    }
-
     /// The robot that it trains in.
     pub fn robot(self, robots: &Robots) -> &Path {
         match self {

@@ -80,11 +80,11 @@ pub(crate) struct Exporter {
 impl Exporter {
     pub fn start(settings: &TraceSettings, metrics: &Metrics) -> Result<Self, TraceError> {
         let counters = Counters {
-            exported: metrics.counter(
+            exported: metrics.make(
                 "caudata_trace_spans_exported_total",
                 "Spans that the collector took",
             ),
-            dropped: metrics.counter(
+            dropped: metrics.make(
                 "caudata_trace_spans_dropped_total",
                 "Spans given up because the collector is away, slow, or refuses them",
             ),

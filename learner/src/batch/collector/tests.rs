@@ -99,7 +99,7 @@ fn hello(actor_id: u32, incarnation: u64) -> Vec<u8> {
 fn reason(outcome: Outcome) -> &'static str {
     match outcome {
         Outcome::Rejected(_, reason, _) => reason,
-        Outcome::Dropped(_, reason) => reason.id(),
+        Outcome::Dropped(_, reason) => reason.name(),
         Outcome::Duplicate(_) => "duplicate",
         Outcome::Waiting(_) => "waiting",
         Outcome::Hello(_) => "hello",
