@@ -43,10 +43,6 @@ fn main() -> Result<(), Box<dyn Error>> {
             "skip_serializing_if = \"Option::is_none\"",
         ),
         ("Signature.signature", "with = \"crate::hex\""),
-        (
-            "LabelState.override_reason",
-            "deserialize_with = \"crate::disk::null_as_empty\"",
-        ),
         ("RobotReport.sha256", "with = \"crate::hex\""),
         ("RobotReport.state", "with = \"crate::disk::state_word\""),
     ] {

@@ -272,10 +272,10 @@ impl PolicyStore {
     /// same bytes can be announced in many streams and under many numbers.
     fn remove_unneeded(&self) {
         let on_disk = self.state.on_disk();
-        let announced = on_disk.iter().flat_map(|policy| {
-            [manifest_file, older_manifest_file].map(|file| file(&self.folder, policy))
-        });
-        let announced: Vec<PathBuf> = announced.collect();
+        let announced: Vec<PathBuf> = on_disk
+            .iter()
+            .map(|policy| manifest_file(&self.folder, policy))
+            .collect();
         let Ok(entries) = fs::read_dir(self.folder.join("blobs")) else {
             return;
         };
@@ -331,7 +331,7 @@ pub const STORED: &[Check<StoredCheck>] = &[
             let Some(trust) = stored.trust else {
                 return Ok(());
             };
-            let path = kept_manifest_file(stored.folder, stored.policy);
+            let path = manifest_file(stored.folder, stored.policy);
             let manifest = Manifest::from_bytes(&read_bounded(&path, MANIFEST_BYTES_MAX)?);
             let signed = manifest.is_ok_and(|manifest| {
                 PolicyRef::from(&manifest) == *stored.policy && trust.check(&manifest).is_ok()
@@ -403,25 +403,6 @@ pub(crate) fn manifest_file(folder: &Path, policy: &PolicyRef) -> PathBuf {
     let (sha256, version) = (policy.sha256, policy.version);
     let name = format!("{sha256}.{version}.{}.{MANIFEST}", &stream[..32]);
     folder.join("blobs").join(name)
-}
-
-/// Where it lies in folders of before, which did not tell streams apart.
-fn older_manifest_file(folder: &Path, policy: &PolicyRef) -> PathBuf {
-    let name = format!("{}.{}.{MANIFEST}", policy.sha256, policy.version);
-    folder.join("blobs").join(name)
-}
-
-/// The older one where there is only that, so that what is said about the announcement names the file that
-/// was looked at, or should be there.
-fn kept_manifest_file(folder: &Path, policy: &PolicyRef) -> PathBuf {
-    let (file, older) = (
-        manifest_file(folder, policy),
-        older_manifest_file(folder, policy),
-    );
-    match (fs::exists(&file), fs::exists(&older)) {
-        (Ok(false), Ok(true)) => older,
-        _ => file,
-    }
 }
 
 /// Refuses the trust file at `path`, of which `version` is in force, where a newer one was in force on the

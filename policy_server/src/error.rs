@@ -135,7 +135,7 @@ pub enum RecordError {
     #[error("not a record: {0}")]
     Json(#[from] serde_json::Error),
     /// The content is not what was written.
-    #[error("its checksum is not that of its content")]
+    #[error("it has no checksum, or not that of its content")]
     Checksum,
     /// Written by another version of the server.
     #[error("record format {found} is unknown; use a newer server")]

@@ -28,43 +28,34 @@ pub fn seal(content: &impl Serialize) -> Result<Vec<u8>, RecordError> {
     Ok([HEAD.0, sum.as_bytes(), HEAD.1, entries].concat())
 }
 
-/// Reads a file's bytes, and whether they had a checksum: older servers wrote none. A wrong one is an error.
+/// Reads a file's bytes, whose checksum must be right.
 ///
 /// # Errors
 /// [`RecordError::Checksum`], [`RecordError::Json`].
-pub fn unseal<T: DeserializeOwned>(bytes: &[u8]) -> Result<(T, bool), RecordError> {
+pub fn unseal<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, RecordError> {
     let sealed = bytes.strip_prefix(HEAD.0).and_then(|rest| {
         let (sum, rest) = rest.split_at_checked(64)?;
         Some((sum, rest.strip_prefix(HEAD.1)?))
     });
-    let Some((sum, entries)) = sealed else {
-        // A head that is damaged itself is no older file.
-        let damaged = bytes.windows(8).take(8).any(|word| word == b"checksum");
-        return match damaged {
-            true => Err(RecordError::Checksum),
-            false => Ok((serde_json::from_slice(bytes)?, false)),
-        };
-    };
+    let (sum, entries) = sealed.ok_or(RecordError::Checksum)?;
     let body = [BODY, entries].concat();
     if hex(&Sha256::digest(&body)).as_bytes() != sum {
         return Err(RecordError::Checksum);
     }
-    Ok((serde_json::from_slice(&body)?, true))
+    Ok(serde_json::from_slice(&body)?)
 }
 
 /// Reads a file; the outer error: it cannot be read at all.
 ///
 /// # Errors
 /// [`StoreError::Unusable`].
-pub fn read<F: DeserializeOwned, T>(
-    path: &Path,
-) -> Result<Result<(T, bool), RecordError>, StoreError>
+pub fn read<F: DeserializeOwned, T>(path: &Path) -> Result<Result<T, RecordError>, StoreError>
 where
     T: TryFrom<F>,
     RecordError: From<T::Error>,
 {
     let bytes = fs::read(path).map_err(|error| unusable(path, &error.to_string()))?;
-    Ok(unseal::<F>(&bytes).and_then(|(file, sealed)| Ok((T::try_from(file)?, sealed))))
+    Ok(unseal::<F>(&bytes).and_then(|file| Ok(T::try_from(file)?)))
 }
 
 /// Stream names may hold `/`; on disk that is `@`, which no stream name may hold.

@@ -153,7 +153,7 @@ impl Store {
         caudata_durable::remove_leftovers(&folder)?;
         for path in entries(&folder)? {
             match read::<UsedUpFile, _>(&path)? {
-                Ok(((stream, used_up), _)) => {
+                Ok((stream, used_up)) => {
                     self.used_up.insert(stream, used_up);
                 }
                 Err(error) => damaged.extend(self.note_damage(&path, &error)),
@@ -164,7 +164,7 @@ impl Store {
 
     fn load_record(&mut self, path: &Path, damaged: &mut Vec<Damage>) -> Result<(), StoreError> {
         let bytes = fs::read(path).map_err(|error| unusable(path, &error.to_string()))?;
-        let (record, sealed) = match Record::read(&bytes) {
+        let record = match Record::from_json(&bytes) {
             Ok(read) => read,
             Err(error @ RecordError::Format { .. }) => {
                 return Err(unusable(path, &error.to_string()));
@@ -191,9 +191,6 @@ impl Store {
             }
             return Ok(());
         }
-        if !sealed {
-            self.seal_anew(path, record.to_json());
-        }
         self.streams
             .entry(manifest.stream.clone())
             .or_default()
@@ -201,26 +198,12 @@ impl Store {
         Ok(())
     }
 
-    /// Gives a file of an older server a checksum. Failing is harmless: it is tried again at the next start.
-    fn seal_anew(&self, path: &Path, text: Result<Vec<u8>, RecordError>) {
-        let written = text.map(|text| caudata_durable::replace_on(&*self.disk, path, &text));
-        match written {
-            Ok(Ok(())) => tracing::info!(path = %path.display(), "has a checksum now"),
-            Ok(Err(error)) => tracing::warn!(path = %path.display(), %error, "has no checksum yet"),
-            Err(error) => tracing::warn!(path = %path.display(), %error, "has no checksum yet"),
-        }
-    }
-
     /// Reads labels, quarantine and reports; a damaged file is set aside, but a damaged quarantine file still
     /// keeps its version out of use.
     fn load_notes(&mut self, damaged: &mut Vec<Damage>) -> Result<(), StoreError> {
         for path in files_below(&self.root.join("labels"))? {
             match read::<wire::LabelState, LabelState>(&path)? {
-                Ok((state, sealed)) => {
-                    if !sealed {
-                        let text = crate::files::seal(&wire::LabelState::from(state.clone()));
-                        self.seal_anew(&path, text);
-                    }
+                Ok(state) => {
                     self.generation = self.generation.max(state.generation);
                     let key = (state.stream.clone(), state.label.clone());
                     self.labels.insert(key, state);
@@ -233,7 +216,7 @@ impl Store {
         }
         for path in files_below(&self.root.join("reports"))? {
             match read::<ReportsFile, Reports>(&path)? {
-                Ok((reports, _)) => {
+                Ok(reports) => {
                     if let Some(key) = version_of(&path) {
                         self.reports.insert(key, reports);
                     }
@@ -245,7 +228,7 @@ impl Store {
     }
 
     fn load_quarantine(&mut self, path: &Path) -> Result<(), StoreError> {
-        let (mut quarantined, sealed) = match read::<QuarantineFile, Quarantined>(path)? {
+        let mut quarantined = match read::<QuarantineFile, Quarantined>(path)? {
             Ok(read) => read,
             Err(error) => {
                 // To forget it would let the version loose: the file's name says enough.
@@ -262,17 +245,13 @@ impl Store {
                     unix_ms: 0,
                 };
                 let sha256 = None;
-                (Quarantined { state, sha256 }, true)
+                Quarantined { state, sha256 }
             }
         };
         let state = &quarantined.state;
         let key = (state.stream.clone(), state.version);
         let record = self.find(&key.0, key.1);
         quarantined.sha256 = quarantined.sha256.or(record.map(|r| r.manifest.sha256));
-        if !sealed {
-            let text = crate::files::seal(&QuarantineFile::from(&quarantined));
-            self.seal_anew(path, text);
-        }
         self.generation = self.generation.max(quarantined.state.generation);
         self.quarantined.insert(key, quarantined);
         Ok(())

@@ -25,7 +25,7 @@ pub type Hash = [u8; 32];
 pub struct Quarantined {
     /// What is told of it.
     pub state: QuarantineState,
-    /// Its bytes; `None` where the file is damaged, or an older server's and the version was gone already.
+    /// Its bytes; `None` where the file is damaged.
     pub sha256: Option<Hash>,
 }
 

@@ -7,8 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::RecordError;
 use crate::files::{seal, unseal};
 
-/// Format of the record files; a store with a newer one is refused rather than misread. Those of format 1
-/// have no checksum, and are written anew when they are found.
+/// Format of the record files; a store with a newer one is refused rather than misread.
 pub const RECORD_FORMAT: u32 = 2;
 
 /// One version: the manifest, and the change counter at which it was published.
@@ -52,23 +51,15 @@ impl Record {
     /// # Errors
     /// See [`RecordError`].
     pub fn from_json(bytes: &[u8]) -> Result<Self, RecordError> {
-        Ok(Self::read(bytes)?.0)
-    }
-
-    /// As [`Record::from_json`]; also whether it had a checksum.
-    pub(crate) fn read(bytes: &[u8]) -> Result<(Self, bool), RecordError> {
-        let (Format { format }, sealed) = unseal(bytes)?;
-        match (format, sealed) {
-            (1, false) | (RECORD_FORMAT, true) => {}
-            (1..=RECORD_FORMAT, _) => return Err(RecordError::Checksum),
-            (found, _) => return Err(RecordError::Format { found }),
+        let Format { format: found } = unseal(bytes)?;
+        if found != RECORD_FORMAT {
+            return Err(RecordError::Format { found });
         }
-        let (on_disk, _) = unseal::<OnDisk>(bytes)?;
-        let record = Self {
+        let on_disk: OnDisk = unseal(bytes)?;
+        Ok(Self {
             generation: on_disk.generation,
             manifest: on_disk.manifest.try_into()?,
-        };
-        Ok((record, sealed))
+        })
     }
 }
 
@@ -85,7 +76,7 @@ mod tests {
             manifest: manifest("polymander/flat", 3, b"bytes"),
         };
         let text = record.to_json().unwrap();
-        assert_eq!(Record::read(&text).unwrap(), (record.clone(), true));
+        assert_eq!(Record::from_json(&text).unwrap(), record);
         let text = String::from_utf8(text).unwrap();
         assert!(text.contains(&hex(&record.manifest.sha256)), "{text}");
         serde_json::from_str::<serde_json::Value>(&text).unwrap();
@@ -106,29 +97,11 @@ mod tests {
             flipped[bit / 8] ^= 1 << (bit % 8);
             assert!(Record::from_json(&flipped).is_err(), "bit {bit}");
         }
+        let unsealed = br#"{"format": 2, "generation": 1}"#;
+        let error = Record::from_json(unsealed).unwrap_err();
+        assert!(matches!(error, RecordError::Checksum), "{error}");
         let newer = seal(&serde_json::json!({"format": 3})).unwrap();
         let error = Record::from_json(&newer).unwrap_err();
         assert!(matches!(error, RecordError::Format { found: 3 }), "{error}");
-    }
-
-    #[test]
-    fn a_record_of_an_older_server_is_read() {
-        let mut record = Record {
-            generation: 4,
-            manifest: manifest("s", 1, b"x"),
-        };
-        record.manifest.signatures = vec![caudata_proto::registry::Signature {
-            key_id: "release-1".into(),
-            signature: vec![1, 2],
-        }];
-        let m = &record.manifest;
-        let text = serde_json::json!({
-            "format": 1, "generation": 4, "stream": "s", "version": 1, "sha256": hex(&m.sha256), "size": 1,
-            "created_unix_ms": m.created_unix_ms, "run_id": "run-1", "contract_hash": hex(&m.contract_hash),
-            "robot_name": "polymander", "robot_hash": hex(&m.robot_hash), "env_steps": 1000, "training_commit": "",
-            "config_hash": "", "evaluation_json": "", "signatures": [["release-1", "0102"]],
-        });
-        let text = serde_json::to_vec_pretty(&text).unwrap();
-        assert_eq!(Record::read(&text).unwrap(), (record, false));
     }
 }

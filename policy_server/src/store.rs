@@ -720,22 +720,6 @@ mod tests {
     }
 
     #[test]
-    fn files_of_an_older_server_are_read_and_get_a_checksum() {
-        let folder = tempfile::tempdir().unwrap();
-        let mut store = open(&folder);
-        store.publish(manifest("s", 1, b"one"), b"one").unwrap();
-        let path = store.record_path(&name("s"), 1);
-        drop(store);
-        let sealed = fs::read_to_string(&path).unwrap();
-        let lines = sealed.lines().filter(|line| !line.contains("checksum"));
-        let older: Vec<&str> = lines.collect();
-        let older = older.join("\n").replace("\"format\": 2", "\"format\": 1");
-        fs::write(&path, older).unwrap();
-        assert_eq!(open(&folder).records(None).count(), 1);
-        assert_eq!(fs::read_to_string(&path).unwrap(), sealed);
-    }
-
-    #[test]
     fn who_fetches_at_the_same_time_shares_the_bytes() {
         let folder = tempfile::tempdir().unwrap();
         let mut store = open(&folder);

@@ -1,14 +1,9 @@
-//! How messages look in files: states as words, what is absent as null or empty.
+//! How messages look in files: states as words.
 
 use serde::{Deserialize, Deserializer, Serializer};
 
 use crate::registry::RobotState;
 use crate::wire::registry::robot_report::State;
-
-/// For serde: absent text is empty.
-pub(crate) fn null_as_empty<'de, D: Deserializer<'de>>(from: D) -> Result<String, D::Error> {
-    Ok(Option::deserialize(from)?.unwrap_or_default())
-}
 
 /// For serde: the state of a report as its word.
 pub(crate) mod state_word {

@@ -411,37 +411,24 @@ fn what_the_loop_loads_was_signed_as_this_very_policy() {
         }
         other => panic!("{other:?}"),
     };
-    let (newer, older) = (
-        manifest_file(folder.path(), &one),
-        older_manifest_file(folder.path(), &one),
-    );
+    let path = manifest_file(folder.path(), &one);
     assert!(matches!(read(), Err(DeployError::BlobMissing { .. })));
-    named(newer.clone());
+    named(path.clone());
     let mut manifest = announced(&one, &key);
     manifest.signatures.clear();
-    fs::write(&older, manifest.to_bytes()).unwrap();
-    assert!(matches!(read(), Err(DeployError::NotSigned { .. })));
-    named(older.clone());
     store.put_manifest(&manifest).unwrap();
-    named(newer);
+    named(path.clone());
     assert!(matches!(read(), Err(DeployError::NotSigned { .. })));
     key.sign(&mut manifest);
     store.put_manifest(&manifest).unwrap();
     assert_eq!(*read().unwrap(), *b"one");
     // Signed, but announced in another stream: under the name of this policy it does not count.
-    let path = manifest_file(folder.path(), &one);
     manifest.stream = caudata_proto::registry::StreamName::new("other").unwrap();
     key.sign(&mut manifest);
     fs::write(&path, manifest.to_bytes()).unwrap();
     assert!(matches!(read(), Err(DeployError::NotSigned { .. })));
     fs::write(&path, b"no manifest").unwrap();
     assert!(matches!(read(), Err(DeployError::NotSigned { .. })));
-    // A folder that was written before streams were told apart.
-    manifest.stream = caudata_proto::registry::StreamName::new("s").unwrap();
-    key.sign(&mut manifest);
-    fs::remove_file(&path).unwrap();
-    fs::write(older, manifest.to_bytes()).unwrap();
-    assert_eq!(*read().unwrap(), *b"one");
 }
 
 #[test]
@@ -488,20 +475,14 @@ fn announcements_that_no_policy_needs_are_removed_although_its_bytes_are() {
             version,
             ..policy(b"one")
         };
-        let manifest = announced(&of(version), &key);
-        fs::write(
-            older_manifest_file(folder.path(), &of(version)),
-            manifest.to_bytes(),
-        )
-        .unwrap();
-        store.put_manifest(&manifest).unwrap();
+        store.put_manifest(&announced(&of(version), &key)).unwrap();
         store.update(|s| s.adopt(of(version))).unwrap();
         if version == 1 {
             store.update(|s| s.confirm(of(1).sha256)).unwrap();
         }
         let mut needed: Vec<PathBuf> = [1, version]
             .into_iter()
-            .flat_map(|v| [manifest_file, older_manifest_file].map(|f| f(folder.path(), &of(v))))
+            .map(|v| manifest_file(folder.path(), &of(v)))
             .collect();
         needed.sort();
         needed.dedup();
