@@ -7,7 +7,6 @@ use caudata_proto::wire::FILE_DESCRIPTOR_SET;
 use caudata_proto::wire::registry::policy_registry_server::PolicyRegistryServer;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
-use tokio_rustls::TlsAcceptor;
 use tonic::transport::Server;
 
 use crate::access::GuardLayer;
@@ -91,28 +90,10 @@ pub async fn serve(
     serve_with(listener, store, metrics, stop, ServeOptions::default()).await
 }
 
-/// As [`serve`], encrypted: clients show a certificate, and its role decides what they may do.
-///
-/// # Errors
-/// As [`serve`]; [`ServeError::Transport`] also when the certificates do not work.
-pub async fn serve_tls(
-    listener: TcpListener,
-    store: Store,
-    metrics: ServerMetrics,
-    stop: watch::Receiver<bool>,
-    tls: TlsAcceptor,
-) -> Result<(), ServeError> {
-    let options = ServeOptions {
-        tls: Some(tls),
-        ..ServeOptions::default()
-    };
-    serve_with(listener, SharedStore::new(store), metrics, stop, options).await
-}
-
 /// As [`serve`], with a choice of how.
 ///
 /// # Errors
-/// As [`serve_tls`].
+/// As [`serve`]; [`ServeError::Transport`] also when the certificates do not work.
 pub async fn serve_with(
     listener: TcpListener,
     store: SharedStore,

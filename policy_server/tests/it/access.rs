@@ -6,7 +6,9 @@ use std::time::{Duration, SystemTime};
 
 use caudata_model::RobotModel;
 use caudata_policy::{Activation, Dense, MlpSpec, PolicyFile, PolicyMetadata, build_onnx};
-use caudata_policy_server::{ServerMetrics, Store, StoreLimits, listen, serve_tls, tls_config};
+use caudata_policy_server::{
+    ServeOptions, ServerMetrics, SharedStore, Store, StoreLimits, listen, serve_with, tls_config,
+};
 use caudata_proto::registry::StreamName;
 use caudata_registry_client::{ClientError, RegistryClient, manifest_of};
 use caudata_signing::pki::{Authority, Request, Role};
@@ -83,7 +85,11 @@ async fn a_role_does_what_it_may_and_a_stranger_nothing() {
     let (stop, stopped) = watch::channel(false);
     let metrics = ServerMetrics::register(&Metrics::new());
     let server = tokio::spawn(async move {
-        serve_tls(listener, store, metrics, stopped, tls)
+        let options = ServeOptions {
+            tls: Some(tls),
+            ..ServeOptions::default()
+        };
+        serve_with(listener, SharedStore::new(store), metrics, stopped, options)
             .await
             .unwrap();
     });
@@ -174,7 +180,11 @@ async fn fault_18_certificates_of_another_year_keep_a_robot_out_and_are_no_reaso
         let (stop, stopped) = watch::channel(false);
         let metrics = ServerMetrics::register(&Metrics::new());
         let server = tokio::spawn(async move {
-            serve_tls(listener, store, metrics, stopped, tls)
+            let options = ServeOptions {
+                tls: Some(tls),
+                ..ServeOptions::default()
+            };
+            serve_with(listener, SharedStore::new(store), metrics, stopped, options)
                 .await
                 .unwrap();
         });

@@ -13,9 +13,6 @@ use super::tensors::{self, Tensors};
 use super::trace::TraceContext;
 use crate::wire::rollout as pb;
 
-/// Bytes of a frame beside its tensors: identifiers, hashes, dimensions, field headers.
-const FRAME_OVERHEAD: usize = 1024;
-
 /// Writes a frame. Writes what it is given: [`RolloutChunk::check`] tells beforehand whether the
 /// far side will take it.
 pub fn encode(envelope: &Envelope) -> Vec<u8> {
@@ -66,41 +63,6 @@ pub fn decode(frame: &[u8], limits: &DecodeLimits) -> Result<Envelope, DecodeErr
         }
         pb::envelope::Body::Bye(bye) => bye_from_wire(bye).map(Envelope::Bye),
     }
-}
-
-/// Upper bound on the bytes of a chunk's frame, for sizing buffers and shared-memory slots.
-///
-/// `ends` is the largest number of episodes that can end within the chunk, `terms` the number of
-/// reward terms.
-pub fn frame_bytes_bound(
-    steps: usize,
-    lanes: usize,
-    obs_dim: usize,
-    act_dim: usize,
-    ends: usize,
-    terms: usize,
-) -> usize {
-    let cells = product(&[steps, lanes]);
-    let rows = product(&[steps.saturating_add(1), lanes]);
-    // Floats of 4 bytes and the two flags; an end is a final observation (8 bytes and D floats)
-    // and a summary (18 bytes and its terms); moments are two f64 per component.
-    [
-        product(&[rows, obs_dim, 4]),
-        product(&[cells, act_dim, 8]),
-        product(&[cells, 10]),
-        product(&[act_dim, 4]),
-        product(&[
-            ends,
-            obs_dim
-                .saturating_add(terms)
-                .saturating_mul(4)
-                .saturating_add(26),
-        ]),
-        product(&[obs_dim, 16]),
-        FRAME_OVERHEAD,
-    ]
-    .into_iter()
-    .fold(0, usize::saturating_add)
 }
 
 fn hello_to_wire(hello: &ActorHello) -> pb::ActorHello {

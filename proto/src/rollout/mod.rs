@@ -15,7 +15,7 @@ mod tensors;
 mod tests;
 mod trace;
 
-pub use codec::{decode, encode, frame_bytes_bound};
+pub use codec::{decode, encode};
 pub use error::{DecodeError, REASON_IDS};
 pub use identity::{ChunkIdentity, chunk_identity};
 pub use messages::{

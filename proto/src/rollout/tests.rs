@@ -381,16 +381,6 @@ fn what_is_not_a_chunk_of_this_protocol_is_refused() {
 }
 
 #[test]
-fn the_frame_bound_holds() {
-    let bytes = frame(&chunk()).len();
-    let bound = frame_bytes_bound(3, 2, 4, 2, 3, 3);
-    assert!(bytes <= bound, "{bytes} {bound}");
-    // Tensors alone: 4·(32 + 2·12 + 2 + 2·6) + 2·6 flags; anything below would be no bound.
-    assert!(bound > 4 * (32 + 24 + 2 + 12) + 12);
-    assert_eq!(frame_bytes_bound(usize::MAX, 2, 2, 2, 2, 2), usize::MAX);
-}
-
-#[test]
 fn reason_ids_are_unique() {
     let unique: BTreeSet<_> = REASON_IDS.iter().collect();
     assert_eq!(unique.len(), REASON_IDS.len());

@@ -11,7 +11,6 @@ use caudata_random::{Key, Purpose, Stream};
 
 use crate::frame::{BROADCAST_ID, Framer, Instruction, PREFIX, STATUS, encode, unstuff};
 use crate::group::common_answer;
-use crate::status::StatusError;
 use crate::units::wire_us;
 
 pub use port::EmulatedPort;
@@ -279,10 +278,5 @@ impl EmulatedBus {
                 out.extend_from_slice(&bytes);
             }
         }
-    }
-
-    /// The error byte that servo `index` sends now.
-    pub fn error_of(&self, index: usize) -> StatusError {
-        self.servos[index].error(None)
     }
 }
