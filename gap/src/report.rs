@@ -188,8 +188,6 @@ pub enum DoubtKind {
     MuchLeft,
     /// A cause would have to be larger than it can plausibly be.
     ImplausibleSize,
-    /// What is left of a joint's current obeys a law.
-    LawfulRest,
     /// A cause has another size in each part of the data.
     InconstantSize,
 }

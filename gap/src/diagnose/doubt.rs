@@ -4,10 +4,9 @@
 use super::constancy::{self, Scatter};
 use super::gates;
 use super::judge::Judge;
-use super::lawful::{Lawful, lawful};
 use super::levels::MANY_JOINTS;
 use super::state::{Context, Derivatives, On, State};
-use crate::effects::{Domain, Effect, Place};
+use crate::effects::{Effect, Place};
 use crate::replay::Term;
 use crate::report::{Doubt, DoubtKind};
 
@@ -17,12 +16,6 @@ const LEFT: f64 = 0.5;
 /// of 1.7. Of the benchmark's causes the right ones leave less (their laws are not quite nature's), wrong
 /// ones more.
 const LEFT_OF_SHARE: f64 = 0.15;
-/// Share of what is left of a joint's current that a law may foretell, where more is left of it than careful
-/// labs have ([`gates::quiet`]): right names of the benchmark (bench rigs) have up to 0.10, the drag of a
-/// sail that is called viscous friction 0.34 and 0.63, a spring that hardens and is called a spring and
-/// ripple 0.91; but a cable that rubs and is called friction 0.19.
-const LAWFUL_SHARE: f64 = 0.2;
-
 /// Scatter of a cause's size along anything, as a share of it: of 140 right names on bench rigs (seeds 103
 /// and 107) 139 have less, half of them less than 0.025, and of 32 wrong ones 15.
 const INCONSTANT: f64 = 0.12;
@@ -41,8 +34,6 @@ pub struct Doubts<'a> {
     pub much: Option<Left>,
     /// Effects that would have to be larger, or otherwise, than they can plausibly be.
     pub outgrown: Vec<&'a Term>,
-    /// Joints where what is left obeys a law.
-    pub lawful: Vec<Lawful>,
     /// Causes without one size, with their places.
     pub inconstant: Vec<(Scatter, &'a Term)>,
 }
@@ -56,10 +47,6 @@ impl<'a> Doubts<'a> {
         derivatives: &Derivatives,
         causes: &[usize],
     ) -> Self {
-        let quiet = gates::quiet(context);
-        let a_law = |l: &Lawful| l.share > LAWFUL_SHARE && l.left > quiet;
-        // what the runs that were fitted say of themselves is no foretelling
-        let nothing_to_ask = best.terms.is_empty() || context.same_runs;
         let scatter = constancy::scatter(context, best, derivatives, causes);
         Self {
             inconstant: (scatter.into_iter())
@@ -72,25 +59,16 @@ impl<'a> Doubts<'a> {
                 .filter(|(k, t)| outgrown(context, t, causes.contains(k)))
                 .map(|(_, t)| t)
                 .collect(),
-            lawful: if nothing_to_ask {
-                Vec::new()
-            } else {
-                lawful(context, best).into_iter().filter(a_law).collect()
-            },
         }
     }
 
     /// Whether there are any.
     pub fn any(&self) -> bool {
-        self.much.is_some()
-            || !self.outgrown.is_empty()
-            || !self.lawful.is_empty()
-            || !self.inconstant.is_empty()
+        self.much.is_some() || !self.outgrown.is_empty() || !self.inconstant.is_empty()
     }
 
     /// Each for the report.
-    pub fn listed(&self, context: &Context) -> Vec<Doubt> {
-        let names = context.replayer.model().actuated_names();
+    pub fn listed(&self) -> Vec<Doubt> {
         let much = self.much.iter().map(|l| Doubt {
             kind: DoubtKind::MuchLeft,
             location: String::new(),
@@ -113,17 +91,6 @@ impl<'a> Doubts<'a> {
                 location: label,
             }
         });
-        let lawful = self.lawful.iter().map(|l| {
-            Doubt {
-                kind: DoubtKind::LawfulRest,
-                location: names[l.joint].to_owned(),
-                detail: format!(
-                    "What is left of the current of {} obeys a law that no cause here has: functions of angle, speed and error that were fitted to it foretell {:.0} % of it in held-out runs.",
-                    names[l.joint],
-                    100.0 * l.share
-                ),
-            }
-        });
         let inconstant = self.inconstant.iter().map(|(s, t)| {
             let label = t.place.label(t.effect.id);
             let least = s.sizes.iter().copied().fold(f64::INFINITY, f64::min);
@@ -137,17 +104,13 @@ impl<'a> Doubts<'a> {
                 location: label,
             }
         });
-        much.chain(outgrown)
-            .chain(lawful)
-            .chain(inconstant)
-            .collect()
+        much.chain(outgrown).chain(inconstant).collect()
     }
 
     /// Whether they say of a cause at `place` that its law is another one: what is missing elsewhere does not
     /// make it less sure.
     pub fn deny(&self, context: &Context, place: &Place) -> bool {
         self.outgrown.iter().any(|t| meet(&t.place, place))
-            || (self.lawful.iter()).any(|l| acts_on(place, l.joint, few_joints(context)))
             || (self.inconstant.iter()).any(|(_, t)| one_place(context, &t.place, place))
     }
 }
@@ -228,21 +191,12 @@ fn few_joints(context: &Context) -> bool {
     context.replayer.model().actuated().len() < MANY_JOINTS
 }
 
-/// Whether a law in the current of `joint` may be that of an effect at `place`: at the joint, and of `few`
-/// joints at whatever it may carry. What is left of a knee does not deny play at a girdle.
-fn acts_on(place: &Place, joint: usize, few: bool) -> bool {
-    match place.domain {
-        Domain::Joints => place.items.is_empty() || place.items.contains(&joint),
-        _ => few,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
 
     use super::*;
-    use crate::effects;
+    use crate::effects::{self, Domain};
 
     fn at(domain: Domain, items: &[usize]) -> Place {
         Place {
@@ -262,11 +216,6 @@ mod tests {
         assert!(meet(&at(Domain::Robot, &[]), &knee));
         assert!(meet(&at(Domain::Links, &[7]), &knee));
         assert!(!meet(&at(Domain::Links, &[7]), &at(Domain::Links, &[8])));
-        // a law in what is left of a joint's current speaks against whatever may act on that joint
-        assert!(acts_on(&knee, 3, true) && !acts_on(&knee, 4, true));
-        assert!(acts_on(&at(Domain::Links, &[7]), 4, true));
-        // … on many joints' robots only if it is the joint's own
-        assert!(acts_on(&knee, 3, false) && !acts_on(&at(Domain::Links, &[7]), 4, false));
     }
 
     #[test]

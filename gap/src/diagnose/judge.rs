@@ -289,15 +289,6 @@ impl Judge {
         self.whiten(raw)
     }
 
-    /// A change of the sensors' values, in their units, whitened. `[N]` to `[N]`
-    #[must_use]
-    pub fn whitened(&self, mut change: Vec<f32>) -> Vec<f32> {
-        for (c, sigma) in change.iter_mut().zip(&self.noise.sigma) {
-            *c /= sigma;
-        }
-        self.whiten(change)
-    }
-
     fn whiten(&self, mut x: Vec<f32>) -> Vec<f32> {
         for trial in &self.trials {
             trial.apply(&mut x[trial.range.clone()]);

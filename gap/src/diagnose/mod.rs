@@ -18,7 +18,6 @@ mod gates;
 mod heard;
 mod joints;
 mod judge;
-mod lawful;
 mod leftover;
 mod levels;
 mod lines;

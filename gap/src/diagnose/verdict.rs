@@ -186,7 +186,7 @@ pub fn conclude(
             },
             doubts: match causes.is_empty() {
                 true => Vec::new(),
-                false => doubts.listed(context),
+                false => doubts.listed(),
             },
             gain: gain(context, base, model),
             position_errors,

@@ -60,7 +60,7 @@ pub fn summary(
     split: Split,
     found: &Found,
 ) -> String {
-    let mut text = headline(context, verdict, causes, doubts, unexplained, found);
+    let mut text = headline(verdict, causes, doubts, unexplained, found);
     if !leads.is_empty() {
         let which = match leads {
             [_] => "which takes less than it leaves: a lead and no finding",
@@ -142,7 +142,6 @@ fn names(causes: &[Cause]) -> String {
 }
 
 fn headline(
-    context: &Context,
     verdict: Verdict,
     causes: &[Cause],
     doubts: &Doubts<'_>,
@@ -178,7 +177,7 @@ fn headline(
                 .first()
                 .map_or(String::new(), |u| format!(", most of it at {}", u.location));
             // how much is left is in the figures
-            let others = doubts.listed(context).into_iter();
+            let others = doubts.listed().into_iter();
             let others: String = (others.filter(|d| d.kind != DoubtKind::MuchLeft))
                 .map(|d| format!(" {}", d.detail))
                 .collect();

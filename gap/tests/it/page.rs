@@ -425,9 +425,9 @@ fn a_report_of_an_earlier_version_has_no_doubts_and_no_leads() {
         causes: vec![],
         leads: Vec::new(),
         doubts: vec![Doubt {
-            kind: DoubtKind::LawfulRest,
+            kind: DoubtKind::InconstantSize,
             location: "FL_knee".to_owned(),
-            detail: "What is left obeys a law.".to_owned(),
+            detail: "It has another size in each run.".to_owned(),
         }],
         gain: BTreeMap::new(),
         position_errors: vec![],
@@ -442,7 +442,7 @@ fn a_report_of_an_earlier_version_has_no_doubts_and_no_leads() {
         compute: Compute::default(),
     };
     let mut json = serde_json::to_value(&report).unwrap();
-    assert_eq!(json["doubts"][0]["kind"], "lawful_rest");
+    assert_eq!(json["doubts"][0]["kind"], "inconstant_size");
     assert_eq!(json["doubts"][0]["where"], "FL_knee");
     let again: Report = serde_json::from_value(json.clone()).unwrap();
     assert_eq!(again, report);
