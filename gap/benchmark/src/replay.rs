@@ -1,5 +1,4 @@
-//! The nominal robot in the diagnosing engine: what it predicts for a run. Measures the null discrepancy, and
-//! carries the baselines.
+//! The nominal robot in the diagnosing engine: what it predicts for a run. Measures the null discrepancy.
 
 use std::sync::Arc;
 
@@ -60,21 +59,6 @@ pub fn predict(
     commands: &Commands,
     times_s: &[f64],
 ) -> Result<Vec<Prediction>, SimError> {
-    predict_shifted(model, variants, &[], commands, times_s)
-}
-
-/// As [`predict`], with `shifts_rad` `[variants][A]` added to the commands of each variant (none: an empty
-/// slice).
-///
-/// # Errors
-/// As [`predict`].
-pub fn predict_shifted(
-    model: &Arc<RobotModel>,
-    variants: &[LaneParams],
-    shifts_rad: &[Vec<f64>],
-    commands: &Commands,
-    times_s: &[f64],
-) -> Result<Vec<Prediction>, SimError> {
     let config = EngineConfig {
         dt_s: DT_S,
         substeps: 1,
@@ -85,17 +69,12 @@ pub fn predict_shifted(
     let servos = model.actuated().len();
     let ground = TerrainConfig::default();
     let mut engine = caudata_sim::build(Arc::clone(model), lanes, &config, &ground, 1, 1)?;
-    let shifted = |row: &[f64]| -> Vec<f32> {
-        let shift = |lane: usize, a: usize| shifts_rad.get(lane).map_or(0.0, |s| s[a]);
+    let in_lanes = |row: &[f64]| -> Vec<f32> {
         (0..lanes)
-            .flat_map(|lane| {
-                row.iter()
-                    .enumerate()
-                    .map(move |(a, &x)| (x + shift(lane, a)) as f32)
-            })
+            .flat_map(|_| row.iter().map(|&x| x as f32))
             .collect()
     };
-    let mut targets = shifted(&commands.rows_rad[0]);
+    let mut targets = in_lanes(&commands.rows_rad[0]);
     for (lane, params) in variants.iter().enumerate() {
         let start = InitialState {
             joint_pos_rad: targets[lane * servos..(lane + 1) * servos].to_vec(),
@@ -126,7 +105,7 @@ pub fn predict_shifted(
                 moved = true;
             }
             if moved {
-                targets = shifted(&commands.rows_rad[row]);
+                targets = in_lanes(&commands.rows_rad[row]);
             }
             engine.step(&targets, &wrenches)?;
             step += 1;

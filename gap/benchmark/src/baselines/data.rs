@@ -1,50 +1,16 @@
-//! A case as a baseline sees it: the logs, their repeats' noise, residuals of a robot in the engine.
+//! A case as a baseline sees it: its runs, the noise that repeats show, residuals of candidates in the engine.
 
 use std::path::Path;
 use std::sync::Arc;
 
+use caudata_gap::effects::Effect;
+use caudata_gap::excitation::Excitation;
+use caudata_gap::place::{Domain, Place};
+use caudata_gap::replay::{Data, Piece, Replayer, SegmentOptions, Term, Variant};
+use caudata_gap::trial::{Kind, Role, Run, Trial};
+use caudata_gap::{GapError, effects, reading, repeats};
 use caudata_model::RobotModel;
-use caudata_runlog::{RunLog, Signal};
-use caudata_sim::SimError;
-
-use super::setup::Setup;
-use crate::replay::{self, Prediction};
-use crate::truth::sim::Commands;
-
-/// One logged run.
-#[derive(Clone, Debug)]
-pub struct Logged {
-    trial: String,
-    commands: Commands,
-    supply_v: f64,
-    kp: Option<f64>,
-    /// `[channels][rows]`: positions, speeds, currents.
-    values: Vec<Vec<Option<f64>>>,
-    /// Repeats' standard deviation per channel.
-    sigma: Vec<f64>,
-}
-
-/// Fit and held-out runs of a case.
-#[derive(Clone, Debug)]
-pub struct CaseData {
-    /// The robot.
-    pub model: Arc<RobotModel>,
-    /// Fit runs.
-    pub fit: Vec<Logged>,
-    /// Held-out runs.
-    pub holdout: Vec<Logged>,
-}
-
-/// A run measured and predicted.
-#[derive(Clone, Debug)]
-pub struct Shown {
-    /// `[rows][A]`, rad.
-    pub commands_rad: Vec<Vec<f64>>,
-    /// `[channels][rows]`
-    pub measured: Vec<Vec<Option<f64>>>,
-    /// `[channels][rows]`
-    pub shown: Vec<Vec<f64>>,
-}
+use caudata_runlog::RunLog;
 
 /// Why a case cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -58,12 +24,104 @@ pub enum DataError {
     /// The robot.
     #[error("{0}")]
     Model(#[from] caudata_model::ModelError),
-    /// The engine.
+    /// A run, or the engine.
     #[error("{0}")]
-    Engine(#[from] SimError),
+    Gap(#[from] GapError),
     /// Something is not there.
     #[error("{0} holds no {1}")]
     Missing(String, &'static str),
+}
+
+/// Runs of one role, each the mean of its repeats.
+pub struct Part {
+    /// The runs.
+    pub data: Data,
+    /// What repeats differ by, standard deviation of each sample, SI; infinite where a channel does not count.
+    /// `[N]`
+    sigma: Vec<f64>,
+}
+
+/// Fit and held-out runs of a case.
+pub struct CaseData {
+    /// The engine.
+    pub replayer: Replayer,
+    /// Runs to fit to.
+    pub fit: Part,
+    /// Held-out runs.
+    pub holdout: Part,
+    excitation: Excitation,
+}
+
+impl Part {
+    fn of(model: &RobotModel, trials: &[Trial], role: Role) -> Self {
+        let own: Vec<Trial> = trials.iter().filter(|t| t.role == role).cloned().collect();
+        let data = Data::new(model, repeats::collapse(&own), SegmentOptions::default());
+        let mut sigma = vec![f64::INFINITY; data.len()];
+        for segment in &data.segments {
+            for piece in segment.pieces.iter().filter(counts) {
+                let trial = &data.trials[segment.trial];
+                let times_s = &data.time_s[piece.range.clone()];
+                sigma[piece.range.clone()].fill(apart(trial, piece, times_s).max(1e-4));
+            }
+        }
+        Self { data, sigma }
+    }
+
+    /// Channels that count, with where their samples are.
+    fn channels(&self) -> Vec<(Kind, usize, Vec<&Piece>)> {
+        let mut out: Vec<(Kind, usize, Vec<&Piece>)> = Vec::new();
+        for piece in (self.data.segments.iter()).flat_map(|s| s.pieces.iter().filter(counts)) {
+            match out
+                .iter_mut()
+                .find(|c| (c.0, c.1) == (piece.kind, piece.index))
+            {
+                Some(channel) => channel.2.push(piece),
+                None => out.push((piece.kind, piece.index, vec![piece])),
+            }
+        }
+        out
+    }
+
+    /// Geometric mean over channels of the root mean square of `after` over that of `before`. `[N]` each.
+    #[must_use]
+    pub fn ratio(&self, before: &[f64], after: &[f64]) -> f64 {
+        let channels = self.channels();
+        let log = |(_, _, pieces): &(Kind, usize, Vec<&Piece>)| {
+            let of = |r: &[f64]| {
+                pieces
+                    .iter()
+                    .map(|p| square(&r[p.range.clone()]))
+                    .sum::<f64>()
+            };
+            0.5 * (of(after).max(1e-12) / of(before).max(1e-12)).ln()
+        };
+        (channels.iter().map(log).sum::<f64>() / channels.len().max(1) as f64).exp()
+    }
+}
+
+/// Whether baselines look at a channel.
+fn counts(piece: &&Piece) -> bool {
+    matches!(piece.kind, Kind::Position | Kind::Velocity | Kind::Current)
+}
+
+/// Standard deviation of the repeats of `trial` in a channel, SI.
+fn apart(trial: &Trial, piece: &Piece, times_s: &[f64]) -> f64 {
+    let of = |m: &Trial, t: f64| Some(m.channel(piece.kind, piece.index)?.at(m.span_s.0 + t));
+    let (mut sum, mut count) = (0.0, 0.0);
+    for pair in trial.members.windows(2) {
+        for t in times_s.iter().map(|t| t - trial.span_s.0) {
+            if let (Some(x), Some(y)) = (of(&pair[0], t), of(&pair[1], t)) {
+                sum += 0.5 * (x - y) * (x - y);
+                count += 1.0;
+            }
+        }
+    }
+    f64::sqrt(sum / f64::max(count, 1.0))
+}
+
+/// Sum of squares.
+pub(super) fn square(r: &[f64]) -> f64 {
+    r.iter().map(|x| x * x).sum()
 }
 
 impl CaseData {
@@ -81,237 +139,90 @@ impl CaseData {
             if name.ends_with(".robot.toml") {
                 robot = Some(RobotModel::load(&entry.path())?);
             } else if entry.path().is_dir() {
-                runs.push((name, RunLog::read(&entry.path())?));
+                runs.push(Run {
+                    role: match name.starts_with("holdout") {
+                        true => Role::Holdout,
+                        false => Role::Fit,
+                    },
+                    name,
+                    log: RunLog::read(&entry.path())?,
+                    sha256: String::new(),
+                });
             }
         }
         let missing = |what| DataError::Missing(folder.display().to_string(), what);
         let model = Arc::new(robot.ok_or_else(|| missing("robot file"))?);
-        let mut fit = Vec::new();
-        let mut holdout = Vec::new();
-        for (name, log) in &runs {
-            let logged = Logged::of(name, log, &model);
-            if name.starts_with("holdout") {
-                holdout.push(logged);
-            } else {
-                fit.push(logged);
-            }
-        }
-        if fit.is_empty() || holdout.is_empty() {
+        let trials = runs.iter().map(|run| reading::trial(&model, run));
+        let mut trials: Vec<Trial> = trials.collect::<Result<_, _>>()?;
+        repeats::group(&mut trials);
+        let [fit, holdout] = [Role::Fit, Role::Holdout].map(|r| Part::of(&model, &trials, r));
+        if fit.data.is_empty() || holdout.data.is_empty() {
             return Err(missing("fit or holdout runs"));
         }
-        noise(&mut fit);
-        noise(&mut holdout);
+        let excitation = Excitation::of(&model, &fit.data.trials.iter().collect::<Vec<_>>());
         Ok(Self {
-            model,
+            replayer: Replayer::new(model, 1)?,
             fit,
             holdout,
+            excitation,
         })
     }
 
-    /// The first repeat of each trial of `runs`, as `setup` predicts it.
+    /// The robot.
+    #[must_use]
+    pub fn model(&self) -> &RobotModel {
+        self.replayer.model()
+    }
+
+    /// Measured less predicted of every variant on the runs of `part`, in standard deviations of repeats.
+    /// `[V][N]`
     ///
     /// # Errors
-    /// [`DataError::Engine`].
-    pub fn shown(&self, runs: &[Logged], setup: &Setup) -> Result<Vec<Shown>, DataError> {
-        firsts(runs)
-            .into_iter()
-            .map(|run| {
-                Ok(Shown {
-                    commands_rad: run.commands.rows_rad.clone(),
-                    measured: run.values.clone(),
-                    shown: self.predict(run, std::slice::from_ref(setup))?.remove(0),
-                })
-            })
+    /// [`DataError::Gap`].
+    pub fn residuals(&self, part: &Part, variants: &[Variant]) -> Result<Vec<Vec<f64>>, DataError> {
+        let predictions = self.replayer.predict(&part.data, variants)?;
+        let off = |((m, p), sigma): ((&f64, &f32), &f64)| {
+            let r = (m - f64::from(*p)) / sigma;
+            if r.is_nan() { 1e3 } else { r }
+        };
+        let of = |p: &Vec<f32>| {
+            let pairs = part.data.value.iter().zip(p).zip(&part.sigma);
+            pairs.map(off).collect()
+        };
+        Ok(predictions.iter().map(of).collect())
+    }
+
+    /// Error on held-out runs of `variant` over that of the robot as given.
+    ///
+    /// # Errors
+    /// [`DataError::Gap`].
+    pub fn holdout_ratio(&self, variant: &Variant) -> Result<f64, DataError> {
+        let both = self.residuals(&self.holdout, &[Variant::new(), variant.clone()])?;
+        Ok(self.holdout.ratio(&both[0], &both[1]))
+    }
+
+    /// Effect `id` at each joint by itself, or at each of the places that it has, with nothing of it.
+    #[must_use]
+    pub fn each(&self, id: &str) -> Variant {
+        effects::find(id).map_or_else(Vec::new, |effect| self.everywhere(effect))
+    }
+
+    /// Every effect of the catalogue that the runs can show, at every single place, with nothing of it.
+    #[must_use]
+    pub fn candidates(&self) -> Variant {
+        let all = effects::ALL.iter().flat_map(|e| self.everywhere(e));
+        all.filter(|t| (t.effect.unseen)(&self.excitation, &t.place).is_none())
             .collect()
     }
 
-    /// Whitened residuals of every setup on the first repeat of each trial of `runs`. `[setups][values]`
-    ///
-    /// # Errors
-    /// [`DataError::Engine`].
-    pub fn residuals(&self, runs: &[Logged], setups: &[Setup]) -> Result<Vec<Vec<f64>>, DataError> {
-        let mut out = vec![Vec::new(); setups.len()];
-        for run in firsts(runs) {
-            for (shown, out) in self.predict(run, setups)?.iter().zip(&mut out) {
-                for ((measured, shown), sd) in run.values.iter().zip(shown).zip(&run.sigma) {
-                    out.extend(
-                        measured
-                            .iter()
-                            .zip(shown)
-                            .map(|(m, s)| m.map_or(0.0, |m| (m - s) / sd)),
-                    );
-                }
-            }
-        }
-        Ok(out)
+    fn everywhere(&self, effect: &'static Effect) -> Variant {
+        let alone = |p: &Place| p.items.len() <= 1 || effect.domain == Domain::Robot;
+        let places = effect.places(self.model()).into_iter().filter(alone);
+        let nothing = |place: Place| Term {
+            values: effect.neutral(self.model(), &place),
+            effect,
+            place,
+        };
+        places.map(nothing).collect()
     }
-
-    /// What sensors show of every setup's run. `[setups][channels][rows]`
-    fn predict(&self, run: &Logged, setups: &[Setup]) -> Result<Vec<Vec<Vec<f64>>>, DataError> {
-        let lanes: Vec<_> = setups
-            .iter()
-            .map(|s| {
-                let mut lane = s.lane.clone();
-                // what the log declares: the supply, and the gain in force
-                lane.supply_v += (run.supply_v - self.model.supply_v()) as f32;
-                for (a, kp) in lane.kp_nm_per_rad.iter_mut().enumerate() {
-                    let nominal = self.model.kp_nm_per_rad(a);
-                    *kp *= (run.kp.unwrap_or(nominal) / nominal) as f32;
-                }
-                lane
-            })
-            .collect();
-        let shifts: Vec<Vec<f64>> = setups
-            .iter()
-            .map(|s| s.offset_rad.iter().map(|b| -b).collect())
-            .collect();
-        let times_s = &run.commands.sent_s;
-        let predictions =
-            replay::predict_shifted(&self.model, &lanes, &shifts, &run.commands, times_s)?;
-        Ok(setups
-            .iter()
-            .zip(&predictions)
-            .map(|(s, p)| shown(s, p, times_s))
-            .collect())
-    }
-
-    /// Error on held-out runs of `setup` over that of the nominal robot: geometric mean over channels of the
-    /// root mean squares' ratio.
-    ///
-    /// # Errors
-    /// [`DataError::Engine`].
-    pub fn holdout_ratio(&self, setup: &Setup) -> Result<f64, DataError> {
-        let both = self.residuals(&self.holdout, &[Setup::nominal(&self.model), setup.clone()])?;
-        // one held-out trial per case, so channels follow each other
-        let channels = self.holdout[0].values.len();
-        let rows = both[0].len() / channels;
-        let mut log_sum = 0.0;
-        for c in 0..channels {
-            let square = |r: &[f64]| {
-                r[c * rows..(c + 1) * rows]
-                    .iter()
-                    .map(|x| x * x)
-                    .sum::<f64>()
-            };
-            log_sum += 0.5 * (square(&both[1]).max(1e-12) / square(&both[0]).max(1e-12)).ln();
-        }
-        Ok((log_sum / channels as f64).exp())
-    }
-}
-
-impl Logged {
-    fn of(name: &str, log: &RunLog, model: &RobotModel) -> Self {
-        let names = model.actuated_names();
-        let column = |signal: &Signal| log.table.column(signal).map(<[_]>::to_vec);
-        let mut held: Vec<f64> = model.nominal_pos_rad().to_vec();
-        let columns: Vec<_> = names
-            .iter()
-            .map(|n| column(&Signal::Command((*n).to_owned())))
-            .collect();
-        let rows_rad = (0..log.table.len())
-            .map(|k| {
-                for (value, column) in held.iter_mut().zip(&columns) {
-                    if let Some(x) = column.as_ref().and_then(|c| c[k]) {
-                        *value = x;
-                    }
-                }
-                held.clone()
-            })
-            .collect();
-        let kinds: [fn(String) -> Signal; 3] =
-            [Signal::Position, Signal::Velocity, Signal::Current];
-        let empty = || vec![None; log.table.len()];
-        let values = kinds
-            .iter()
-            .flat_map(|k| names.iter().map(move |n| k((*n).to_owned())))
-            .map(|s| column(&s).unwrap_or_else(empty))
-            .collect();
-        Self {
-            trial: name
-                .rsplit_once('_')
-                .map_or(name, |(trial, _)| trial)
-                .to_owned(),
-            commands: Commands {
-                sent_s: log.table.time_s().to_vec(),
-                rows_rad,
-                lost: Vec::new(),
-            },
-            supply_v: log.meta.supply_v.unwrap_or(model.supply_v()),
-            kp: log.meta.kp,
-            values,
-            sigma: Vec::new(),
-        }
-    }
-}
-
-/// Standard deviations from repeats, per trial and channel.
-fn noise(runs: &mut [Logged]) {
-    let all = runs.to_vec();
-    for run in runs {
-        run.sigma = (0..run.values.len())
-            .map(|c| {
-                let (mut sum, mut count) = (0.0, 0.0);
-                let repeats: Vec<&Logged> = all.iter().filter(|r| r.trial == run.trial).collect();
-                for pair in repeats.windows(2) {
-                    for (x, y) in pair[0].values[c].iter().zip(&pair[1].values[c]) {
-                        if let (Some(x), Some(y)) = (x, y) {
-                            sum += 0.5 * (x - y) * (x - y);
-                            count += 1.0;
-                        }
-                    }
-                }
-                f64::sqrt(sum / f64::max(count, 1.0)).max(1e-4)
-            })
-            .collect();
-    }
-}
-
-/// The first repeat of each trial.
-fn firsts(runs: &[Logged]) -> Vec<&Logged> {
-    let mut out: Vec<&Logged> = Vec::new();
-    for run in runs {
-        if !out.iter().any(|r| r.trial == run.trial) {
-            out.push(run);
-        }
-    }
-    out
-}
-
-/// What the sensors show of a prediction. `[channels][rows]`
-fn shown(setup: &Setup, p: &Prediction, times_s: &[f64]) -> Vec<Vec<f64>> {
-    let servos = p.pos_rad.len();
-    let mut out = Vec::with_capacity(3 * servos);
-    for a in 0..servos {
-        out.push(
-            p.pos_rad[a]
-                .iter()
-                .map(|q| (1.0 + setup.gain[a]) * q + setup.offset_rad[a])
-                .collect(),
-        );
-    }
-    for a in 0..servos {
-        let mut y = p.vel_radps[a][0];
-        let mut last = times_s[0];
-        let lagged = p.vel_radps[a].iter().zip(times_s).map(|(v, &t)| {
-            let lag = setup.velocity_lag_s[a];
-            let share = if lag > 0.0 {
-                1.0 - (-(t - last) / lag).exp()
-            } else {
-                1.0
-            };
-            last = t;
-            y += share * (v - y);
-            y
-        });
-        out.push(lagged.collect());
-    }
-    for a in 0..servos {
-        out.push(
-            p.current_a[a]
-                .iter()
-                .map(|i| i + setup.current_bias_a[a])
-                .collect(),
-        );
-    }
-    out
 }

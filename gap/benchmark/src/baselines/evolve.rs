@@ -2,9 +2,13 @@
 
 use caudata_random::{Key, Purpose, Stream};
 
-use super::data::{CaseData, DataError};
-use super::fit::{Fit, LANES, in_lanes, square};
-use super::setup::{Knob, Setup, knob_of, turned, turns};
+use caudata_gap::replay::Variant;
+
+use super::data::{CaseData, DataError, square};
+use super::fit::{Fit, named};
+
+/// Points a generation.
+const POINTS: usize = 16;
 
 /// Baseline 2: covariance matrix adaptation on delay, armature, viscous and Coulomb friction, and bias
 /// (Hansen, "The CMA evolution strategy: a tutorial", 2016, with its default weights and rates). Names what
@@ -13,6 +17,7 @@ use super::setup::{Knob, Setup, knob_of, turned, turns};
 /// # Errors
 /// [`DataError`].
 pub fn evolve(data: &CaseData, generations: usize) -> Result<(Fit, Vec<&'static str>), DataError> {
+    // one parameter each
     const LIST: [&str; 5] = [
         "command_delay",
         "armature",
@@ -20,63 +25,43 @@ pub fn evolve(data: &CaseData, generations: usize) -> Result<(Fit, Vec<&'static 
         "coulomb_friction",
         "encoder_offset",
     ];
-    let knobs: Vec<&'static Knob> = LIST.iter().filter_map(|id| knob_of(id)).collect();
-    let turns = turns(&knobs, data.model.actuated().len());
-    let n = turns.len();
+    let nothing: Variant = LIST.iter().flat_map(|id| data.each(id)).collect();
+    let n = nothing.len();
+    let scale = |k: usize| (nothing[k].effect).scale(data.model(), &nothing[k].place, 0);
+    let place = |y: &[f64]| -> Variant {
+        let mut terms = nothing.clone();
+        for (k, term) in terms.iter_mut().enumerate() {
+            let (low, high) = term.effect.bounds(data.model(), &term.place, 0);
+            term.values[0] = (term.values[0] + y[k] * scale(k)).clamp(low, high);
+        }
+        terms
+    };
     let mut s = Stream::new(Key::for_run(1), Purpose::Action);
     let rates = Rates::of(n);
     let mut cloud = Cloud::of(n);
-    let place = |y: &[f64]| -> Vec<f64> {
-        y.iter()
-            .zip(&turns)
-            .map(|(y, (k, _))| (y * k.scale).clamp(k.range.0, k.range.1))
-            .collect()
+    let mut best = Fit {
+        terms: nothing.clone(),
+        cost: f64::INFINITY,
+        values: 0,
+        sd: Vec::new(),
     };
-    let mut best = (f64::INFINITY, vec![0.0; n], 0usize);
     for _ in 0..generations {
-        let draws: Vec<Vec<f64>> = (0..LANES)
-            .map(|_| (0..n).map(|_| s.normal_f64()).collect())
-            .collect();
+        let draw = |s: &mut Stream| (0..n).map(|_| s.normal_f64()).collect::<Vec<f64>>();
+        let draws: Vec<Vec<f64>> = (0..POINTS).map(|_| draw(&mut s)).collect();
         let steps = cloud.steps(&draws);
-        let points: Vec<Vec<f64>> = steps.iter().map(|d| cloud.point(d)).collect();
-        let setups: Vec<Setup> = points
-            .iter()
-            .map(|y| turned(&data.model, &turns, &place(y)))
-            .collect();
-        let residuals = in_lanes(data, &setups)?;
-        let mut order: Vec<(f64, usize)> = residuals
-            .iter()
-            .enumerate()
-            .map(|(i, r)| (square(r), i))
-            .collect();
+        let points: Vec<Variant> = steps.iter().map(|d| place(&cloud.point(d))).collect();
+        let residuals = data.residuals(&data.fit, &points)?;
+        let mut order: Vec<(f64, usize)> = residuals.iter().map(|r| square(r)).zip(0..).collect();
         order.sort_by(|a, b| a.0.total_cmp(&b.0));
-        if order[0].0 < best.0 {
-            best = (order[0].0, place(&points[order[0].1]), residuals[0].len());
+        if order[0].0 < best.cost {
+            (best.cost, best.values) = (order[0].0, residuals[0].len());
+            best.terms.clone_from(&points[order[0].1]);
         }
         let order: Vec<usize> = order.into_iter().map(|(_, k)| k).collect();
         cloud.learn(&rates, &steps, &draws, &order);
     }
-    let mut moved: Vec<(f64, &'static str)> = turns
-        .iter()
-        .zip(&best.1)
-        .map(|((k, _), x)| (x.abs() / k.scale, k.effect))
-        .collect();
-    moved.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let names = moved
-        .into_iter()
-        .filter(|m| m.0 > 1.0)
-        .map(|m| m.1)
-        .collect();
-    Ok((
-        Fit {
-            turns,
-            x: best.1,
-            cost: best.0,
-            values: best.2,
-            sd: Vec::new(),
-        },
-        names,
-    ))
+    let names = named(data, &best.terms, scale, 1.0);
+    Ok((best, names))
 }
 
 /// Weights and rates of learning.
@@ -95,7 +80,7 @@ struct Rates {
 impl Rates {
     fn of(n: usize) -> Self {
         let dim = n as f64;
-        let parents = LANES / 2;
+        let parents = POINTS / 2;
         let raw: Vec<f64> = (0..parents)
             .map(|i| (parents as f64 + 0.5).ln() - (i as f64 + 1.0).ln())
             .collect();

@@ -1,84 +1,83 @@
-//! Fitting turns to a case: least squares, forward selection.
+//! Fitting effects to a case: least squares, forward selection.
 
-use super::data::{CaseData, DataError};
-use super::setup::{KNOBS, Knob, Setup, Turn, knob_of, turned, turns};
+use caudata_gap::place::Domain;
+use caudata_gap::replay::{Term, Variant};
+
+use super::data::{CaseData, DataError, square};
 use crate::truth::linear::solve_spd;
 
-/// Most lanes at once.
-pub(super) const LANES: usize = 16;
 /// Rounds of least squares.
 const ROUNDS: usize = 6;
 
 /// A fit.
 #[derive(Clone)]
 pub struct Fit {
-    /// What was turned.
-    pub turns: Vec<Turn>,
-    /// To where.
-    pub x: Vec<f64>,
+    /// The effects, fitted.
+    pub terms: Variant,
     /// Sum of squared whitened residuals.
     pub cost: f64,
     /// Number of residuals.
     pub values: usize,
-    /// Standard deviation of each turn, as if residuals were white.
+    /// Standard deviation of each parameter, as if residuals were white, SI. `[P]`
     pub sd: Vec<f64>,
 }
 
-impl Fit {
-    /// The robot.
-    #[must_use]
-    pub fn setup(&self, data: &CaseData) -> Setup {
-        turned(&data.model, &self.turns, &self.x)
+/// A parameter: its term, and its number there.
+type Slot = (usize, usize);
+
+fn slots(terms: &Variant) -> Vec<Slot> {
+    let of = |(i, t): (usize, &Term)| (0..t.values.len()).map(move |p| (i, p));
+    terms.iter().enumerate().flat_map(of).collect()
+}
+
+/// Step that matters of a parameter, SI.
+fn scale(data: &CaseData, terms: &Variant, (i, p): Slot) -> f64 {
+    let term = &terms[i];
+    term.effect.scale(data.model(), &term.place, p)
+}
+
+/// `terms` with each parameter moved by `by`, SI, within its bounds.
+fn moved(data: &CaseData, terms: &Variant, by: impl Fn(usize) -> f64) -> Variant {
+    let mut out = terms.clone();
+    for (k, (i, p)) in slots(terms).into_iter().enumerate() {
+        let term = &mut out[i];
+        let (low, high) = term.effect.bounds(data.model(), &term.place, p);
+        term.values[p] = (term.values[p] + by(k)).clamp(low, high);
     }
+    out
 }
 
-pub(super) fn square(r: &[f64]) -> f64 {
-    r.iter().map(|x| x * x).sum()
-}
-
-pub(super) fn in_lanes(data: &CaseData, setups: &[Setup]) -> Result<Vec<Vec<f64>>, DataError> {
-    let mut all = Vec::new();
-    for chunk in setups.chunks(LANES) {
-        all.extend(data.residuals(&data.fit, chunk)?);
-    }
-    Ok(all)
-}
-
-/// JᵀJ (`[n, n]`) and Jᵀr at `x` by differences, `r` the residuals there.
+/// JᵀJ (`[n, n]`) and Jᵀr at `terms` by differences, per step that matters; `r` the residuals there.
 fn normal_equations(
     data: &CaseData,
-    turns: &[Turn],
-    x: &[f64],
+    terms: &Variant,
     r: &[f64],
 ) -> Result<(Vec<f64>, Vec<f64>), DataError> {
-    let n = turns.len();
-    let ahead = |((k, _), x): (&Turn, &f64)| match x + 0.3 * k.scale > k.range.1 {
-        true => -0.3 * k.scale,
-        false => 0.3 * k.scale,
-    };
-    let steps: Vec<f64> = turns.iter().zip(x).map(ahead).collect();
-    let near = |i: usize| {
-        let mut at = x.to_vec();
-        at[i] += steps[i];
-        turned(&data.model, turns, &at)
-    };
-    let near: Vec<Setup> = (0..n).map(near).collect();
-    let moved = in_lanes(data, &near)?;
-    let column = |((m, (k, _)), h): ((&Vec<f64>, &Turn), &f64)| -> Vec<f64> {
-        let pairs = m.iter().zip(r);
-        pairs.map(|(a, b)| (a - b) / (h / k.scale)).collect()
-    };
-    let columns: Vec<Vec<f64>> = moved.iter().zip(turns).zip(&steps).map(column).collect();
-    let (mut normal, mut slope) = (vec![0.0; n * n], vec![0.0; n]);
-    for i in 0..n {
-        slope[i] = columns[i].iter().zip(r).map(|(c, r)| c * r).sum();
-        for j in 0..=i {
-            let dot: f64 = columns[i].iter().zip(&columns[j]).map(|(a, b)| a * b).sum();
-            normal[i * n + j] = dot;
-            normal[j * n + i] = dot;
-        }
-    }
-    Ok((normal, slope))
+    let slots = slots(terms);
+    let n = slots.len();
+    let steps: Vec<f64> = (slots.iter())
+        .map(|&(i, p)| {
+            let step = 0.3 * scale(data, terms, (i, p));
+            let high = terms[i].effect.bounds(data.model(), &terms[i].place, p).1;
+            if terms[i].values[p] + step > high {
+                -step
+            } else {
+                step
+            }
+        })
+        .collect();
+    let one = |k: usize| moved(data, terms, |other| if other == k { steps[k] } else { 0.0 });
+    let near: Vec<Variant> = (0..n).map(one).collect();
+    let columns: Vec<Vec<f64>> = (data.residuals(&data.fit, &near)?.iter().enumerate())
+        .map(|(k, m)| {
+            let per = steps[k] / scale(data, terms, slots[k]);
+            m.iter().zip(r).map(|(a, b)| (a - b) / per).collect()
+        })
+        .collect();
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let normal = (0..n * n).map(|k| dot(&columns[k / n], &columns[k % n]));
+    let slope = columns.iter().map(|c| dot(c, r)).collect();
+    Ok((normal.collect(), slope))
 }
 
 /// Entry `i` of the diagonal of (JᵀJ)⁻¹, as if residuals were white: what such tools print.
@@ -94,17 +93,18 @@ fn variance(normal: &[f64], n: usize, i: usize) -> Option<f64> {
 ///
 /// # Errors
 /// [`DataError`].
-pub fn least_squares(data: &CaseData, turns: &[Turn], start: &[f64]) -> Result<Fit, DataError> {
-    let n = turns.len();
-    let mut x = start.to_vec();
+pub fn least_squares(data: &CaseData, start: Variant) -> Result<Fit, DataError> {
+    let mut terms = start;
+    let scales: Vec<f64> = (slots(&terms).into_iter())
+        .map(|slot| scale(data, &terms, slot))
+        .collect();
+    let n = scales.len();
     let mut damping = 1e-2;
-    let mut r = data
-        .residuals(&data.fit, &[turned(&data.model, turns, &x)])?
-        .remove(0);
+    let mut r = (data.residuals(&data.fit, std::slice::from_ref(&terms))?).remove(0);
     let mut cost = square(&r);
     let mut normal = vec![0.0; n * n];
     for _ in 0..ROUNDS {
-        let (normal_now, slope) = normal_equations(data, turns, &x, &r)?;
+        let (normal_now, slope) = normal_equations(data, &terms, &r)?;
         normal = normal_now;
         let mut tries = Vec::new();
         for d in [damping * 0.1, damping, damping * 10.0, damping * 100.0] {
@@ -114,48 +114,62 @@ pub fn least_squares(data: &CaseData, turns: &[Turn], start: &[f64]) -> Result<F
             }
             let mut step: Vec<f64> = slope.iter().map(|s| -s).collect();
             if solve_spd(&mut a, &mut step) {
-                let at: Vec<f64> = x
-                    .iter()
-                    .zip(&step)
-                    .zip(turns)
-                    .map(|((x, s), (k, _))| (x + s * k.scale).clamp(k.range.0, k.range.1))
-                    .collect();
-                tries.push((d, at));
+                tries.push((d, moved(data, &terms, |k| step[k] * scales[k])));
             }
         }
-        let setups: Vec<Setup> = tries
-            .iter()
-            .map(|(_, at)| turned(&data.model, turns, at))
-            .collect();
-        let got = in_lanes(data, &setups)?;
-        let best = got
-            .into_iter()
-            .zip(tries)
-            .min_by(|a, b| square(&a.0).total_cmp(&square(&b.0)));
+        let variants: Vec<Variant> = tries.iter().map(|t| t.1.clone()).collect();
+        let got = data.residuals(&data.fit, &variants)?.into_iter().zip(tries);
+        let best = got.min_by(|a, b| square(&a.0).total_cmp(&square(&b.0)));
         let Some((residual, (d, at))) = best else {
             break;
         };
         let better = square(&residual);
-        if better >= cost * (1.0 - 1e-4) {
-            if better < cost {
-                (x, r, cost) = (at, residual, better);
-            }
+        let ends = better >= cost * (1.0 - 1e-4);
+        if better < cost {
+            (terms, r, cost, damping) = (at, residual, better, d);
+        }
+        if ends {
             break;
         }
-        (x, r, cost, damping) = (at, residual, better, d);
     }
     let white = cost / (r.len().saturating_sub(n)).max(1) as f64;
-    let sd = (0..n).map(|i| {
-        variance(&normal, n, i).map_or(f64::INFINITY, |v| (v * white).sqrt() * turns[i].0.scale)
-    });
-    let sd = sd.collect();
+    let sd = |i: usize| {
+        variance(&normal, n, i).map_or(f64::INFINITY, |v| (v * white).sqrt() * scales[i])
+    };
     Ok(Fit {
-        turns: turns.to_vec(),
-        x,
+        sd: (0..n).map(sd).collect(),
+        terms,
         cost,
         values: r.len(),
-        sd,
     })
+}
+
+/// Names of effects by how far their first parameter is from nothing in `units` of its own, where that is more
+/// than `least`, strongest first.
+pub(super) fn named(
+    data: &CaseData,
+    terms: &Variant,
+    units: impl Fn(usize) -> f64,
+    least: f64,
+) -> Vec<&'static str> {
+    let mut found: Vec<(f64, &'static str)> = Vec::new();
+    for (k, (i, p)) in slots(terms).into_iter().enumerate() {
+        if p == 0 {
+            let term = &terms[i];
+            let neutral = term.effect.neutral(data.model(), &term.place)[0];
+            let far = (term.values[0] - neutral).abs() / units(k).max(1e-12);
+            found.push((far, term.effect.id));
+        }
+    }
+    found.retain(|f| f.0 > least);
+    found.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let mut names = Vec::new();
+    for (_, name) in found {
+        if !names.contains(&name) {
+            names.push(name);
+        }
+    }
+    names
 }
 
 /// Baseline 1, as identification tools do: every one of a fixed list is fitted, and every one whose 95 %
@@ -175,56 +189,79 @@ pub fn fit_all(data: &CaseData) -> Result<(Fit, Vec<&'static str>), DataError> {
         "armature",
         "link_mass",
     ];
-    let knobs: Vec<&'static Knob> = LIST.iter().filter_map(|id| knob_of(id)).collect();
-    let turns = turns(&knobs, data.model.actuated().len());
-    let start: Vec<f64> = turns
-        .iter()
-        .map(|(k, _)| if k.range.0 >= 0.0 { 0.3 * k.scale } else { 0.0 })
-        .collect();
-    let fit = least_squares(data, &turns, &start)?;
-    let mut found: Vec<(f64, &'static str)> = fit
-        .turns
-        .iter()
-        .zip(&fit.x)
-        .zip(&fit.sd)
-        .map(|(((k, _), x), sd)| (x.abs() / sd.max(1e-12), k.effect))
-        .filter(|f| f.0 > 1.96)
-        .collect();
-    found.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let mut names = Vec::new();
-    for (_, name) in found {
-        if !names.contains(&name) {
-            names.push(name);
-        }
-    }
+    let nothing: Variant = LIST.iter().flat_map(|id| data.each(id)).collect();
+    let slots = slots(&nothing);
+    // what has no slope at its bound begins beside it
+    let start = moved(data, &nothing, |k| 0.3 * scale(data, &nothing, slots[k]));
+    let fit = least_squares(data, start)?;
+    let names = named(data, &fit.terms, |k| fit.sd[k], 1.96);
     Ok((fit, names))
 }
 
-/// The true structure, fitted: what a perfect name would be worth on held-out runs. `None` where it has no
-/// knob.
+/// `terms` with each size of the grid of `candidate` added, smooth ones the other way round as well.
+fn with_sizes<'a>(
+    data: &'a CaseData,
+    terms: &'a Variant,
+    candidate: &'a Term,
+) -> impl Iterator<Item = Variant> + 'a {
+    let effect = candidate.effect;
+    let both = if effect.hinge {
+        &[1.0][..]
+    } else {
+        &[1.0, -1.0]
+    };
+    let sizes = (0..effect.grid.len()).flat_map(move |k| both.iter().map(move |way| (k, *way)));
+    sizes.map(move |(k, way)| {
+        let mut term = candidate.clone();
+        let sizes = effect.sizes(data.model(), &term.place, k);
+        for (p, size) in sizes.into_iter().enumerate() {
+            let (low, high) = effect.bounds(data.model(), &term.place, p);
+            let neutral = term.values[p];
+            term.values[p] = (neutral + way * (size - neutral)).clamp(low, high);
+        }
+        let mut with = terms.clone();
+        with.push(term);
+        with
+    })
+}
+
+/// The true structure (effects with their joints), fitted: what a perfect name would be worth on held-out
+/// runs. `None` where the catalogue lacks it.
 ///
 /// # Errors
 /// [`DataError`].
-pub fn oracle(data: &CaseData, effects: &[(String, String)]) -> Result<Option<Fit>, DataError> {
-    let names = data.model.actuated_names();
-    let mut turns = Vec::new();
-    for (effect, joint) in effects {
-        let Some(knob) = knob_of(effect) else {
+pub fn oracle(data: &CaseData, truth: &[(String, String)]) -> Result<Option<Fit>, DataError> {
+    let model = data.model();
+    let names = model.actuated_names();
+    let mut starts = vec![Variant::new()];
+    for (effect, joint) in truth {
+        let a = names.iter().position(|n| n == joint).unwrap_or(0);
+        let link = model.joints()[model.actuated()[a]].child_link;
+        let there = |t: &&Term| match t.place.domain {
+            Domain::Joints => t.place.items == [a],
+            Domain::Links => t.place.names == [model.links()[link].name.as_str()],
+            _ => true,
+        };
+        let places = data.each(effect);
+        let Some(term) = places.iter().find(there) else {
             return Ok(None);
         };
-        turns.push((knob, names.iter().position(|n| n == joint).unwrap_or(0)));
+        let more = starts.iter().flat_map(|s| with_sizes(data, s, term));
+        starts = more.collect();
     }
+    best_of(data, starts, 6)
+}
+
+/// The best fit from the most promising `most` of `starts`.
+fn best_of(data: &CaseData, starts: Vec<Variant>, most: usize) -> Result<Option<Fit>, DataError> {
+    let mut costs: Vec<(f64, usize)> = (data.residuals(&data.fit, &starts)?.iter())
+        .map(|r| square(r))
+        .zip(0..)
+        .collect();
+    costs.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut best: Option<Fit> = None;
-    let grid: Vec<f64> = turns
-        .first()
-        .map_or(Vec::new(), |(k, _)| [&[0.0], k.starts].concat());
-    for first in grid {
-        let mut start: Vec<f64> = turns
-            .iter()
-            .map(|(k, _)| k.starts.first().copied().unwrap_or(0.0))
-            .collect();
-        start[0] = first;
-        let fit = least_squares(data, &turns, &start)?;
+    for &(_, k) in costs.iter().take(most) {
+        let fit = least_squares(data, starts[k].clone())?;
         if best.as_ref().is_none_or(|b| fit.cost < b.cost) {
             best = Some(fit);
         }
@@ -238,61 +275,25 @@ pub fn oracle(data: &CaseData, effects: &[(String, String)]) -> Result<Option<Fi
 /// [`DataError`].
 pub fn forward_selection(data: &CaseData) -> Result<(Fit, Vec<&'static str>), DataError> {
     const MOST: usize = 4;
-    let all: Vec<&'static Knob> = KNOBS.iter().collect();
-    let candidates = turns(&all, data.model.actuated().len());
-    let mut fit = least_squares(data, &[], &[])?;
+    let candidates = data.candidates();
+    let mut fit = least_squares(data, Variant::new())?;
     let criterion = |f: &Fit| {
-        f.values as f64 * (f.cost / f.values as f64).ln()
-            + f.turns.len() as f64 * (f.values as f64).ln()
+        let n = f.values as f64;
+        n * (f.cost / n).ln() + f.sd.len() as f64 * n.ln()
     };
     for _ in 0..MOST {
-        // one scan over sizes, then the best is refined
-        let mut tries: Vec<(usize, f64)> = Vec::new();
-        for (i, (k, _)) in candidates.iter().enumerate() {
-            if fit
-                .turns
-                .iter()
-                .any(|(t, a)| t.effect == k.effect && *a == candidates[i].1)
-            {
-                continue;
-            }
-            for units in [-8.0, -3.0, -1.0, 1.0, 3.0, 8.0] {
-                let x = units * k.scale;
-                if x >= k.range.0 && x <= k.range.1 {
-                    tries.push((i, x));
-                }
-            }
-            tries.extend(k.starts.iter().map(|x| (i, *x)));
-        }
-        let setups: Vec<Setup> = tries
-            .iter()
-            .map(|&(i, x)| {
-                let mut turns = fit.turns.clone();
-                turns.push(candidates[i]);
-                turned(&data.model, &turns, &[fit.x.as_slice(), &[x]].concat())
-            })
+        let had =
+            |c: &&Term| !(fit.terms.iter()).any(|t| t.effect == c.effect && t.place == c.place);
+        // one scan over sizes, then the best are refined
+        let tries = candidates.iter().filter(had);
+        let tries: Vec<Variant> = tries
+            .flat_map(|c| with_sizes(data, &fit.terms, c))
             .collect();
-        let mut costs: Vec<(f64, usize)> = in_lanes(data, &setups)?
-            .iter()
-            .enumerate()
-            .map(|(i, r)| (square(r), i))
-            .collect();
-        costs.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let mut best: Option<Fit> = None;
-        for &(_, t) in costs.iter().take(3) {
-            let (i, x) = tries[t];
-            let mut turns = fit.turns.clone();
-            turns.push(candidates[i]);
-            let next = least_squares(data, &turns, &[fit.x.as_slice(), &[x]].concat())?;
-            if best.as_ref().is_none_or(|b| next.cost < b.cost) {
-                best = Some(next);
-            }
-        }
-        match best {
+        match best_of(data, tries, 3)? {
             Some(next) if criterion(&next) < criterion(&fit) => fit = next,
             _ => break,
         }
     }
-    let names = fit.turns.iter().map(|(k, _)| k.effect).collect();
+    let names = fit.terms.iter().map(|t| t.effect.id).collect();
     Ok((fit, names))
 }

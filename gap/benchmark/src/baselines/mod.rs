@@ -6,7 +6,6 @@ pub mod data;
 pub mod evolve;
 pub mod fit;
 pub mod residual;
-pub mod setup;
 
 use std::path::Path;
 use std::time::Instant;
@@ -64,7 +63,7 @@ pub fn all(folder: &Path, answer: &Answer) -> Result<Vec<BaselineOutcome>, DataE
         Ok(())
     };
     let judged = |(fit, names): (fit::Fit, Vec<&'static str>)| {
-        Ok(Some((names, data.holdout_ratio(&fit.setup(&data))?)))
+        Ok(Some((names, data.holdout_ratio(&fit.terms)?)))
     };
     timed(NAMES[0], &|| judged(fit::fit_all(&data)?))?;
     timed(NAMES[1], &|| judged(evolve::evolve(&data, GENERATIONS)?))?;
