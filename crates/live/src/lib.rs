@@ -40,7 +40,7 @@ pub type TakeChange = Box<dyn Fn(&[String]) -> Result<(), String> + Send + Sync>
 pub struct Settings {
     /// Keys with their values at present.
     pub values: Vec<(String, String)>,
-    /// The changes that were made, in order.
+    /// The changes that were made, in order, the newest.
     pub made: Vec<Changed>,
 }
 

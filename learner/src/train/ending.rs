@@ -74,6 +74,7 @@ impl Run<'_> {
                 .and_then(|checkpoint| self.save(&checkpoint));
             note(saved.map(|folder| state.saved = Some((iteration, folder))));
         }
+        self.refuse_late_changes();
         self.traces.complete();
         note(self.publish(&state.policy));
         let stop = PolicyUpdate {

@@ -1,6 +1,6 @@
 //! What a change of settings means to the learner.
 
-use caudata_config::Change;
+use caudata_config::{Change, asked};
 use caudata_telemetry::progress::{Changed, Event};
 
 use super::run::Run;
@@ -11,6 +11,17 @@ use crate::ppo::PpoSettings;
 const RATE: &str = "learner.ppo.learning_rate";
 
 impl Run<'_> {
+    /// Nobody shall wait for a change that will not come any more.
+    pub(super) fn refuse_late_changes(&mut self) {
+        for (path, _) in asked(&self.run_dir) {
+            self.reporter
+                .warn("a change is refused: the run ends".into());
+            if let Err(error) = std::fs::remove_file(&path) {
+                tracing::warn!(%error, "cannot remove {}", path.display());
+            }
+        }
+    }
+
     /// Makes the changes that are due before the next policy goes out.
     pub(super) fn retune(&mut self) -> Result<(), LearnerError> {
         let (iteration, version) = (self.progress.iteration, self.progress.version());

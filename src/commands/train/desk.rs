@@ -8,6 +8,9 @@ use caudata_live::{LivePage, Settings};
 use caudata_telemetry::progress::{Changed, Event};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 
+/// Changes that the page is told of, the newest.
+const MADE_TOLD: usize = 32;
+
 /// The settings of one run, as they are now.
 pub struct Desk {
     run: PathBuf,
@@ -73,7 +76,7 @@ impl Desk {
         let now = self.now();
         Settings {
             values: now.config.changeable(),
-            made: now.made.clone(),
+            made: now.made[now.made.len().saturating_sub(MADE_TOLD)..].to_vec(),
         }
     }
 

@@ -9,6 +9,7 @@ caudata.Settings = class {
     this.headers = { "x-caudata-token": token, "x-caudata-change": change };
     this.may = change !== "";
     this.inputs = new Map();
+    this.sent = new Map();
     const $ = (id) => document.getElementById(`settings-${id}`);
     this.$ = $;
     $("form").onsubmit = (e) => { e.preventDefault(); this.send(); };
@@ -39,12 +40,14 @@ caudata.Settings = class {
     if (values.length !== this.inputs.size) { this.inputs.clear(); this.build(values); }
     for (const [key, value] of values) {
       const entry = this.inputs.get(key);
-      // What somebody is about to change is left alone.
-      if (entry[0].value === entry[1]) entry[0].value = value;
+      // What somebody is about to change is left alone; what was sent comes back as it is written here.
+      const sent = this.sent.get(key) === entry[0].value.trim() && value !== entry[1];
+      if (sent || entry[0].value === entry[1]) entry[0].value = value;
       entry[1] = value;
     }
-    if (this.count !== undefined && made.length > this.count) this.said(`changed after iteration ${made.at(-1).iteration}`, "good");
-    this.count = made.length;
+    const newest = JSON.stringify(made.at(-1) || null);
+    if (made.length && this.newest && this.newest !== newest) this.said(`changed after iteration ${made.at(-1).iteration}`, "good");
+    this.newest = newest;
     const shown = made.slice(-caudata.Settings.SHOWN).reverse();
     this.$("made").replaceChildren(...shown.map(({ iteration, set }) => caudata.el("li", {}, `after iteration ${iteration}: ${set.join(", ")}`)));
     this.mark();
@@ -59,7 +62,8 @@ caudata.Settings = class {
   }
 
   async send() {
-    const set = this.differing().map(([key, [input]]) => `${key}=${input.value.trim()}`);
+    this.sent = new Map(this.differing().map(([key, [input]]) => [key, input.value.trim()]));
+    const set = [...this.sent].map(([key, value]) => `${key}=${value}`);
     this.said("asked for; it waits for the end of an iteration");
     try {
       const answer = await fetch("change", { method: "POST", headers: this.headers, body: JSON.stringify(set) });
