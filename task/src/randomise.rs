@@ -49,6 +49,8 @@ settings! {
         pub command_delay_s: [f32; 2] = [0.0, 0.02],
         /// Factor on the width of each backlash joint's play. Default 0.5 to 1.2.
         pub backlash_scale: [f32; 2] = [0.5, 1.2],
+        /// Mass that the torso carries in the middle of its frame, kg. Default 0: nothing.
+        pub payload_kg: [f32; 2] = [0.0, 0.0],
         /// Share of the episodes in which one servo, any of them, gives no torque (a torn cable), 0 to 1.
         /// Default 0. Too large: little is trained with all of them.
         pub limp_share: f32 = 0.0,
@@ -60,6 +62,8 @@ settings! {
 
 /// Longest command delay that may be asked for, s (engines keep a bounded history of commands).
 const MAX_COMMAND_DELAY_S: f32 = 0.1;
+/// Largest load that may be asked for, kg: as heavy as the heaviest robots that walk on legs.
+const MAX_PAYLOAD_KG: f32 = 100.0;
 
 impl RandomisationConfig {
     /// Draws which of `joints` servos fails, if any; takes nothing from `stream` where none may.
@@ -103,6 +107,7 @@ impl RandomisationConfig {
             damping_scale: within(self.damping_scale, 0.0, 20.0), any;
             kd_scale: within(self.kd_scale, 0.0, 20.0), any;
             backlash_scale: within(self.backlash_scale, 0.0, 20.0), any;
+            payload_kg: within(self.payload_kg, 0.0, MAX_PAYLOAD_KG), "must be [min, max] within 0 to 100 kg";
             com_offset_m: within(self.com_offset_m, -0.5, 0.5), "must be [min, max] within ±0.5 m";
             command_delay_s: within(self.command_delay_s, 0.0, MAX_COMMAND_DELAY_S), delay;
             limp_share: share(self.limp_share, 1.0), "must be 0 to 1";
@@ -149,6 +154,8 @@ pub struct RandomDraw {
     pub command_delay_s: f32,
     /// Factor on each backlash joint's play. `[B]`
     pub backlash_scale: Vec<f32>,
+    /// Mass that the torso carries, kg.
+    pub payload_kg: f32,
     /// A servo that has failed, if one has.
     pub failure: Option<Failure>,
 }
@@ -171,6 +178,7 @@ impl RandomDraw {
             supply_scale: 1.0,
             command_delay_s: 0.0,
             backlash_scale: vec![1.0; backlash_joints],
+            payload_kg: 0.0,
             failure: None,
         }
     }
@@ -205,6 +213,11 @@ impl RandomDraw {
         for scale in &mut self.backlash_scale {
             *scale = draw(config.backlash_scale);
         }
+        // where nothing is carried nothing is drawn, so that the draws after it stay what they are
+        self.payload_kg = match config.payload_kg {
+            [least, most] if most > 0.0 => draw([least, most]),
+            _ => 0.0,
+        };
         self.failure = config.failure(self.kp_scale.len(), stream);
     }
 }
@@ -260,11 +273,33 @@ mod tests {
         spans(&|d| d.supply_scale, config.supply_scale);
         spans(&|d| d.command_delay_s, config.command_delay_s);
         spans(&|d| d.backlash_scale[3], config.backlash_scale);
+        assert!(draws.iter().all(|d| d.payload_kg == 0.0));
         // Ratio of two links' factors: the payload cancels, 0.9/1.1 to 1.1/0.9 remain.
         for d in &draws {
             let ratio = d.link_mass_scale[0] / d.link_mass_scale[5];
             assert!((0.81..1.23).contains(&ratio));
         }
+    }
+
+    #[test]
+    fn a_load_is_drawn_after_all_else() {
+        let empty = RandomisationConfig::default();
+        let laden = RandomisationConfig {
+            payload_kg: [0.1, 0.3],
+            ..empty
+        };
+        let (mut with, without) = (
+            draw(&laden, &mut stream(), 19, 16, 4),
+            draw(&empty, &mut stream(), 19, 16, 4),
+        );
+        assert!((0.1..=0.3).contains(&with.payload_kg));
+        with.payload_kg = 0.0;
+        assert_eq!(with, without);
+        let negative = RandomisationConfig {
+            payload_kg: [-0.1, 0.3],
+            ..empty
+        };
+        assert!(negative.validate().is_err());
     }
 
     #[test]

@@ -70,6 +70,7 @@ impl PhysicsDraws {
             Some(Failure::Stuck(joint)) => params.joint_friction_nm[joint] = STUCK_FRICTION_NM,
             None => {}
         }
+        params.payload_kg = nominal.payload_kg + draw.payload_kg;
         params.supply_v = nominal.supply_v * draw.supply_scale;
         params.command_delay_s =
             (nominal.command_delay_s + draw.command_delay_s).min(MAX_COMMAND_DELAY_S);

@@ -12,6 +12,7 @@ use caudata_policy::Inference;
 
 use crate::gait::{Gait, Measure};
 use crate::result::Episode;
+use crate::righting::righted_s;
 use crate::scenario::{Leg, Scenario};
 use crate::transition::Shore;
 use crate::wave::Wave;
@@ -175,6 +176,7 @@ impl Round {
                     fell: trace.fell,
                     gait: Gait::of(trace, measure),
                     passage: shore.map(|shore| shore.passage(trace, measure)),
+                    righted_s: righted_s(trace),
                     wave: Wave::of(settled, trace.period_s, &measure.anatomy.in_leg),
                 }
             })

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::gait::Gait;
 use crate::posture::PostureResult;
+use crate::righting::RightingResult;
 use crate::stride::Stride;
 use crate::transition::{Passage, TransitionResult};
 use crate::wave::{Wave, WaveResult};
@@ -167,6 +168,9 @@ pub struct ScenarioResult {
     pub speed_share_least: f64,
     /// Getting into the water or out of it; `None` where the scenario is not about that.
     pub transition: Option<TransitionResult>,
+    /// Getting up again; `None` where the scenario is not about that.
+    #[serde(default)]
+    pub righting: Option<RightingResult>,
 }
 
 /// What an episode contributes.
@@ -179,6 +183,8 @@ pub(crate) struct Episode {
     /// At a shore.
     pub passage: Option<Passage>,
     pub wave: Option<Wave>,
+    /// When it was upright for good, s.
+    pub righted_s: Option<f64>,
 }
 
 impl ScenarioResult {
@@ -234,6 +240,7 @@ impl ScenarioResult {
             stride: Stride::mean(gaits.iter().filter_map(|g| g.stride)),
             speed_share_least: gaits.iter().map(|g| g.speed_share).fold(1.0, f64::min),
             transition: None,
+            righting: None,
         }
     }
 

@@ -14,6 +14,7 @@ use crate::block::{Block, Round, run_blocks};
 use crate::gait::Measure;
 use crate::posture::PostureResult;
 use crate::result::Episode;
+use crate::righting::RightingResult;
 use crate::transition::{Shore, TransitionResult};
 use crate::wave::WaveResult;
 use crate::{Envelope, EvaluationError, Film, GateReport, Limits, Scenario, ScenarioResult, Track};
@@ -131,6 +132,10 @@ pub fn run_scenario(
     let mut result = ScenarioResult::of(&scenario.name, model.feet().len(), &measured, gates);
     let passages: Vec<_> = measured.iter().filter_map(|e| e.passage).collect();
     result.transition = shore.map(|_| TransitionResult::of(&passages));
+    result.righting = scenario.fallen.then(|| {
+        let times: Vec<_> = measured.iter().map(|e| e.righted_s).collect();
+        RightingResult::of(&times)
+    });
     let waves: Vec<_> = measured.iter().filter_map(|e| e.wave).collect();
     result.wave = WaveResult::of(&waves);
     let gaits = measured.iter().filter_map(|e| e.gait.as_ref());
@@ -179,7 +184,10 @@ pub fn conditions(
     task.randomisation = scenario.corner.randomisation();
     task.reset.spawn_half_extent_m = scenario.spawn_half_extent_m;
     task.reset.swimming_pose_share = 0.0;
-    task.reset.fallen_share = 0.0;
+    task.reset.fallen_share = f32::from(u8::from(scenario.fallen));
+    if scenario.fallen {
+        task.termination.max_tilt_rad = std::f32::consts::PI;
+    }
     if let Some(range) = scenario.start.yaw_range_rad {
         task.reset.yaw_range_rad = range;
     }

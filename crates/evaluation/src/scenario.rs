@@ -27,6 +27,8 @@ pub struct Scenario {
     pub corner: Corner,
     /// Pushes, if any.
     pub push: Option<PushConfig>,
+    /// Whether episodes begin in any attitude, as a robot lies that was thrown.
+    pub fallen: bool,
     /// Whether it must pass the gates to count as walking (standing still need not).
     pub judged: bool,
     /// Where it must get to, if anywhere.
@@ -49,6 +51,7 @@ impl Scenario {
             episode_s: None,
             corner: Corner::nominal(),
             push: None,
+            fallen: false,
             judged: true,
             goal: None,
             film: Some(0),
@@ -138,6 +141,10 @@ pub struct Corner {
     pub kp_scale: f32,
     /// Factor on all masses.
     pub mass_scale: f32,
+    /// Mass that the torso carries, kg.
+    pub payload_kg: f32,
+    /// Factor on the play of the joints that have some.
+    pub backlash_scale: f32,
     /// Share of the episodes in which one servo, any of them, gives no torque.
     pub limp_share: f32,
     /// Share of the episodes in which one servo, any of them, does not turn.
@@ -153,6 +160,8 @@ impl Corner {
             foot_friction_scale: 1.0,
             kp_scale: 1.0,
             mass_scale: 1.0,
+            payload_kg: 0.0,
+            backlash_scale: 1.0,
             limp_share: 0.0,
             stuck_share: 0.0,
         }
@@ -177,7 +186,8 @@ impl Corner {
             torque_scale: all(1.0),
             supply_scale: all(1.0),
             command_delay_s: all(self.command_delay_s),
-            backlash_scale: all(1.0),
+            backlash_scale: all(self.backlash_scale),
+            payload_kg: all(self.payload_kg),
             limp_share: self.limp_share,
             stuck_share: self.stuck_share,
         }

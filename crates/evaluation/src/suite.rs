@@ -58,6 +58,8 @@ pub enum Suite {
     Swim,
     /// One servo without torque, and one that does not turn; another in every episode.
     Servo,
+    /// Thrown onto flat ground in any attitude: on its feet within 3 s, then walking.
+    Righting,
     /// Walks at speeds from 0.1 to 0.8 m/s and swimming, beside what is published of salamanders.
     Animal,
     /// All that walks: every suite before `transition`.
@@ -68,7 +70,7 @@ pub enum Suite {
 
 impl Suite {
     /// All suites, in the order of the declaration.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Flat,
         Self::Rough,
         Self::Omni,
@@ -77,6 +79,7 @@ impl Suite {
         Self::Transition,
         Self::Swim,
         Self::Servo,
+        Self::Righting,
         Self::Animal,
         Self::Paper,
         Self::Acceptance,
@@ -94,6 +97,7 @@ impl Suite {
             Self::Transition => "transition",
             Self::Swim => "swim",
             Self::Servo => "servo",
+            Self::Righting => "righting",
             Self::Animal => "animal",
             Self::Paper => "paper",
             Self::Acceptance => "acceptance",
@@ -109,10 +113,15 @@ impl Suite {
             Self::Rough => rough(speed_mps),
             Self::Omni => vec![omni(speed_mps)],
             Self::Push => vec![push(mass_kg, speed_mps)],
-            Self::Robust => robust(speed_mps),
+            Self::Robust => robust(mass_kg, speed_mps),
             Self::Transition => transition(speed_mps),
             Self::Swim => swim(speed_mps),
             Self::Servo => servo(speed_mps),
+            Self::Righting => vec![Scenario {
+                fallen: true,
+                judged: false,
+                ..Scenario::walk("on its feet again", [speed_mps, 0.0, 0.0])
+            }],
             Self::Animal => {
                 let mut all = flat(speed_mps);
                 all.retain(|s| s.judged && s.commands.iter().all(|c| c[0] > 0.0));
@@ -253,7 +262,10 @@ fn push(mass_kg: f64, speed_mps: f32) -> Scenario {
     }
 }
 
-fn robust(speed_mps: f32) -> Vec<Scenario> {
+/// Share of the robot's mass that it carries in front: 300 g of the salamander's 2.6 kg.
+const LOAD_SHARE: f64 = 0.3 / 2.596;
+
+fn robust(mass_kg: f64, speed_mps: f32) -> Vec<Scenario> {
     let nominal = Corner::nominal();
     let corners = [
         (NOMINAL, nominal),
@@ -282,6 +294,20 @@ fn robust(speed_mps: f32) -> Vec<Scenario> {
             "robust: mass 1.15",
             Corner {
                 mass_scale: 1.15,
+                ..nominal
+            },
+        ),
+        (
+            "robust: a load in front",
+            Corner {
+                payload_kg: (LOAD_SHARE * mass_kg) as f32,
+                ..nominal
+            },
+        ),
+        (
+            "robust: play twice as wide",
+            Corner {
+                backlash_scale: 2.0,
                 ..nominal
             },
         ),
@@ -412,7 +438,11 @@ mod tests {
 
     #[test]
     fn names_are_unique_and_configurations_valid() {
-        let all = Suite::Acceptance.scenarios(2.596, PAPER_COMMAND_MPS);
+        let suites = [Suite::Acceptance, Suite::Servo, Suite::Righting];
+        let all: Vec<Scenario> = suites
+            .iter()
+            .flat_map(|suite| suite.scenarios(2.596, PAPER_COMMAND_MPS))
+            .collect();
         let mut names: Vec<&str> = all.iter().map(|s| s.name.as_str()).collect();
         names.sort_unstable();
         names.dedup();

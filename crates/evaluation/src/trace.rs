@@ -16,6 +16,8 @@ pub struct Frame {
     pub com_m: [f32; 3],
     /// Yaw of the line from hind to front girdle, rad.
     pub heading_rad: f32,
+    /// Cosine of the base's tilt: 1 upright, −1 on its back.
+    pub upright: f32,
     /// Height of each foot's lowest point above the ground, m.
     pub foot_height_m: PerFoot,
     /// Horizontal speed of each foot, m/s.
@@ -65,6 +67,7 @@ impl Frame {
             yaw_rate_radps: truth.yaw_rate_radps,
             com_m: std::array::from_fn(|i| state.com_pos_m[3 * lane + i]),
             heading_rad: state.heading_rad[lane],
+            upright: upright(&state.base_quat_wxyz[4 * lane..]),
             foot_height_m: truth.foot_height_m,
             foot_speed_mps: truth.foot_vel_mps.map(|[x, y, _]| x.hypot(y)),
             foot_force_n: truth.foot_force_n.map(|[_, _, z]| z),
@@ -76,6 +79,11 @@ impl Frame {
             power_w: truth.mech_power_w,
         }
     }
+}
+
+/// The z component of the base's z axis in the world, of world_from_base as w x y z.
+fn upright(quat_wxyz: &[f32]) -> f32 {
+    1.0 - 2.0 * (quat_wxyz[1] * quat_wxyz[1] + quat_wxyz[2] * quat_wxyz[2])
 }
 
 /// One episode.

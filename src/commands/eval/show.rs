@@ -149,6 +149,16 @@ fn body(r: &ScenarioResult) {
     if let Some(transition) = &r.transition {
         shore(transition);
     }
+    if let Some(righting) = &r.righting {
+        say::line(format!(
+            "  on its feet within 3 s in {:.1} %, at the end in {:.1} % (after {} s)",
+            100.0 * righting.in_time.mean,
+            100.0 * righting.upright.mean,
+            righting
+                .righted_s
+                .map_or_else(|| "–".to_owned(), |s| pm(s, 1)),
+        ));
+    }
     if let (Some(gates), Some(walks)) = (&r.gates, r.walks()) {
         let verdict = match (walks, gates.missed()) {
             (true, _) => "walks: every gate is met".to_owned(),

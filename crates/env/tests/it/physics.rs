@@ -35,6 +35,7 @@ fn draws_become_parameters() {
     random.supply_scale = [0.5, 0.5];
     random.command_delay_s = [0.015625, 0.015625];
     random.backlash_scale = [0.5, 0.5];
+    random.payload_kg = [0.25, 0.25];
     let env = env(&task, 2, 1);
     let (n, p) = (LaneParams::nominal(&model()), env.engine().params(1));
     assert_eq!(p.foot_friction, 0.5 * n.foot_friction);
@@ -54,6 +55,7 @@ fn draws_become_parameters() {
     }
     assert_eq!(p.supply_v, 0.5 * n.supply_v);
     assert_eq!(p.command_delay_s, 0.015625);
+    assert_eq!(p.payload_kg, 0.25);
     for (p, n) in p
         .backlash_half_width_rad
         .iter()

@@ -27,12 +27,20 @@ fn verdict(make: impl Fn(&PolicyContract) -> PolicyFile) -> ScenarioResult {
 }
 
 fn run(scenario: &Scenario, make: impl Fn(&PolicyContract) -> PolicyFile) -> ScenarioResult {
+    run_with(&settings(), scenario, make)
+}
+
+fn run_with(
+    settings: &Settings,
+    scenario: &Scenario,
+    make: impl Fn(&PolicyContract) -> PolicyFile,
+) -> ScenarioResult {
     let config = config();
     let model = robot();
     let contract = PolicyContract::new(&model, &config.task).unwrap();
     let policy = make(&contract);
-    let outcome = run_scenario(&config, &model, &policy, scenario, &settings(), &|| true).unwrap();
-    assert_eq!(outcome.result.episodes, 2);
+    let outcome = run_scenario(&config, &model, &policy, scenario, settings, &|| true).unwrap();
+    assert_eq!(outcome.result.episodes, settings.episodes as usize);
     outcome.result
 }
 
@@ -61,6 +69,24 @@ fn a_standing_policy_is_not_called_walking() {
     assert!(result.power_w.mean < 1.0, "{:?}", result.power_w);
     let missed = result.gates.as_ref().unwrap().missed();
     assert!(missed.contains(&"clearance, m"), "{missed:?}");
+}
+
+#[test]
+fn a_standing_policy_stays_as_it_falls() {
+    let thrown = Suite::Righting.scenarios(2.6, 0.3).remove(0);
+    let settings = Settings {
+        episodes: 32,
+        ..settings()
+    };
+    let still =
+        |contract: &PolicyContract| policy(contract, vec![layer(ACT_DIM, contract.obs_dim())]);
+    let righting = run_with(&settings, &thrown, still).righting.unwrap();
+    // those that land on their feet stand at once, those that land on their back never do
+    assert!((0.2..0.8).contains(&righting.upright.mean), "{righting:?}");
+    assert!(
+        (righting.upright.mean - righting.in_time.mean).abs() < 0.1,
+        "{righting:?}"
+    );
 }
 
 #[test]
@@ -122,4 +148,31 @@ fn policies_of_other_robots_walk() {
         walked += 1;
     }
     assert!(walked > 0, "none ships");
+}
+
+/// `policies/flat.onnx` where it stands and `policies/righting.onnx` where it lies, as one network.
+#[test]
+fn two_policies_in_one_network_get_up_and_walk() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../policies");
+    let read = |name: &str| PolicyFile::parse(Arc::from(std::fs::read(folder.join(name)).unwrap()));
+    let (flat, righting) = (read("flat.onnx").unwrap(), read("righting.onnx").unwrap());
+    let gravity = flat.metadata().contract.observation.slice("gravity");
+    let both = caudata_policy::join(&flat, &righting, gravity.unwrap().start + 2, -0.5).unwrap();
+    let config = Config::load(&Source::preset("flat")).unwrap();
+    let model = Arc::new(RobotModel::load(&config.robot_path()).unwrap());
+    let thrown = Suite::Righting.scenarios(2.6, 0.3).remove(0);
+    let settings = Settings {
+        episodes: 32,
+        episode_s: 8.0,
+        settle_s: 4.0,
+        ..settings()
+    };
+    let outcome = run_scenario(&config, &model, &both, &thrown, &settings, &|| true).unwrap();
+    let righting = outcome.result.righting.unwrap();
+    assert!(righting.in_time.mean > 0.85, "{righting:?}");
+    assert!(
+        outcome.result.vx_mps.mean > 0.27,
+        "{:?}",
+        outcome.result.vx_mps
+    );
 }

@@ -9,7 +9,7 @@ use caudata_telemetry::{ExitCode, Failure};
 
 /// Keys of `task.randomisation`, and their ranges at least: where the configuration's own reach further, they
 /// stay.
-const WIDE: [(&str, f64, f64); 14] = [
+const WIDE: [(&str, f64, f64); 15] = [
     ("foot_friction_scale", 0.4, 1.5),
     ("body_friction_scale", 0.4, 1.6),
     ("total_mass_scale", 0.8, 1.3),
@@ -24,6 +24,7 @@ const WIDE: [(&str, f64, f64); 14] = [
     ("supply_scale", 0.75, 1.05),
     ("command_delay_s", 0.0, 0.05), // s
     ("backlash_scale", 0.0, 2.0),
+    ("payload_kg", 0.0, 0.2), // kg
 ];
 
 /// [`WIDE`] as keys, each as far as `config` reaches, if that is further.
