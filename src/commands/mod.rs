@@ -22,6 +22,7 @@ pub mod play;
 pub mod policy;
 mod policy_average;
 mod policy_calls;
+mod policy_join;
 pub mod policy_people;
 pub mod policy_sign;
 pub mod robot;

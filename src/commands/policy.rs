@@ -12,7 +12,7 @@ use serde_json::json;
 
 use crate::commands::policy_calls::{ServerArgs, as_json};
 pub use crate::commands::policy_calls::{block_on, hex};
-use crate::commands::{policy_average, policy_people, policy_sign};
+use crate::commands::{policy_average, policy_join, policy_people, policy_sign};
 use crate::say;
 
 #[derive(Debug, Subcommand)]
@@ -48,6 +48,9 @@ pub enum PolicyCommand {
     },
     /// Average the last versions of a training: nearer to what it converges to than most of them
     Average(policy_average::AverageArgs),
+    /// Join two policies in one network, of which an observed value chooses: to get up where it has fallen,
+    /// to walk where not
+    Join(policy_join::JoinArgs),
     /// Make a key that signs policies, and a trust file for robots
     Keygen(policy_sign::KeygenArgs),
     /// Sign the trust file that follows the one robots have: other keys, by root keys
@@ -86,6 +89,7 @@ pub fn run(command: &PolicyCommand) -> Result<(), Failure> {
             json,
         } => list(server, *limit, *json),
         PolicyCommand::Average(args) => policy_average::average(args),
+        PolicyCommand::Join(args) => policy_join::join(args),
         PolicyCommand::Keygen(args) => policy_sign::keygen(args),
         PolicyCommand::TrustNext(args) => policy_sign::trust_next(args),
         PolicyCommand::Release(args) => policy_sign::release(args),

@@ -192,6 +192,12 @@ pub enum PolicyError {
         "only versions of one training, with one contract and one network, have a mean, and at least one must be left"
     )]
     NotOneTraining,
+    /// Two policies that cannot be made into one.
+    #[error("the policies cannot be joined: {problem}")]
+    NotJoinable {
+        /// Why not.
+        problem: &'static str,
+    },
     /// The policy is for another robot.
     #[error("policy is for robot `{found}`, this is `{expected}`")]
     WrongRobot {

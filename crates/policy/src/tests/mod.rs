@@ -3,6 +3,7 @@
 mod averaging;
 mod files;
 mod hostile;
+mod joining;
 mod running;
 
 use std::sync::Arc;

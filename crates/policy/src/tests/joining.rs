@@ -1,0 +1,83 @@
+//! Two policies in one network.
+
+use super::{metadata, normals, stream};
+use crate::{
+    Activation, Dense, MlpSpec, PolicyError, PolicyFile, PolicyMetadata, build_onnx, evaluate_mlp,
+    join,
+};
+
+const OBS_DIM: usize = 97;
+/// Where the default layout has the z component of gravity.
+const GRAVITY_Z: usize = 37;
+
+/// Random layers of 8 and as many units between them as asked.
+fn file(seed: u64, hidden: &[usize], metadata: &PolicyMetadata) -> PolicyFile {
+    let mut stream = stream(seed);
+    let sizes: Vec<usize> = [OBS_DIM]
+        .into_iter()
+        .chain(hidden.iter().copied())
+        .chain([16])
+        .collect();
+    let layers = sizes.windows(2).map(|io| Dense {
+        out: io[1],
+        input: io[0],
+        weight: normals(&mut stream, io[0] * io[1], 0.3),
+        bias: normals(&mut stream, io[1], 0.3),
+    });
+    let spec = MlpSpec {
+        layers: layers.collect(),
+        obs_mean: normals(&mut stream, OBS_DIM, 0.2),
+        obs_std: (0..OBS_DIM)
+            .map(|i| 0.4 + ((seed as usize + i) % 5) as f32 / 5.0)
+            .collect(),
+        obs_clip: Some(10.0),
+        activation: Activation::Elu,
+    };
+    PolicyFile::parse(build_onnx(&spec, metadata).unwrap().into()).unwrap()
+}
+
+fn actions(policy: &PolicyFile, obs: &[f32]) -> Vec<f32> {
+    let mut actions = vec![0.0; 16];
+    evaluate_mlp(policy.spec(), obs, 1, &mut actions).unwrap();
+    actions
+}
+
+#[test]
+fn below_it_is_the_one_and_above_the_other() {
+    for hidden in [&[12, 9][..], &[12, 9, 7][..]] {
+        let (low, high) = (file(1, hidden, &metadata()), file(2, hidden, &metadata()));
+        let joined = join(&low, &high, GRAVITY_Z, -0.5).unwrap();
+        let mut obs = normals(&mut stream(3), OBS_DIM, 1.0);
+        for (gravity_z, acts) in [(-1.0, &low), (-0.8, &low), (-0.2, &high), (1.0, &high)] {
+            obs[GRAVITY_Z] = gravity_z;
+            let (got, want) = (actions(&joined, &obs), actions(acts, &obs));
+            for (got, want) in got.iter().zip(want) {
+                assert!((got - want).abs() < 2e-4, "{gravity_z}: {got} {want}");
+            }
+        }
+        assert_eq!(joined.metadata().version, low.metadata().version);
+        assert_eq!(joined.metadata().evaluation, None);
+    }
+}
+
+#[test]
+fn what_does_not_go_together_is_refused() {
+    let low = file(1, &[12, 9], &metadata());
+    let mut other = metadata();
+    other.contract.action.scale = 0.25;
+    for high in [
+        file(2, &[12, 9], &other),
+        file(2, &[12], &metadata()),
+        file(2, &[12, 9, 7], &metadata()),
+    ] {
+        let refused = join(&low, &high, GRAVITY_Z, -0.5).unwrap_err();
+        assert!(
+            matches!(refused, PolicyError::NotJoinable { .. }),
+            "{refused}"
+        );
+    }
+    assert!(join(&low, &low, OBS_DIM, 0.0).is_err());
+    for at in [f32::NAN, 50.0] {
+        assert!(join(&low, &low, GRAVITY_Z, at).is_err(), "{at}");
+    }
+}
