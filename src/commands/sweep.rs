@@ -108,7 +108,8 @@ fn trained(
         return Err(failure.hint(format!("what it printed is in {}", log.display())));
     }
     let run = Run::read(&out)?;
-    if run.config.hash() != point.config.hash() {
+    let length = |config: &Config| config.run.iterations;
+    if run.config.hash() != point.config.hash() || length(&run.config) != length(&point.config) {
         let message = format!("{} holds a training with other settings", out.display());
         return Err(Failure::message(ExitCode::CannotCreate, message)
             .hint("give another --out, or take that folder away"));
@@ -125,10 +126,14 @@ fn points(plan: &Plan, flags: &ConfigArgs) -> Result<Vec<Point>, Failure> {
         .collect::<Result<_, _>>()?;
     let last = |key: &str| key.rsplit('.').next().unwrap_or_default().to_owned();
     let short: BTreeSet<String> = axes.iter().map(|(key, _)| last(key)).collect();
-    let count = axes
-        .iter()
-        .map(|(_, values)| values.len())
-        .product::<usize>() as u64;
+    let count = axes.iter().fold(1_u64, |all, (_, values)| {
+        all.saturating_mul(values.len() as u64)
+    });
+    let keys: BTreeSet<&String> = axes.iter().map(|(key, _)| key).collect();
+    if keys.len() < axes.len() || keys.iter().any(|key| *key == "run.seed") {
+        let message = "--vary takes every key once, and `run.seed` is for --seeds";
+        return Err(Failure::message(ExitCode::BadConfig, message));
+    }
     if count.saturating_mul(plan.seeds) > RUNS_MAX as u64 {
         let message = format!(
             "{count} settings times {} seeds: at most {RUNS_MAX} trainings",

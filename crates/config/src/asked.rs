@@ -43,6 +43,8 @@ fn waiting(run: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(run.join(FOLDER)).into_iter().flatten();
     let mut paths: Vec<PathBuf> = entries
         .flatten()
+        // a folder cannot be read, and a pipe would be waited for
+        .filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_file()))
         .map(|entry| entry.path())
         .filter(|path| path.extension().is_some_and(|end| end == "json"))
         .collect();
@@ -81,5 +83,7 @@ mod tests {
         assert_eq!((found.len(), first[0].as_str()), (WAITING_MAX, "a=0"));
         std::fs::write(&found[0].0, "no list").unwrap();
         assert!(asked(dir.path())[0].1.is_err());
+        std::fs::create_dir(dir.path().join(FOLDER).join("0.json")).unwrap();
+        assert_eq!(asked(dir.path()).len(), WAITING_MAX);
     }
 }

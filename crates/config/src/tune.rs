@@ -156,9 +156,17 @@ impl Changes {
     /// As a file.
     ///
     /// # Errors
-    /// [`ConfigError::Unrepresentable`] for an iteration above 2⁶³ − 1.
+    /// [`ConfigError::Unrepresentable`] for an iteration above 2⁶³ − 1, and for more than [`Changes::read`]
+    /// reads.
     pub fn to_toml(&self) -> Result<String, ConfigError> {
-        toml::to_string(self).map_err(|error| ConfigError::Unrepresentable(error.to_string()))
+        let text = toml::to_string(self);
+        let text = text.map_err(|error| ConfigError::Unrepresentable(error.to_string()))?;
+        if text.len() as u64 > RECORD_BYTES_MAX {
+            let message =
+                format!("the record of changes would have more than {RECORD_BYTES_MAX} bytes");
+            return Err(ConfigError::Unrepresentable(message));
+        }
+        Ok(text)
     }
 }
 

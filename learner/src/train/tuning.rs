@@ -78,17 +78,26 @@ impl Tuning {
     ) -> Result<Vec<Change>, LearnerError> {
         for (path, set) in asked(&self.run_dir) {
             let taken = set.map_err(LearnerError::setting);
-            match taken.and_then(|set| self.with(Change { iteration, set })) {
-                Ok(record) => {
-                    let text = record.to_toml();
-                    let text = text.map_err(|error| LearnerError::setting(error.to_string()))?;
+            let record = taken.and_then(|set| self.with(Change { iteration, set }));
+            let written = record.and_then(|record| {
+                let text = record.to_toml();
+                let text = text.map_err(|error| LearnerError::setting(error.to_string()))?;
+                Ok((record, text))
+            });
+            match written {
+                Ok((record, text)) => {
                     caudata_durable::replace(&self.run_dir.join(CHANGES), text.as_bytes())?;
                     self.record = record;
                 }
                 Err(error) => refused(format!("a change is refused: {error}")),
             }
-            let removed = std::fs::remove_file(&path);
-            removed.map_err(|error| LearnerError::write(&path, error))?;
+            match std::fs::remove_file(&path) {
+                // who asked takes the request back after a while
+                Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                    return Err(LearnerError::write(&path, error));
+                }
+                _ => {}
+            }
         }
         let all = self.record.change.iter();
         let due: Vec<Change> = all.filter(|c| c.iteration == iteration).cloned().collect();
