@@ -404,7 +404,7 @@ pub fn expected_contract(
         action: policy.action,
         phase: policy.phase.config(),
         observation: ObservationConfig::from(&policy.observation),
-        observe_medium: policy.observation.slice(Part::Medium.name()).is_some(),
+        observe_medium: !policy.observation.range(Part::Medium).is_empty(),
         afloat_above_m: policy
             .afloat_above_m
             .unwrap_or(TaskConfig::default().afloat_above_m),

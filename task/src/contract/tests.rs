@@ -60,6 +60,17 @@ fn survives_json_with_the_same_hash() {
 }
 
 #[test]
+fn a_value_of_ones_own_may_be_called_phase() {
+    let mut own = contract();
+    let mut terms = own.observation.terms();
+    let phase = terms.iter_mut().find(|term| term.name == "phase").unwrap();
+    phase.value = Some("clock");
+    let feet = FEET.map(str::to_owned);
+    own.observation = ObservationLayout::of(&terms, &own.joint_names, &feet).unwrap();
+    own.validate().unwrap();
+}
+
+#[test]
 fn canonical_json_is_sorted_compact_and_short() {
     let text = contract().canonical_json();
     assert!(
