@@ -40,7 +40,7 @@ pub fn run(wish: &Wish, as_json: bool, process: &Process) -> Result<(), Failure>
             }
             for change in &settings.made {
                 let (at, set) = (change.iteration, change.set.join(", "));
-                say::line(format!("changed after iteration {at}: {set}"));
+                say::line(format!("recorded, after iteration {at}: {set}"));
             }
         });
     }

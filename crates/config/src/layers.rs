@@ -216,11 +216,12 @@ pub(crate) fn parse_override(assignment: &str) -> Result<Table, ConfigError> {
     let bad = || ConfigError::BadOverride(assignment.to_owned());
     let (key, value) = assignment.split_once('=').ok_or_else(bad)?;
     let value = value.trim();
-    let value = format!("v = {value}")
-        .parse::<Table>()
-        .ok()
-        .and_then(|mut table| table.remove("v"))
-        .unwrap_or_else(|| Value::String(value.to_owned()));
+    let value = match format!("v = {value}").parse::<Table>() {
+        // a line break would hide what stands behind it
+        Ok(table) if table.len() > 1 => return Err(bad()),
+        Ok(mut table) => table.remove("v").ok_or_else(bad)?,
+        Err(_) => Value::String(value.to_owned()),
+    };
     let mut words: Vec<&str> = key.trim().split('.').map(str::trim).collect();
     if words.iter().any(|word| word.is_empty()) {
         return Err(bad());

@@ -189,6 +189,11 @@ impl Config {
                 return Err(ConfigError::BadOverride(format!("{start}…")));
             }
             let layer = layers::parse_override(assignment)?;
+            // who follows a change goes by the key that it names
+            let whole_table = |(_, value): (&str, &str)| value.trim_start().starts_with('{');
+            if assignment.split_once('=').is_some_and(whole_table) {
+                return Err(ConfigError::BadOverride(assignment.clone()));
+            }
             over.push((format!("`{assignment}`"), layer));
         }
         // A key that there is not is told as such first.
@@ -250,6 +255,17 @@ mod tests {
         let first = Config::default();
         let settings: Vec<String> = settings.iter().map(|&s| s.to_owned()).collect();
         first.changed(&first, &settings)
+    }
+
+    #[test]
+    fn a_setting_is_one_key_and_one_value() {
+        for wrong in [
+            "learner.ppo.entropy_weight=0.01\nlearner.ppo.target_kl=0.02",
+            "learner.ppo={learning_rate=0.002}",
+        ] {
+            let refused = set(&[wrong]).unwrap_err();
+            assert!(matches!(refused, ConfigError::BadOverride(_)), "{refused}");
+        }
     }
 
     #[test]

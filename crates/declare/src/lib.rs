@@ -62,7 +62,7 @@ macro_rules! named {
             $($(#[$variant_about])* $variant,)+
         }
 
-        #[allow(dead_code)]
+        #[allow(dead_code)] // a private enum need not use all three
         impl $name {
             /// All of them, in the order of the declaration.
             $visible const ALL: [Self; [$($text),+].len()] = [$(Self::$variant),+];

@@ -27,8 +27,8 @@ const LAYERS_LEAST: usize = 3;
 /// normaliser cuts observations off.
 ///
 /// # Errors
-/// [`PolicyError::NotJoinable`] where the contracts differ, the layers cannot be laid side by side, or `index`
-/// is beyond the observation; else as [`build_onnx`].
+/// [`PolicyError::NotJoinable`] where the contracts differ, the layers cannot be laid side by side, `index` is
+/// beyond the observation, or `at` is where a normaliser cuts off; else as [`build_onnx`].
 pub fn join(
     low: &PolicyFile,
     high: &PolicyFile,
@@ -232,7 +232,9 @@ fn when_shut(spec: &MlpSpec) -> Vec<f64> {
         });
         values = match i + 1 == spec.layers.len() {
             true => sums.collect(),
-            false => sums.map(|x| if x > 0.0 { x } else { x.exp_m1() }).collect(),
+            false => sums
+                .map(|x| f64::from(spec.activation.apply(x as f32)))
+                .collect(),
         };
     }
     values

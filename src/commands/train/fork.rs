@@ -56,9 +56,9 @@ impl<'a> Fork<'a> {
         let mut set = Vec::new();
         for over in overrides {
             match before.changed(&before, std::slice::from_ref(over)) {
-                Ok(_) => set.push(over.clone()),
                 Err(ConfigError::Fixed { .. }) => source.overrides.push(over.clone()),
-                Err(error) => return Err(error).or_exit(ExitCode::BadConfig),
+                // what is wrong with one alone may be right with the others: they are checked together below
+                _ => set.push(over.clone()),
             }
         }
         let config = Config::load(&source).or_exit(ExitCode::BadConfig)?;
