@@ -36,8 +36,8 @@ pub const READ_DEADLINE: Duration = Duration::from_millis(7);
 pub const LATE_IN_A_ROW_MAX: u32 = 100;
 /// Gravity's z in the IMU frame above which the robot lies on its side or back (tilt beyond 78°).
 pub const FALLEN_GRAVITY_Z: f32 = -0.2;
-/// Ticks in a row of that before the robot is stopped (0.5 s).
-pub const FALLEN_TICKS: u32 = 25;
+/// How long of that stops a robot whose policy does not get up, and one whose IMU gives no numbers.
+pub const FALLEN_FOR: Duration = Duration::from_millis(500);
 
 /// The loop over one robot. It ends with the torque off whatever happens, as far as the bus lets it.
 pub struct ControlLoop<'a, R: Robot, C: Clock> {
@@ -365,16 +365,29 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             self.ended.get_or_insert(Ended::Signal);
             self.motion.halt();
         }
+        self.watch_for_a_fall(sensed);
+    }
+
+    /// Stops a robot that has lain for too long.
+    fn watch_for_a_fall(&mut self, sensed: &Sensed) {
         // An IMU that gives no number says nothing about being upright: it counts as lying.
         let finite = |v: &[f32; 3]| v.iter().all(|x| x.is_finite());
         let sane = finite(&sensed.imu.gyro_radps) && finite(&sensed.imu.acc_mps2);
-        let lies = sensed.gravity[2] > FALLEN_GRAVITY_Z || !sane || !finite(&sensed.gravity);
+        let sane = sane && finite(&sensed.gravity);
+        let lies = sensed.gravity[2] > FALLEN_GRAVITY_Z || !sane;
         self.fallen_ticks = if lies { self.fallen_ticks + 1 } else { 0 };
         // Whatever it does: one that tips over while it stands must not walk on its back when the link
         // returns.
         let stage = self.motion.stage();
         let braking = matches!(stage, Stage::Damped | Stage::Off);
-        if self.fallen_ticks >= FALLEN_TICKS && !braking {
+        let patience = match stage {
+            _ if !sane => FALLEN_FOR,
+            // its policy has not begun: rising takes as long as it takes
+            Stage::Rise | Stage::Settle if self.plan.get_up > FALLEN_FOR => Duration::MAX,
+            Stage::Walk | Stage::Halt => self.plan.get_up,
+            _ => FALLEN_FOR,
+        };
+        if self.plan.period * self.fallen_ticks >= patience && !braking {
             tracing::error!(gravity = ?sensed.gravity, ?stage, "the robot fell: stopping");
             if stage.is_policys() {
                 self.blame_a_fall();

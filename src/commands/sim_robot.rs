@@ -4,6 +4,7 @@
 //! that control period. Between commands its time stands still. Each client finds it anew in its starting
 //! pose.
 
+use std::f32::consts::PI;
 use std::io::ErrorKind;
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::path::PathBuf;
@@ -53,6 +54,9 @@ pub struct SimRobotArgs {
     /// The IMU works out the direction of gravity itself (the true one) instead of leaving it to the client
     #[arg(long)]
     imu_gravity: bool,
+    /// It lies on its back at the start
+    #[arg(long)]
+    on_its_back: bool,
     /// Physics and ground come from `[engine]` and `[terrain]`
     #[command(flatten)]
     config: ConfigArgs,
@@ -71,15 +75,19 @@ pub enum LinkKind {
 pub fn run(args: &SimRobotArgs, stop: &StopFlag) -> Result<(), Failure> {
     let (config, model) = robot::configured(&args.config, args.robot.as_ref())?;
     JointTable::from_model(&model).or_exit(ExitCode::BadInput)?;
+    let mut start = InitialState::nominal(&model);
+    if args.on_its_back {
+        start.base_rpy_rad[0] = PI;
+    }
     if args.bus == LinkKind::Pty {
-        return sim_robot_pty::run(&args.pty, &config, model, args.seed, stop);
+        return sim_robot_pty::run(&args.pty, &config, model, &start, args.seed, stop);
     }
     let contact_force_n = config.task.reward.contact_force_n;
     let engine = caudata_sim::build(model, 1, &config.engine, &config.terrain, args.seed, 1)
         .or_exit(ExitCode::BadConfig)?;
     let water = WaterSensor::new(engine.model(), &config.task).or_exit(ExitCode::BadInput)?;
-    let mut robot =
-        SimulatedRobot::new(engine, args.seed, args.imu_gravity, contact_force_n, water);
+    let mut robot = SimulatedRobot::new(engine, start, args.seed, contact_force_n, water);
+    robot.imu_gravity = args.imu_gravity;
     let listener = TcpListener::bind(args.addr).or_exit_with(ExitCode::OsResource, || {
         format!("cannot listen on {}", args.addr)
     })?;
@@ -168,6 +176,7 @@ fn receive(
 /// One lane of an engine behind the sensors of a robot.
 struct SimulatedRobot {
     engine: Box<dyn Engine>,
+    start: InitialState,
     /// With and without torque.
     params: [LaneParams; 2],
     seed: u64,
@@ -185,8 +194,8 @@ struct SimulatedRobot {
 impl SimulatedRobot {
     fn new(
         engine: Box<dyn Engine>,
+        start: InitialState,
         seed: u64,
-        imu_gravity: bool,
         contact_force_n: f32,
         water: WaterSensor,
     ) -> Self {
@@ -202,9 +211,10 @@ impl SimulatedRobot {
         let stream = Stream::new(Key::for_run(seed), Purpose::Sensor);
         Self {
             engine,
+            start,
             params: [with, limp],
             seed,
-            imu_gravity,
+            imu_gravity: false,
             contact_force_n,
             water,
             episode: 0,
@@ -233,7 +243,7 @@ impl SimulatedRobot {
         self.tick as f64 * self.engine.config().control_period_s()
     }
 
-    /// Nominal pose, at rest, torque on, fresh noise.
+    /// At its start, torque on, fresh noise.
     fn restart(&mut self) -> Result<(), SimError> {
         let key = Key {
             episode: self.episode,
@@ -248,8 +258,7 @@ impl SimulatedRobot {
         self.tick = 0;
         self.torque = true;
         self.engine.set_params(0, &self.params[0])?;
-        let start = InitialState::nominal(self.engine.model());
-        self.engine.reset(0, &start)
+        self.engine.reset(0, &self.start)
     }
 
     fn step(&mut self, command: &Command) -> Result<(), String> {
@@ -346,7 +355,8 @@ mod tests {
         let water = WaterSensor::new(&model, &TaskConfig::default()).unwrap();
         let terrain = TerrainConfig::of(ground);
         let engine = caudata_sim::build(model, 1, &Default::default(), &terrain, 1, 1).unwrap();
-        let mut robot = SimulatedRobot::new(engine, 1, false, 0.1, water);
+        let start = InitialState::nominal(engine.model());
+        let mut robot = SimulatedRobot::new(engine, start, 1, 0.1, water);
         robot.restart().unwrap();
         robot
     }

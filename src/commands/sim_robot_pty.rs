@@ -10,7 +10,7 @@ use caudata_emulated_robot::{EmulatedRobot, Pace, SUBSTEPS, Terminals, Travel, s
 use caudata_env::WaterSensor;
 use caudata_hardware::Wiring;
 use caudata_model::RobotModel;
-use caudata_sim::EngineConfig;
+use caudata_sim::{EngineConfig, InitialState};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
 use serde::Serialize;
 use std::io::Write;
@@ -73,6 +73,7 @@ pub fn run(
     args: &PtyArgs,
     config: &Config,
     model: Arc<RobotModel>,
+    start: &InitialState,
     seed: u64,
     stop: &StopFlag,
 ) -> Result<(), Failure> {
@@ -85,6 +86,7 @@ pub fn run(
     let engine = caudata_sim::build(model, 1, &engine_config, &config.terrain, seed, 1)
         .or_exit(ExitCode::BadConfig)?;
     let mut robot = EmulatedRobot::new(engine, &wiring, seed).or_exit(ExitCode::BadInput)?;
+    robot.place(start).or_exit(ExitCode::BadInput)?;
     robot.set_water_sensor(water);
     let p = args.wire_faults;
     robot.set_faults(WireFaults {

@@ -163,6 +163,16 @@ impl EmulatedRobot {
         Ok(robot)
     }
 
+    /// Puts it somewhere else, as a hand would; servos keep their goals.
+    ///
+    /// # Errors
+    /// [`EmulationError::Sim`] where `start` is not one of this robot.
+    pub fn place(&mut self, start: &InitialState) -> Result<(), EmulationError> {
+        self.engine.reset(0, start)?;
+        self.sense();
+        Ok(())
+    }
+
     /// Makes the wire bad.
     pub fn set_faults(&mut self, faults: WireFaults) {
         self.bus.set_faults(faults);

@@ -76,6 +76,7 @@ pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
         step_max_rad: step_max_rad(&setting),
         read_deadline,
         limits,
+        get_up: Duration::from_secs_f64(args.get_up),
         swap_wait: (args.swap_wait > 0.0).then(|| Duration::from_secs_f64(args.swap_wait)),
     };
     match &args.bus {

@@ -11,6 +11,7 @@ use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use crate::boundary::{RunFolder, Staged, alone};
 use crate::command_link::LinkKey;
 use crate::commands::source::{PortArgs, SourceArgs};
+use crate::control::FALLEN_FOR;
 use crate::supervisor::{Plan, supervise};
 use crate::walk_command::{CommandTable, WalkCommand};
 use crate::{DeployError, failure};
@@ -89,8 +90,12 @@ pub struct RunArgs {
     pub(super) follow: bool,
     /// How long a newer policy waits for such a moment, s, before the robot is made to stand for it; 0: for
     /// ever
-    #[arg(long, value_name = "N", default_value_t = 30.0, value_parser = not_negative)]
+    #[arg(long, value_name = "N", default_value_t = 30.0, value_parser = seconds(0.0, 1e6))]
     pub(super) swap_wait: f64,
+    /// How long a robot that lies may take to get up, s, before its servos are let go. For policies that can
+    /// get up, also from where they are started; too long for any other: it thrashes on its back
+    #[arg(long, value_name = "N", default_value_t = FALLEN_FOR.as_secs_f64(), value_parser = seconds(FALLEN_FOR.as_secs_f64(), 60.0))]
+    pub(super) get_up: f64,
     /// Address of /metrics and /healthz; none when absent
     #[arg(long, value_name = "ADDR")]
     pub(super) metrics_addr: Option<SocketAddr>,
@@ -120,10 +125,11 @@ impl FromStr for BusAddress {
     }
 }
 
-fn not_negative(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if (0.0..=1e6).contains(&value) => Ok(value),
-        _ => Err("must be 0 to 1000000".to_owned()),
+/// A parser of seconds between two bounds.
+fn seconds(least: f64, most: f64) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync {
+    move |text| match text.parse::<f64>() {
+        Ok(value) if (least..=most).contains(&value) => Ok(value),
+        _ => Err(format!("must be {least} to {most}")),
     }
 }
 

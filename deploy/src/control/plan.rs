@@ -65,6 +65,9 @@ pub struct RunPlan {
     pub limits: Option<Limits>,
     /// How long a newer policy waits for the robot to stand before the robot is made to; `None`: for ever.
     pub swap_wait: Option<Duration>,
+    /// How long a robot may lie under its policy before it is stopped. Beyond
+    /// [`FALLEN_FOR`](super::FALLEN_FOR) it may lie while it rises, too: its policy gets it up.
+    pub get_up: Duration,
 }
 
 /// Everything sensed at one tick.

@@ -1,6 +1,7 @@
 //! The loop over a robot made of perfect servos, with a clock of its own.
 
 use std::cell::Cell;
+use std::ops::Range;
 
 use crossbeam_channel::Receiver;
 use sha2::{Digest, Sha256};
@@ -46,8 +47,8 @@ struct FakeRobot {
     torque_off: u32,
     /// From this command on velocities are not finite.
     broken_from: usize,
-    /// From this command on it lies on its back.
-    falls_from: usize,
+    /// Between these commands it lies on its back.
+    lies: Range<usize>,
     /// From this command on the hardware says this about itself.
     ill: (usize, Health),
     /// From this command on the IMU gives no number for this.
@@ -64,7 +65,7 @@ impl FakeRobot {
             sent: Vec::new(),
             torque_off: 0,
             broken_from: usize::MAX,
-            falls_from: usize::MAX,
+            lies: 0..0,
             ill: (usize::MAX, Health::default()),
             blind_from: (usize::MAX, Blind::Rates),
             silent: (usize::MAX, 0),
@@ -106,7 +107,7 @@ impl ServoBus for FakeRobot {
 
 impl Imu for FakeRobot {
     fn reading(&mut self) -> Result<ImuReading, BusError> {
-        let fallen = self.sent.len() >= self.falls_from;
+        let fallen = self.lies.contains(&self.sent.len());
         let (from, what) = self.blind_from;
         let number = |of: Blind, value: f32| match self.sent.len() >= from && what == of {
             true => f32::NAN,
@@ -159,28 +160,36 @@ fn run_with(
     walk_s: f64,
     stop: &StopFlag,
 ) -> Run {
-    run_at(0.9, robot, policy, slot, walk_s, stop)
+    run_plan(plan(Some(walk_s), forward(0.9)), robot, policy, slot, stop)
 }
 
-/// [`run_with`] at a speed.
-fn run_at(
-    vx_mps: f32,
-    robot: &mut FakeRobot,
-    policy: Verified,
-    slot: Slot,
-    walk_s: f64,
-    stop: &StopFlag,
-) -> Run {
-    let clock = FakeClock::default();
-    let plan = RunPlan {
+/// A run at 50 Hz under `commands`, for `walk_s` seconds of walking.
+fn plan(walk_s: Option<f64>, commands: CommandTable) -> RunPlan {
+    RunPlan {
         period: PERIOD,
-        walk_s: Some(walk_s),
-        commands: CommandTable::constant(WalkCommand([vx_mps, 0.0, 0.0])),
+        walk_s,
+        commands,
         step_max_rad: 0.3,
         read_deadline: READ_DEADLINE,
         limits: None,
         swap_wait: None,
-    };
+        get_up: FALLEN_FOR,
+    }
+}
+
+/// At that speed, m/s.
+fn forward(vx_mps: f32) -> CommandTable {
+    CommandTable::constant(WalkCommand([vx_mps, 0.0, 0.0]))
+}
+
+fn run_plan(
+    plan: RunPlan,
+    robot: &mut FakeRobot,
+    policy: Verified,
+    slot: Slot,
+    stop: &StopFlag,
+) -> Run {
+    let clock = FakeClock::default();
     let (updates, events) = Updates::new(slot);
     let metrics = RobotMetrics::register(&caudata_telemetry::Metrics::new());
     let runner = PolicyRunner::new(policy, None).unwrap();
@@ -268,7 +277,7 @@ fn late_readings_hold_the_target_and_silence_ends_the_run_limp() {
 #[test]
 fn a_robot_on_its_back_is_stopped() {
     let mut robot = FakeRobot::new();
-    robot.falls_from = 150;
+    robot.lies = 150..usize::MAX;
     let run = run(&mut robot, 100.0);
     assert_eq!(run.result.unwrap(), Ended::Fallen);
     // 25 ticks until it is believed, 50 of braking.
@@ -280,11 +289,36 @@ fn a_robot_on_its_back_is_stopped() {
 }
 
 #[test]
+fn one_that_may_get_up_is_given_time_to() {
+    let run = |lies: Range<usize>, get_up: Duration| {
+        let mut robot = FakeRobot::new();
+        robot.lies = lies;
+        let plan = RunPlan {
+            get_up,
+            ..plan(Some(10.0), forward(0.3))
+        };
+        let policy = verified(1, stepping(1));
+        let run = run_plan(plan, &mut robot, policy, Slot::default(), &StopFlag::new());
+        (run.result.unwrap(), robot.sent.len())
+    };
+    let five_seconds = Duration::from_secs(5);
+    // It lies for 4 s under its policy; it lies from the start, while it rises and 2 s longer: it is up again.
+    assert_eq!(run(150..350, five_seconds).0, Ended::Time);
+    assert_eq!(run(0..150, five_seconds).0, Ended::Time);
+    // Only the policy gets it up: 250 ticks, and 50 of braking.
+    let (ended, sent) = run(150..usize::MAX, five_seconds);
+    assert_eq!(ended, Ended::Fallen);
+    assert!((445..=455).contains(&sent), "{sent}");
+    // Without that a lying robot is not even made to rise.
+    assert_eq!(run(0..150, FALLEN_FOR).0, Ended::Fallen);
+}
+
+#[test]
 fn one_that_falls_before_it_walks_never_walks() {
     // Lying from the start, fallen while it rises, fallen while it stands before its first step.
     for falls_from in [0, 40, 80] {
         let mut robot = FakeRobot::new();
-        robot.falls_from = falls_from;
+        robot.lies = falls_from..usize::MAX;
         let run = run(&mut robot, 100.0);
         assert_eq!(run.result.unwrap(), Ended::Fallen, "{falls_from}");
         assert_eq!((run.counts.walked_s, robot.torque_off), (0.0, 1));
@@ -346,7 +380,13 @@ fn fault_32_standing_still_passes_no_trial() {
     let good = |vx_mps: f32, policy: Vec<u8>| {
         let mut robot = FakeRobot::new();
         let (policy, stop) = (verified(1, policy), StopFlag::new());
-        let run = run_at(vx_mps, &mut robot, policy, Slot::default(), 30.0, &stop);
+        let run = run_plan(
+            plan(Some(30.0), forward(vx_mps)),
+            &mut robot,
+            policy,
+            Slot::default(),
+            &stop,
+        );
         assert_eq!(run.result.as_ref().unwrap(), &Ended::Time);
         let good = |event: &PolicyEvent| matches!(event, PolicyEvent::Good { .. });
         run.told().iter().any(good)
@@ -495,15 +535,7 @@ impl CommandLink for FakeLink {
 fn linked(link: FakeLink, walk_s: f64) -> (Result<Ended, DeployError>, Vec<PerJoint>, f64) {
     let mut robot = FakeRobot::new();
     let clock = FakeClock::default();
-    let plan = RunPlan {
-        period: PERIOD,
-        walk_s: Some(walk_s),
-        commands: CommandTable::constant(WalkCommand([0.9, 0.0, 0.0])),
-        step_max_rad: 0.3,
-        read_deadline: READ_DEADLINE,
-        limits: None,
-        swap_wait: None,
-    };
+    let plan = plan(Some(walk_s), forward(0.9));
     let (updates, _events) = Updates::new(Slot::default());
     let metrics = RobotMetrics::register(&caudata_telemetry::Metrics::new());
     // Walks with every joint at the same offset from the nominal pose, whatever it sees.
@@ -635,15 +667,7 @@ fn a_second_signal_lets_go_within_a_tick_wherever_the_robot_is() {
         };
         let (stop, insisted) = (robot.stop.clone(), robot.insisted.clone());
         let clock = FakeClock::default();
-        let plan = RunPlan {
-            period: PERIOD,
-            walk_s: None,
-            commands: CommandTable::constant(WalkCommand([0.3, 0.0, 0.0])),
-            step_max_rad: 0.3,
-            read_deadline: READ_DEADLINE,
-            limits: None,
-            swap_wait: None,
-        };
+        let plan = plan(None, forward(0.3));
         let (updates, _events) = Updates::new(Slot::default());
         let metrics = RobotMetrics::register(&caudata_telemetry::Metrics::new());
         let policy = verified(1, policy_file(1, |_, _| {}));
@@ -684,7 +708,7 @@ fn a_kill_brakes_at_the_next_tick() {
 fn fault_32_a_fall_in_the_trial_is_the_policys_fault_and_one_after_it_is_not() {
     let fall = |falls_from: usize, proved: bool| {
         let mut robot = FakeRobot::new();
-        robot.falls_from = falls_from;
+        robot.lies = falls_from..usize::MAX;
         let mut policy = verified(1, stepping(1));
         policy.proved = proved;
         let run = run_with(&mut robot, policy, Slot::default(), 100.0, &StopFlag::new());
@@ -751,13 +775,8 @@ fn swapped(commands: &str, after: usize, swap_wait: Option<Duration>) -> (Option
     std::fs::write(&table, commands).unwrap();
     let clock = FakeClock::default();
     let plan = RunPlan {
-        period: PERIOD,
-        walk_s: Some(8.0),
-        commands: CommandTable::read(&table).unwrap(),
-        step_max_rad: 0.3,
-        read_deadline: READ_DEADLINE,
-        limits: None,
         swap_wait,
+        ..plan(Some(8.0), CommandTable::read(&table).unwrap())
     };
     let (updates, _events) = Updates::new(slot);
     let metrics = RobotMetrics::register(&caudata_telemetry::Metrics::new());

@@ -13,7 +13,7 @@ use crossbeam_channel::bounded;
 use super::tests::{Emulated, emulated, robot};
 use super::*;
 use crate::command_link::{CommandLink, LINK_STAND, LINK_STOP, LinkView};
-use crate::control::{ControlLoop, RunPlan};
+use crate::control::{ControlLoop, FALLEN_FOR, RunPlan};
 use crate::metrics::RobotMetrics;
 use crate::motion::Stage;
 use crate::pacing::Clock;
@@ -212,6 +212,7 @@ fn run(event: Event, at: Duration, faults: WireFaults) -> Seen {
         read_deadline: Duration::from_millis(7),
         limits: None,
         swap_wait: None,
+        get_up: FALLEN_FOR,
     };
     let (updates, _events) = Updates::new(Slot::default());
     let metrics = RobotMetrics::register(&Metrics::new());

@@ -14,8 +14,9 @@ use caudata_dynamixel::HardwareError;
 use caudata_dynamixel::emulator::WireFaults;
 use caudata_emulated_robot::{EmulatedRobot, Pace, SUBSTEPS, Terminals, serve};
 use caudata_hardware::Wiring;
+use caudata_policy::PolicyFile;
 use caudata_runlog::{RunLog, Signal};
-use caudata_sim::{EngineConfig, TerrainConfig};
+use caudata_sim::{EngineConfig, InitialState, TerrainConfig};
 
 const WIRING: &str = concat!(
     env!("CARGO_MANIFEST_DIR"),
@@ -304,6 +305,45 @@ fn the_program_stands_up_over_the_wire_and_lets_go() {
     let volts = read(Signal::Voltage);
     assert!((knee.last().unwrap().unwrap() - 54_f64.to_radians()).abs() < 0.1);
     assert!(volts.last().unwrap().unwrap() > 10.0);
+}
+
+/// `flat.onnx` while it is upright, `righting.onnx` from 60° on.
+fn gets_up() -> Vec<u8> {
+    let [flat, righting] = ["flat", "righting"].map(|name| {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../policies");
+        let bytes = std::fs::read(format!("{folder}/{name}.onnx")).unwrap();
+        PolicyFile::parse(bytes.into()).unwrap()
+    });
+    let observation = &flat.metadata().contract.observation;
+    let gravity_z = observation.slice("gravity").unwrap().start + 2;
+    let both = caudata_policy::join(&flat, &righting, gravity_z, -0.5).unwrap();
+    both.bytes().to_vec()
+}
+
+/// On its back where it first stood.
+fn turned_over(robot: &mut EmulatedRobot) {
+    let mut start = InitialState::nominal(&model());
+    start.base_rpy_rad[0] = std::f32::consts::PI;
+    robot.place(&start).unwrap();
+}
+
+#[test]
+fn a_robot_on_its_back_gets_up_where_its_policy_can_and_it_may() {
+    // It lies there from the start, and is turned over again while it walks: rising and settling end after
+    // 2 s at most, walking after 10 s more.
+    let bench = Bench::in_step_under(gets_up(), turned_over, Some((7.0, turned_over)));
+    let walk = ["--seconds", "10", "--command", "0.3,0,0"];
+    let (code, summary, errors) = outcome(bench.run(&[&walk[..], &["--get-up", "5"]].concat()));
+    assert_eq!((code, &summary["ended"]), (0, &"time".into()), "{errors}");
+    let walked_m = summary["distance_m"].as_f64();
+    assert!(walked_m.is_none_or(|m| m > 0.5), "{walked_m:?}");
+    // Without leave it is let go of, as any robot on its back.
+    let (_, summary, _) = outcome(bench.run(&walk));
+    let (_, heights_m) = bench.end();
+    assert_eq!(summary["walked_s"], 0.0, "{summary}");
+    assert_eq!(summary["ended"], "fallen", "{summary}");
+    let highest_m = heights_m.iter().copied().fold(0.0, f64::max);
+    assert!(highest_m > 0.05, "{highest_m}");
 }
 
 #[test]
