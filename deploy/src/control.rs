@@ -368,35 +368,6 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         self.watch_for_a_fall(sensed);
     }
 
-    /// Stops a robot that has lain for too long.
-    fn watch_for_a_fall(&mut self, sensed: &Sensed) {
-        // An IMU that gives no number says nothing about being upright: it counts as lying.
-        let finite = |v: &[f32; 3]| v.iter().all(|x| x.is_finite());
-        let sane = finite(&sensed.imu.gyro_radps) && finite(&sensed.imu.acc_mps2);
-        let sane = sane && finite(&sensed.gravity);
-        let lies = sensed.gravity[2] > FALLEN_GRAVITY_Z || !sane;
-        self.fallen_ticks = if lies { self.fallen_ticks + 1 } else { 0 };
-        // Whatever it does: one that tips over while it stands must not walk on its back when the link
-        // returns.
-        let stage = self.motion.stage();
-        let braking = matches!(stage, Stage::Damped | Stage::Off);
-        let patience = match stage {
-            _ if !sane => FALLEN_FOR,
-            // its policy has not begun: rising takes as long as it takes
-            Stage::Rise | Stage::Settle if self.plan.get_up > FALLEN_FOR => Duration::MAX,
-            Stage::Walk | Stage::Halt => self.plan.get_up,
-            _ => FALLEN_FOR,
-        };
-        if self.plan.period * self.fallen_ticks >= patience && !braking {
-            tracing::error!(gravity = ?sensed.gravity, ?stage, "the robot fell: stopping");
-            if stage.is_policys() {
-                self.blame_a_fall();
-            }
-            self.ended = Some(Ended::Fallen);
-            self.motion.damp();
-        }
-    }
-
     /// The command of this tick. A link that is silent stops the robot: speed 0 after 200 ms, standing after
     /// 1 s. A dead-man's button that is let go of stands it at once; a kill brakes at once, whatever the
     /// policy does.

@@ -1,11 +1,14 @@
-//! The trial of a policy: what it must show on this robot before it is trusted.
+//! The trial of a policy: what it must show on this robot before it is trusted; and its falls.
+
+use std::time::Duration;
 
 use caudata_task::{COMMAND_DIM, PerJoint};
 
-use super::ControlLoop;
 use super::plan::{Sensed, mean_speed};
+use super::{ControlLoop, FALLEN_FOR, FALLEN_GRAVITY_Z};
 use crate::bus::Robot;
 use crate::gate::{HELD_IN_A_ROW_MAX, Held, PINNED_TICKS_MAX};
+use crate::motion::Stage;
 use crate::pacing::Clock;
 use crate::summary::{Ended, rounded};
 use crate::updates::PolicyEvent;
@@ -18,7 +21,7 @@ impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
 
     /// A policy that never went through its trial here and falls is not begun with again. One that did may
     /// have met a stone.
-    pub(super) fn blame_a_fall(&mut self) {
+    fn blame_a_fall(&mut self) {
         if self.runner.is_proved() || self.trial.is_over() {
             return;
         }
@@ -28,6 +31,35 @@ impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
             walked_s: self.walked_s(),
             fell: true,
         });
+    }
+
+    /// Stops a robot that has lain for too long.
+    pub(super) fn watch_for_a_fall(&mut self, sensed: &Sensed) {
+        // An IMU that gives no number says nothing about being upright: it counts as lying.
+        let finite = |v: &[f32; 3]| v.iter().all(|x| x.is_finite());
+        let sane = finite(&sensed.imu.gyro_radps) && finite(&sensed.imu.acc_mps2);
+        let sane = sane && finite(&sensed.gravity);
+        let lies = sensed.gravity[2] > FALLEN_GRAVITY_Z || !sane;
+        self.fallen_ticks = if lies { self.fallen_ticks + 1 } else { 0 };
+        // Whatever it does: one that tips over while it stands must not walk on its back when the link
+        // returns.
+        let stage = self.motion.stage();
+        let braking = matches!(stage, Stage::Damped | Stage::Off);
+        let patience = match stage {
+            _ if !sane => FALLEN_FOR,
+            // its policy has not begun: rising takes as long as it takes
+            Stage::Rise | Stage::Settle if self.plan.get_up > FALLEN_FOR => Duration::MAX,
+            Stage::Walk | Stage::Halt => self.plan.get_up,
+            _ => FALLEN_FOR,
+        };
+        if self.plan.period * self.fallen_ticks >= patience && !braking {
+            tracing::error!(gravity = ?sensed.gravity, ?stage, "the robot fell: stopping");
+            if stage.is_policys() {
+                self.blame_a_fall();
+            }
+            self.ended = Some(Ended::Fallen);
+            self.motion.damp();
+        }
     }
 
     /// A policy that wants many joints at their limits for a second does not pass its trial. One that passed
