@@ -21,6 +21,7 @@ pub mod page;
 pub mod place;
 pub mod plant;
 pub mod plots;
+pub mod prospects;
 pub mod reading;
 pub mod repeats;
 pub mod replay;

@@ -1,7 +1,7 @@
 //! `caudata bench`: how fast the parts are on this machine. The measuring is in `crates/bench`.
 
 use caudata_bench::transport::ingest;
-use caudata_bench::{explain, gap, lag, learner, parts, sim, skill, train, transport};
+use caudata_bench::{explain, gap, lag, learner, parts, session, sim, skill, train, transport};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Subcommand;
 
@@ -27,6 +27,8 @@ pub enum BenchCommand {
         #[arg(long)]
         each: bool,
     },
+    /// Sessions with robots that have something hidden: named, after how much motion
+    Session(WithJson<session::Plan>),
     /// Mistakes hidden in tasks and robots, explained: named first, among three, names on healthy tasks
     Explain(WithJson<explain::Plan>),
     /// Where a second of training goes: per iteration and as shares of all cores' time; beside another build,
@@ -63,6 +65,14 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
             Some(found) => say::either(asked.json, &found, |found| show::gap(found, *each)),
             None => Ok(()),
         },
+        BenchCommand::Session(WithJson { plan, json }) => {
+            let found = session::run(plan, &own()?, &mut |case| {
+                if !*json {
+                    show::session(case);
+                }
+            })?;
+            say::either(*json, &found, show::sessions)
+        }
         BenchCommand::Explain(WithJson { plan, json }) => {
             let found = explain::run(plan, &own()?, &learner()?, &mut |case| {
                 if !*json {

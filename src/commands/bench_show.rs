@@ -3,7 +3,7 @@
 use caudata_bench::measure::Rate;
 use caudata_bench::sim::{DT_S, Speed};
 use caudata_bench::transport::ingest;
-use caudata_bench::{explain, gap, lag, sim, skill, train, transport};
+use caudata_bench::{explain, gap, lag, session, sim, skill, train, transport};
 use caudata_gap_benchmark::case::Answer;
 use caudata_gap_benchmark::score::{Outcome, summary::median_gain};
 use caudata_sim::batch::Phase;
@@ -139,6 +139,34 @@ fn one_case(o: &Outcome, a: &Answer) -> String {
         given.collect::<Vec<_>>().join(", "),
         o.failure
     )
+}
+
+/// One session.
+pub fn session(case: &session::Case) {
+    say::record(
+        case,
+        "hidden d ending verdict named right place_right motion_s right_after_s trials seconds failure",
+    );
+}
+
+/// How many robots were understood.
+pub fn sessions(found: &session::Finding) {
+    let rates = [
+        ("named", found.named),
+        ("named within 60 s of motion", found.named_within_60_s),
+        ("named, sure, and nothing else", found.sure),
+        ("healthy, and nothing named", found.healthy),
+    ];
+    say::table(
+        &["", "measured (95 % interval)"],
+        rates.map(|(what, rate)| vec![what.to_owned(), rate.to_string()]),
+    );
+    say::line(format!(
+        "{} sessions in {:.0} s, {} robots left out",
+        found.cases.len(),
+        found.seconds,
+        found.left_out
+    ));
 }
 
 /// One training from nothing.

@@ -1,10 +1,13 @@
 //! `caudata gap`: measured data to divergence, named cause, extended model, gain.
 
-use caudata_studies::diagnosis;
+use caudata_studies::{diagnosis, session};
 use caudata_telemetry::{Failure, Process};
 use clap::Subcommand;
 
-use super::{gap_apply, gap_check, gap_diagnose, gap_excite, gap_import, gap_policies, gap_report};
+use super::{
+    gap_apply, gap_check, gap_diagnose, gap_excite, gap_import, gap_policies, gap_report,
+    gap_session,
+};
 use crate::say::WithJson;
 
 #[derive(Debug, Subcommand)]
@@ -15,6 +18,9 @@ pub enum GapCommand {
     Import(gap_import::ImportArgs),
     /// Say where simulation and measurement part, why, and what it is worth to know
     Diagnose(WithJson<diagnosis::Plan>),
+    /// Record, diagnose, choose what to record next, until the diagnosis is sure or cannot be: by itself on a
+    /// simulated robot, trial by trial on a real one
+    Session(WithJson<session::Plan>),
     /// Merge what a diagnosis found into a robot file
     Apply(gap_apply::ApplyArgs),
     /// Show a diagnosis again
@@ -34,6 +40,7 @@ pub fn run(command: &GapCommand, process: &Process) -> Result<(), Failure> {
         GapCommand::Check(args) => gap_check::run(args),
         GapCommand::Import(args) => gap_import::run(args),
         GapCommand::Diagnose(args) => gap_diagnose::run(args, process),
+        GapCommand::Session(args) => gap_session::run(args, process),
         GapCommand::Apply(args) => gap_apply::run(args),
         GapCommand::Report(args) => gap_report::run(args),
         GapCommand::Excite(args) => gap_excite::run(args),

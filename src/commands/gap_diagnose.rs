@@ -49,16 +49,24 @@ pub fn steps(quiet: bool, process: &Process, after_stop: &str) -> Result<Steps<'
     ))
 }
 
-/// A complete answer ends with 0; every other verdict has its own code.
-fn verdict(report: &Report) -> Result<(), Failure> {
-    let code = match report.verdict {
-        Verdict::NoGap | Verdict::Explained => return Ok(()),
+/// Of a verdict; [`ExitCode::Ok`] for a complete answer.
+pub fn code(verdict: Verdict) -> ExitCode {
+    match verdict {
+        Verdict::NoGap | Verdict::Explained => ExitCode::Ok,
         Verdict::Ambiguous => ExitCode::Ambiguous,
         Verdict::PartlyExplained => ExitCode::PartlyExplained,
         Verdict::Unexplained => ExitCode::Unexplained,
         Verdict::InsufficientData => ExitCode::InsufficientData,
         Verdict::DataFault => ExitCode::DataFault,
-    };
+    }
+}
+
+/// A complete answer ends with 0; every other verdict has its own code.
+fn verdict(report: &Report) -> Result<(), Failure> {
+    let code = code(report.verdict);
+    if code == ExitCode::Ok {
+        return Ok(());
+    }
     let failure = Failure::outcome(code, &report.summary);
     Err(match &report.next_experiment {
         Some(next) => failure.hint(format!(

@@ -15,6 +15,7 @@ mod gap_excite;
 mod gap_import;
 mod gap_policies;
 mod gap_report;
+mod gap_session;
 pub mod ground;
 pub mod lane_params;
 pub mod log;

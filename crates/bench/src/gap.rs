@@ -12,6 +12,7 @@ use caudata_gap_benchmark::examinee;
 use caudata_gap_benchmark::run::{self, BenchError, Diagnoser};
 use caudata_gap_benchmark::score::{Outcome, Summary};
 use caudata_gap_benchmark::sets::{self, SetName};
+use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
@@ -124,6 +125,7 @@ pub fn run(plan: &Plan, program: &Path) -> Result<Option<Finding>, Failure> {
         );
         return Err(Failure::message(ExitCode::CannotCreate, message));
     }
+    files::make_folder(root)?;
     bench(plan, program, root).map(Some)
 }
 

@@ -11,6 +11,7 @@ pub mod lag;
 pub mod learner;
 pub mod measure;
 pub mod parts;
+pub mod session;
 pub mod sim;
 pub mod skill;
 pub mod train;

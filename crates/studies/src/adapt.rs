@@ -12,7 +12,7 @@ use caudata_gap::report::{Cause, Parameter, Verdict};
 use caudata_runlog::{META_NAME, rows_file};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Args;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::out_folder::{self, Asked, OutFolder};
 use crate::policies::Run;
@@ -108,7 +108,7 @@ pub struct Adapted {
 }
 
 /// A cause in brief.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Named {
     /// Effect id.
     pub effect: String,

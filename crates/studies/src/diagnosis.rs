@@ -58,7 +58,7 @@ pub struct Plan {
 }
 
 /// A time with its unit, s.
-fn seconds(text: &str) -> Result<f64, String> {
+pub(crate) fn seconds(text: &str) -> Result<f64, String> {
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
     let unit_s = match text[digits.len()..].trim() {
         "s" => 1.0,

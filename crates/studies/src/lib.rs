@@ -15,6 +15,7 @@ pub mod flags;
 mod out_folder;
 pub mod paper;
 pub mod policies;
+pub mod session;
 pub mod steps;
 mod table;
 

@@ -21,6 +21,9 @@ pub enum GenerateError {
     /// The diagnosing engine refused the nominal robot.
     #[error("nominal robot: {0}")]
     Engine(#[from] caudata_sim::SimError),
+    /// The diagnosing simulator refused a run.
+    #[error("{0}")]
+    Gap(#[from] caudata_gap::GapError),
     /// The battery has no such trial.
     #[error("{0}")]
     Trial(#[from] caudata_gap::excite::ExciteError),

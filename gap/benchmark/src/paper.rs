@@ -8,13 +8,14 @@ use std::sync::Arc;
 use caudata_gap::plots::Overlay;
 use caudata_gap::replay::{Data, Replayer, Segment, SegmentOptions, Variant};
 use caudata_gap::trial::Kind;
-use caudata_gap::{GapError, GoOn, Run};
+use caudata_gap::{GapError, GoOn, Run, excite};
 use caudata_model::RobotModel;
 
+use crate::battery::RATE_HZ;
 use crate::generate::GenerateError;
 use crate::hides::{self, Hides};
 use crate::salamander::{self, LabFile};
-use crate::stand;
+use crate::simulated::{self, Robot};
 
 /// The paper's robot, as far as the paper says: play of 4° each side, and the middle of what a servo's filter
 /// and supply can do.
@@ -86,6 +87,12 @@ pub fn on_stand(
 ) -> Result<(), GenerateError> {
     let (_, _, model) = salamander::lab_file(file)?;
     let lane = hides::lane_of(&model, HIDDEN);
+    let robot = Robot {
+        lab: &model,
+        model: &model,
+        lane: &lane,
+        seed,
+    };
     for (i, (role, trial)) in ON_STAND.iter().enumerate() {
         for r in 0..STAND_REPEATS {
             if !go_on() {
@@ -93,7 +100,8 @@ pub fn on_stand(
             }
             let dir = folder.join(format!("{role}_{trial}_{}", r + 1));
             let run = STAND_RUNS + 10 * i as u64 + r;
-            stand::record(&model, &lane, trial, seed, run, &dir)?;
+            let trial = excite::trial(&model, trial, None, RATE_HZ)?;
+            simulated::record(&robot, &trial, run, &dir)?;
         }
     }
     Ok(())

@@ -7,16 +7,15 @@ use std::path::Path;
 use std::sync::Arc;
 
 use caudata_model::RobotModel;
-use caudata_random::{Key, Purpose, Stream};
-use caudata_runlog::{BaseHold, LogMeta, LogWriter, Setting};
+use caudata_runlog::BaseHold;
 use caudata_sim::LaneParams;
 
-use crate::battery::RATE_HZ;
 use crate::case::{Answer, Block};
 use crate::generate::GenerateError;
 use crate::hides::{lane_of, truth};
-use crate::scripts::{Script, swims, walks};
-use crate::truth::free::{self, Channels, Session};
+use crate::scripts::{swims, walks};
+use crate::simulated::{self, Robot};
+use crate::truth::free::Channels;
 
 pub use crate::hides::Hides;
 
@@ -119,6 +118,12 @@ pub fn make(
         fs::write(&path, text).map_err(io(&path))?;
     }
     let lane = lane_of(&model, plan.hidden);
+    let robot = Robot {
+        lab: &model,
+        model: &model,
+        lane: &lane,
+        seed: plan.seed,
+    };
     let scripts = match plan.place {
         BaseHold::Water => swims,
         BaseHold::Fixed | BaseHold::Free => walks,
@@ -135,7 +140,14 @@ pub fn make(
             }
             let index = 10 * i as u64 + r;
             let dir = folder.join(format!("{role}_{}_{}", script.name, r + 1));
-            record(plan, &model, &lane, script, index, &dir)?;
+            simulated::rows(
+                &robot,
+                &script.rows_rad,
+                script.begins,
+                plan.channels,
+                index,
+                &dir,
+            )?;
         }
     }
     Ok(Answer {
@@ -155,50 +167,4 @@ pub fn make(
         fault: false,
         fault_kinds: Vec::new(),
     })
-}
-
-/// Records one run into `dir`.
-fn record(
-    plan: &SalamanderPlan,
-    model: &Arc<RobotModel>,
-    lane: &LaneParams,
-    script: &Script,
-    index: u64,
-    dir: &Path,
-) -> Result<(), GenerateError> {
-    let session = Session::of_the_day(model, lane, plan.place, plan.seed, index);
-    let key = Key {
-        seed: plan.seed,
-        actor: 13,
-        env: index,
-        episode: 0,
-    };
-    let mut stream = Stream::new(key, Purpose::Sensor);
-    let rows = &script.rows_rad;
-    let log = free::run(
-        model,
-        &session,
-        rows,
-        plan.channels,
-        script.begins,
-        &mut stream,
-    )?;
-    let mut meta = LogMeta::new("polymander", plan.place, RATE_HZ);
-    meta.terrain = match plan.place {
-        BaseHold::Water => "deep_water",
-        BaseHold::Fixed | BaseHold::Free => "flat",
-    }
-    .to_owned();
-    if plan.place == BaseHold::Water {
-        let level = Setting::Number(free::WATER_LEVEL_M);
-        meta.settings.insert("water_level_m".to_owned(), level);
-    }
-    meta.kp = model.common_gains().map(|g| g.kp_nm_per_rad);
-    meta.kd = model.common_gains().map(|g| g.kd_nm_s_per_rad);
-    meta.supply_v = Some((f64::from(session.lane.supply_v) * 10.0).round() / 10.0);
-    let mut writer = LogWriter::create(dir, &free::signals(model, plan.channels), &meta)?;
-    for (t, row) in &log {
-        writer.row(*t, row)?;
-    }
-    Ok(writer.finish()?)
 }

@@ -9,9 +9,10 @@ use crate::effects::Effect;
 use crate::error::GapError;
 use crate::excitation::Excitation;
 use crate::excite::{self, DEFAULT_RATE_HZ};
+use crate::prospects::as_run;
 use crate::replay::{Data, SegmentOptions, Term, Variant};
 use crate::report::{Cause, LocalGap, NextExperiment, Verdict};
-use crate::trial::{Channel, Kind, Steps, Trial};
+use crate::trial::Kind;
 
 /// Longest trial that is proposed, s: longer ones are for what takes as long to build up.
 const LONGEST_S: f64 = 60.0;
@@ -164,7 +165,7 @@ fn in_the_dark(
         let pair = [found.best.terms.clone(), with];
         // a trial after which it could not be seen either is no help
         let made_for = |trial: &excite::Trial| {
-            let mut excited = Excitation::of(model, &[&as_run(trial)]);
+            let mut excited = Excitation::of(model, &[&as_run(trial, &[Kind::Position])]);
             excited.kinds.extend(&context.excitation.kinds);
             let seen = || (effect.unseen)(&excited, &place).is_none();
             trial.excites.iter().any(|e| e == effect.id) && seen()
@@ -210,7 +211,11 @@ fn most_telling(
     let mut best: Option<(String, f64)> = None;
     let can = |t: &&excite::Trial| t.duration_s <= LONGEST_S && !recorded(t);
     for trial in battery.iter().filter(can).filter(|t| among(t)) {
-        let data = Data::new(model, vec![as_run(trial)], SegmentOptions::default());
+        let data = Data::new(
+            model,
+            vec![as_run(trial, &[Kind::Position])],
+            SegmentOptions::default(),
+        );
         let predictions = context.replayer.predict(&data, pair)?;
         for piece in data.segments.iter().flat_map(|s| &s.pieces) {
             let off = |k: usize| f64::from(predictions[0][k] - predictions[1][k]).powi(2);
@@ -222,35 +227,4 @@ fn most_telling(
         }
     }
     Ok(best)
-}
-
-/// A trial of the battery as a run in which every joint is where it was sent.
-fn as_run(trial: &excite::Trial) -> Trial {
-    let time_s: Vec<f64> = (0..trial.commands_rad.len())
-        .map(|k| k as f64 / trial.rate_hz)
-        .collect();
-    let column = |a: usize| trial.commands_rad.iter().map(move |row| row[a]);
-    let channels = (0..trial.columns.len()).map(|a| Channel {
-        kind: Kind::Position,
-        index: a,
-        name: trial.columns[a].clone(),
-        time_s: time_s.clone(),
-        value: column(a).collect(),
-    });
-    let mut run = Trial::bare(trial.base, trial.duration_s, channels.collect());
-    let steps = |value: Vec<f64>| Steps {
-        time_s: time_s.clone(),
-        value,
-        frame_s: 1.0 / trial.rate_hz,
-    };
-    run.commands = (0..trial.columns.len())
-        .map(|a| steps(column(a).collect()))
-        .collect();
-    run.enabled = (0..trial.columns.len())
-        .map(|a| {
-            let on = trial.on.iter().map(|row| f64::from(u8::from(row[a])));
-            (!trial.on.is_empty()).then(|| steps(on.collect()))
-        })
-        .collect();
-    run
 }

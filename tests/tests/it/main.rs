@@ -12,6 +12,7 @@ mod chaos;
 mod explain;
 mod faults_actors;
 mod gap_policies;
+mod gap_session;
 mod live;
 mod refusals;
 mod siege;

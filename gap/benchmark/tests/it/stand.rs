@@ -5,8 +5,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use caudata_gap::report::{Report, Verdict};
-use caudata_gap::{Options, Request, Role, Run, diagnose};
-use caudata_gap_benchmark::stand;
+use caudata_gap::{Options, Request, Role, Run, diagnose, excite};
+use caudata_gap_benchmark::simulated::{self, Robot};
 use caudata_model::RobotModel;
 use caudata_runlog::RunLog;
 use caudata_sim::LaneParams;
@@ -26,7 +26,14 @@ fn report_of(seed: u64, fault: impl Fn(&RobotModel, &mut LaneParams)) -> Report 
     ];
     let runs = trials.iter().enumerate().map(|(i, &(trial, role))| {
         let dir = folder.path().join(trial);
-        stand::record(&model, &lane, trial, seed, i as u64, &dir).unwrap();
+        let made = excite::trial(&model, trial, None, excite::DEFAULT_RATE_HZ).unwrap();
+        let robot = Robot {
+            lab: &model,
+            model: &model,
+            lane: &lane,
+            seed,
+        };
+        simulated::record(&robot, &made, i as u64, &dir).unwrap();
         Run {
             log: RunLog::read(&dir).unwrap(),
             name: trial.to_owned(),
