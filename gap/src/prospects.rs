@@ -31,7 +31,7 @@ use crate::trial::{Channel, Kind, Steps, Trial};
 
 /// Root mean square over a trial that is one tolerance, in the channel's unit: what careful repeats, and two
 /// engines, differ by.
-const TOLERANCES: [(Kind, f64); 6] = [
+const ONE_TOLERANCE: [(Kind, f64); 6] = [
     (Kind::Position, 0.003),
     (Kind::Velocity, 0.06),
     (Kind::Current, 0.03),
@@ -44,7 +44,7 @@ const LONGEST_S: f64 = 60.0;
 /// Probability, before anything is recorded, that nothing is wrong.
 const NOTHING: f64 = 0.5;
 /// What leaves less than so many tolerances in all trials together cannot matter.
-const MATTERS: f64 = 2.0;
+const MATTERS_FROM: f64 = 2.0;
 /// A trial that tells less than this is not worth its time, nats.
 const WORTH_NATS: f64 = 0.01;
 /// So many effects are named in a reason.
@@ -171,7 +171,7 @@ impl Prospects {
         };
         let whole = all.sum(|_| true);
         let matters: Vec<Possible> = (all.possible.iter().copied())
-            .filter(|p| all.inner(&whole, p, p) >= MATTERS * MATTERS)
+            .filter(|p| all.inner(&whole, p, p) >= MATTERS_FROM * MATTERS_FROM)
             .collect();
         all.possible = matters;
         Ok(all)
@@ -234,7 +234,7 @@ impl Prospects {
     #[must_use]
     pub fn dark(&self, recorded: &[&str]) -> Vec<&'static str> {
         let gram = self.sum(|t| recorded.contains(&t.name.as_str()));
-        let shows = |p: &&Possible| self.inner(&gram, p, p) >= MATTERS * MATTERS;
+        let shows = |p: &&Possible| self.inner(&gram, p, p) >= MATTERS_FROM * MATTERS_FROM;
         let seen: Vec<&str> = (self.possible.iter().filter(shows))
             .map(|p| p.effect.id)
             .collect();
@@ -352,7 +352,7 @@ fn gram(
                     sees_base
                 }
     };
-    let kinds: Vec<Kind> = TOLERANCES.iter().map(|t| t.0).filter(seen).collect();
+    let kinds: Vec<Kind> = ONE_TOLERANCE.iter().map(|t| t.0).filter(seen).collect();
     let data = Data::new(model, vec![as_run(trial, &kinds)], whole);
     let acts = |effect: &Effect| match effect.layer {
         Layer::Water => trial.base == BaseHold::Water,
@@ -368,7 +368,7 @@ fn gram(
     let (joints, count) = (model.actuated().len(), terms.len());
     let mut gram = vec![vec![0.0; count * count]; joints + 1];
     for piece in data.segments.iter().flat_map(|s| &s.pieces) {
-        let Some((_, tolerance)) = TOLERANCES.iter().find(|t| t.0 == piece.kind) else {
+        let Some((_, tolerance)) = ONE_TOLERANCE.iter().find(|t| t.0 == piece.kind) else {
             continue;
         };
         let group = if piece.kind.of_joint() {

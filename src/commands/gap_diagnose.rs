@@ -49,7 +49,7 @@ pub fn steps(quiet: bool, process: &Process, after_stop: &str) -> Result<Steps<'
     ))
 }
 
-/// Of a verdict; [`ExitCode::Ok`] for a complete answer.
+/// The exit code of a verdict; [`ExitCode::Ok`] for a complete answer.
 pub fn code(verdict: Verdict) -> ExitCode {
     match verdict {
         Verdict::NoGap | Verdict::Explained => ExitCode::Ok,

@@ -25,7 +25,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(100);
 /// Longest session, s.
 const LIMIT_S: f64 = 3600.0;
 /// Every so many robots one is healthy.
-const HEALTHY_EVERY: usize = 5;
+const ROBOTS_A_HEALTHY_ONE: usize = 5;
 
 /// Which robots, and what a session may take.
 #[derive(Clone, Debug, Args)]
@@ -93,7 +93,7 @@ pub struct Finding {
     pub seed: u64,
     /// Robots for which no effect could be made as large as asked for.
     pub left_out: usize,
-    /// Of robots with something hidden: named rightly at the end of the session.
+    /// Robots with something hidden whose first name is right at the end of the session.
     pub named: Rate,
     /// The same, sure, and without a wrong name beside it.
     pub sure: Rate,
@@ -126,7 +126,7 @@ pub fn run(plan: &Plan, program: &Path, tell: &mut dyn FnMut(&Case)) -> Result<F
     let (mut cases, mut left_out) = (Vec::new(), 0);
     for number in 0..plan.cases {
         let seed = seeds.next_u64() >> 1;
-        let unknown = match (number + 1) % HEALTHY_EVERY {
+        let unknown = match (number + 1) % ROBOTS_A_HEALTHY_ONE {
             0 => Some(null.healthy(seed)),
             _ => null.hide(seed, plan.least_d).or_exit(ExitCode::Internal)?,
         };

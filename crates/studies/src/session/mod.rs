@@ -110,7 +110,7 @@ pub struct Round {
     pub given_rad: Option<f64>,
     /// The same with the extended model, rad.
     pub left_rad: Option<f64>,
-    /// Of all logs up to here.
+    /// Verdict on all logs up to here.
     pub verdict: Option<Verdict>,
     /// Causes, strongest first: `effect` or `effect@place`.
     pub names: Vec<String>,

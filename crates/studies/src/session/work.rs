@@ -25,7 +25,7 @@ const HEALTHY: f64 = 0.95;
 /// So many trials come before the first diagnosis: two to fit, and one that nothing is fitted to.
 const FIRST: usize = 3;
 /// How often a log that is waited for is looked for.
-const LOOK_EVERY: Duration = Duration::from_millis(200);
+const LOOK_FOR_LOG_EVERY: Duration = Duration::from_millis(200);
 
 /// Records and diagnoses until it is sure, cannot be, or has to wait for a log.
 ///
@@ -142,8 +142,10 @@ impl Own<'_> {
                 return Ok(Decision::End(Ending::Unsure, report.summary.clone()));
             }
             if is_sure(report) {
-                let reason = "all causes have confident names, and held-out runs agree";
-                return Ok(Decision::End(Ending::Sure, reason.to_owned()));
+                let names: Vec<String> = report.causes.iter().map(Cause::rivals).collect();
+                let names = names.join("; ");
+                let reason = format!("{names}: confident names, and held-out runs agree");
+                return Ok(Decision::End(Ending::Sure, reason));
             }
         }
         self.look_ahead(steps)?;
@@ -297,7 +299,7 @@ impl Own<'_> {
         steps.run("wait", &what, |stop, _| {
             let until = Instant::now() + Duration::from_secs_f64(wait_s);
             while !is_there() && Instant::now() < until && !stop.is_set() {
-                stop.wait(LOOK_EVERY);
+                stop.wait(LOOK_FOR_LOG_EVERY);
             }
             Ok(is_there())
         })
