@@ -492,19 +492,4 @@ mod tests {
         );
         assert!(recorded.len() <= 4, "{recorded:?}");
     }
-
-    #[test]
-    fn two_delays_of_one_joint_are_told_apart_by_no_trial_that_shows_a_gain() {
-        let prospects = pendulum();
-        let joints = [0];
-        let gain = prospects.among(&["kp_error", "command_delay"], &joints);
-        let delays = prospects.among(&["measurement_delay", "command_delay"], &joints);
-        let nats = |weights: &Weights| prospects.best(weights, &[], 60.0).map_or(0.0, |b| b.nats);
-        assert!(
-            nats(&gain) > 2.0 * nats(&delays),
-            "{} {}",
-            nats(&gain),
-            nats(&delays)
-        );
-    }
 }
