@@ -18,7 +18,7 @@ except ImportError as error:
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 JOINTS = "sensor_msgs/msg/JointState"
-TIME_S = np.arange(0, 2, 0.02)
+TIME_S = np.arange(0, 3, 0.02)
 ASKED = 0.5 * np.sin(3 * TIME_S)
 MEASURED = 0.4 * np.sin(3 * TIME_S - 0.1)
 
