@@ -221,6 +221,7 @@ mod tests {
         says("pos.swing", "place.swing", "place.swing");
         let dir = tempfile::tempdir().unwrap();
         std::fs::write(dir.path().join("goal.csv"), "stamp,goal\n0,1\n").unwrap();
+        std::fs::write(dir.path().join("state.csv"), "stamp,ticks\n0,1\n").unwrap();
         let map = Map::parse("map.toml", MAP).unwrap();
         let error = read(dir.path(), &map, &robot()).unwrap_err().to_string();
         assert!(
