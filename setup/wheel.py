@@ -19,8 +19,8 @@ from stage import CHECKOUT, TARGET
 
 WHEELS = os.path.join(TARGET, "wheels")
 TOOLS = ("maturin==1.16.0", "wheel==0.45.1")
-# Readers of MCAP that are not ours.
-READERS = ("mcap==1.6.0", "mcap-ros2-support==0.6.0", "rosbags==0.11.9")
+# Readers and writers of recordings that are not ours.
+READERS = ("mcap==1.6.0", "mcap-ros2-support==0.6.0", "rosbags==0.11.9", "pyarrow==26.0.1")
 # What runs the notebook.
 NOTEBOOK = ("nbclient==0.11.0", "ipykernel==7.4.0")
 # What the examples need beside the wheel: with CAUDATA_TEST_TRAINERS=1, since torch alone is gigabytes.

@@ -1,8 +1,9 @@
 //! `caudata gap import`: recordings of other projects to log folders.
 
-use std::path::PathBuf;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
 
-use caudata_gap::import::{ImportError, bam, csv, draft};
+use caudata_gap::import::{self, Format, ImportError, draft, map::Map};
 use caudata_runlog::LogError;
 use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure};
@@ -13,77 +14,106 @@ use crate::say;
 
 #[derive(Debug, Args)]
 pub struct ImportArgs {
-    /// Form of the recordings
+    /// Form of the recordings; default: by their names
     #[arg(long, value_enum)]
-    format: Format,
-    /// For CSV: which column is which signal, in which unit (TOML)
+    format: Option<Form>,
+    /// Which column is which signal, in which unit (TOML); all forms but bam need one
     #[arg(long, value_name = "MAP.toml")]
     map: Option<PathBuf>,
-    /// For CSV: guess a map from the first file, write it here, and stop; to be checked, then given as --map
+    /// Guess a map from the first recording, write it here, and stop; to be checked, then given as --map
     #[arg(long, value_name = "MAP.toml", conflicts_with = "map")]
     draft_map: Option<PathBuf>,
     /// Robot file of what was recorded
     #[arg(long, value_name = "R.robot.toml")]
     robot: PathBuf,
-    /// Folder in which a log folder is made for each recording
+    /// Folder in which a log folder is made for each run
     #[arg(long, value_name = "DIR", default_value = "logs")]
     out: PathBuf,
-    /// The recordings; of CSV also folders of several files that share a clock
-    #[arg(value_name = "FILE", required = true)]
-    files: Vec<PathBuf>,
+    /// Files, or folders: a bag, a dataset, CSV files that share a clock
+    #[arg(value_name = "RECORDING", required = true)]
+    recordings: Vec<PathBuf>,
     /// One JSON object on the last line
     #[arg(long)]
     json: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Format {
+enum Form {
     /// A servo that swings a weight: JSON of the BAM project
     Bam,
-    /// CSV files of any kind, by a map of columns and units
+    /// CSV files of any kind
     Csv,
+    /// ROS 2: .mcap or .db3, alone or in the folder of a bag
+    Rosbag,
+    /// The folder of a LeRobot dataset (v2, v3); each episode is a run
+    Lerobot,
+}
+
+impl ImportArgs {
+    fn format(&self, path: &Path) -> Result<Format, Failure> {
+        match self.format {
+            Some(Form::Bam) => Ok(Format::Bam),
+            Some(Form::Csv) => Ok(Format::Csv),
+            Some(Form::Rosbag) => Ok(Format::Rosbag),
+            Some(Form::Lerobot) => Ok(Format::Lerobot),
+            None => Format::guess(path).map_err(failure),
+        }
+    }
 }
 
 pub fn run(args: &ImportArgs) -> Result<(), Failure> {
     let robot = files::robot(&args.robot)?;
-    if let (Some(path), Some(file)) = (&args.draft_map, args.files.first()) {
-        files::write(path, draft::map(file, &robot).map_err(failure)?)?;
+    if let (Some(path), Some(first)) = (&args.draft_map, args.recordings.first()) {
+        let format = args.format(first)?;
+        if format == Format::Bam {
+            return Err(Failure::message(
+                ExitCode::BadConfig,
+                "--format bam needs no map",
+            ));
+        }
+        let recordings = import::open(first, format, None).map_err(failure)?;
+        files::write(path, draft::map(&recordings, &robot).map_err(failure)?)?;
         let path = path.display();
         say::line(format!(
             "{path} is a guess: check it, then give it as --map {path}"
         ));
         return Ok(());
     }
-    if args.format == Format::Csv && args.map.is_none() {
-        return Err(Failure::message(
-            ExitCode::BadConfig,
-            "--format csv needs a map of columns and units: --map MAP.toml",
-        )
-        .hint("--draft-map MAP.toml instead guesses one"));
-    }
-    let mut folders = Vec::new();
-    let mut notes = Vec::new();
     let map = match &args.map {
         Some(path) => {
             let text = String::from_utf8_lossy(&files::read(path)?).into_owned();
-            Some(csv::Map::parse(&path.display().to_string(), &text).map_err(failure)?)
+            Some(Map::parse(&path.display().to_string(), &text).map_err(failure)?)
         }
         None => None,
     };
-    for file in &args.files {
-        let run = match (args.format, &map) {
-            (Format::Csv, Some(map)) => csv::read(file, map, &robot),
-            _ => bam::read(file, &robot),
-        };
-        let run = run.map_err(failure)?;
-        folders.push(run.write(&args.out).map_err(|e| failure(e.into()))?);
-        notes.extend(run.notes);
+    let mut folders = Vec::new();
+    // what is said of every episode is said once
+    let (mut notes, mut unused) = (BTreeSet::new(), BTreeSet::new());
+    for path in &args.recordings {
+        let format = args.format(path)?;
+        if format != Format::Bam && map.is_none() {
+            let message = format!(
+                "{} needs a map of columns and units: --map MAP.toml",
+                path.display()
+            );
+            return Err(Failure::message(ExitCode::BadConfig, message)
+                .hint("--draft-map MAP.toml instead guesses one"));
+        }
+        for run in import::read(path, format, map.as_ref(), &robot).map_err(failure)? {
+            folders.push(run.write(&args.out).map_err(|e| failure(e.into()))?);
+            notes.extend(run.notes);
+            unused.extend(run.unused);
+        }
     }
     if args.json {
-        return say::json(&json!({ "logs": folders, "notes": notes }));
+        return say::json(&json!({ "logs": folders, "notes": notes, "unused": unused }));
     }
     for note in &notes {
         say::line(format!("note: {note}"));
+    }
+    if !unused.is_empty() {
+        let unused: Vec<String> = unused.into_iter().collect();
+        say::line(format!("not used: {}", unused.join(", ")));
     }
     say::line(format!(
         "{} log(s) are in {}",

@@ -25,16 +25,16 @@ const WORLD: &str = "world";
 
 #[derive(Debug, Subcommand)]
 pub enum LogCommand {
-    /// Turn a log into MCAP for Foxglove, RViz, PlotJuggler and rerun, or into CSV
+    /// Turn a log into MCAP for Foxglove, RViz, PlotJuggler and rerun, into Parquet, or into CSV
     Convert(ConvertArgs),
 }
 
 #[derive(Debug, Args)]
 pub struct ConvertArgs {
-    /// A log folder, a CSV file of a rollout, or an MCAP file of ROS 2
+    /// A log folder, a CSV file of a rollout, an MCAP file of ROS 2, or a Parquet file with a log's columns
     #[arg(value_name = "LOG")]
     log: PathBuf,
-    /// Where it goes: a FILE.mcap, a FILE.csv, or else a log folder (log.csv and log.toml)
+    /// Where it goes: a FILE.mcap, a FILE.parquet, a FILE.csv, or else a log folder (log.csv and log.toml)
     #[arg(long, value_name = "OUT")]
     out: PathBuf,
     /// Robot file, for the robot's description and its frames; default: what the log names, where it is found
@@ -74,8 +74,11 @@ pub fn run(command: &LogCommand) -> Result<(), Failure> {
             let robot = robot(args, meta.as_ref(), &mut notes)?;
             files::write(&args.out, mcap(args, &table, robot.as_ref())?)?;
         }
-        "csv" => {
-            csv(&args.out, &table)?;
+        form @ ("csv" | "parquet") => {
+            match form {
+                "csv" => csv(&args.out, &table)?,
+                _ => files::write(&args.out, table.to_parquet().or_exit(ExitCode::Internal)?)?,
+            }
             if let Some(meta) = &meta {
                 let text = meta.to_toml().or_exit(ExitCode::Internal)?;
                 files::write(&args.out.with_extension("toml"), text)?;
@@ -106,6 +109,7 @@ fn read(path: &Path) -> Result<(Option<LogMeta>, Table), Failure> {
     }
     let table = match extension(path) {
         "mcap" => parse_mcap(&path.display().to_string(), &files::read(path)?),
+        "parquet" => Table::from_parquet(&path.display().to_string(), &files::read(path)?),
         _ => Table::read(path),
     };
     let table = table.map_err(|error| wrong(error, path))?;

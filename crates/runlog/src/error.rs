@@ -50,9 +50,9 @@ pub enum LogError {
         /// What is wrong.
         message: String,
     },
-    /// An MCAP file is wrong.
+    /// An MCAP, SQLite or Parquet file is wrong.
     #[error("{file}: {message}")]
-    Mcap {
+    Recording {
         /// The file.
         file: String,
         /// What is wrong.

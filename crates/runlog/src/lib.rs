@@ -9,7 +9,8 @@
 //! last line is dropped by the reader with a note. [`RunLog`] reads and checks everything; what it returns is
 //! valid. [`Table`] and [`TableWriter`] are the CSV alone, for command files and simulated runs.
 //!
-//! Instead of `log.csv` a folder may hold one MCAP file of the ROS 2 profile ([`ros`]).
+//! Instead of `log.csv` a folder may hold one MCAP file of the ROS 2 profile ([`ros`]). [`parquet`] is a table of
+//! numbers in the form of that name.
 //!
 //! Invariant: no clock is read here; time is what the caller says.
 
@@ -18,6 +19,7 @@
 mod error;
 mod log;
 mod meta;
+pub mod parquet;
 pub mod ros;
 mod signal;
 mod table;

@@ -1,13 +1,13 @@
 //! A log folder, read whole.
 
 use std::fs;
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use caudata_durable::{read_at_most, read_text_at_most};
+use caudata_durable::read_text_at_most;
 
 use crate::error::{LogError, io_error};
 use crate::meta::LogMeta;
+use crate::ros::bag::read_whole;
 use crate::ros::parse_mcap;
 use crate::table::Table;
 
@@ -19,9 +19,6 @@ pub const META_NAME: &str = "log.toml";
 const MAX_META_BYTES: u64 = 1 << 20;
 /// Extension of a recording of ROS 2.
 const MCAP: &str = "mcap";
-
-/// Largest MCAP file that is read, bytes.
-pub const MAX_MCAP_BYTES: u64 = 1024 * 1024 * 1024;
 
 /// A run: circumstances and rows.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,7 +40,7 @@ impl RunLog {
         let meta = LogMeta::parse(&path.display().to_string(), &text)?;
         let rows = rows_file(dir);
         let table = match rows.extension().is_some_and(|x| x == MCAP) {
-            true => read_mcap(&rows)?,
+            true => parse_mcap(&rows.display().to_string(), &read_whole(&rows)?)?,
             false => Table::read(&rows)?,
         };
         Ok(Self { meta, table })
@@ -69,15 +66,4 @@ fn mcap_in(dir: &Path) -> Option<PathBuf> {
         .collect();
     found.sort();
     found.into_iter().next()
-}
-
-fn read_mcap(path: &Path) -> Result<Table, LogError> {
-    let bytes = read_at_most(path, MAX_MCAP_BYTES).map_err(|error| match error.kind() {
-        ErrorKind::FileTooLarge => LogError::Mcap {
-            file: path.display().to_string(),
-            message: format!("{error}: split it or leave out camera topics"),
-        },
-        _ => io_error(path)(error),
-    })?;
-    parse_mcap(&path.display().to_string(), &bytes)
 }

@@ -17,7 +17,7 @@ use caudata_model::RobotModel;
 use caudata_runlog::{BaseHold, LogMeta, Setting, Signal};
 use serde::Deserialize;
 
-use super::{ImportError, Imported};
+use super::run::{ImportError, Imported, bytes};
 
 /// The motor whose law is known, as recordings name it.
 const MOTOR: &str = "xl330";
@@ -105,12 +105,7 @@ impl Entry {
 /// [`ImportError`] with the file and the reason.
 pub fn read(path: &Path, robot: &RobotModel) -> Result<Imported, ImportError> {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-    parse(
-        &path.display().to_string(),
-        &stem,
-        &super::read(path)?,
-        robot,
-    )
+    parse(&path.display().to_string(), &stem, &bytes(path)?, robot)
 }
 
 /// As [`read`], from bytes; `file` names them in errors, `stem` in the name of the run.
@@ -120,11 +115,11 @@ pub fn read(path: &Path, robot: &RobotModel) -> Result<Imported, ImportError> {
 pub fn parse(
     file: &str,
     stem: &str,
-    bytes: &[u8],
+    json: &[u8],
     robot: &RobotModel,
 ) -> Result<Imported, ImportError> {
     let run: Recording =
-        serde_json::from_slice(bytes).map_err(|e| wrong(file, e.to_string().replace('\n', " ")))?;
+        serde_json::from_slice(json).map_err(|e| wrong(file, e.to_string().replace('\n', " ")))?;
     let &[joint] = robot.actuated_names().as_slice() else {
         return Err(ImportError::Robot {
             file: file.to_owned(),
@@ -182,6 +177,7 @@ pub fn parse(
         signals,
         rows,
         notes,
+        unused: Vec::new(),
     })
 }
 

@@ -1,271 +1,62 @@
-//! CSV files of anybody, by a map that says which column is which signal and in which unit.
-//!
-//! The map is a TOML file. A recording is one CSV file, or a folder of several that share a clock; rows with
-//! the same stamp become one. A column may hold lists (`"[0.1, 0.2]"`), of which a signal is one item.
-//!
-//! ```toml
-//! base = "fixed"
-//! kp = 16.4                      # everything that log.toml may say
-//! [time]
-//! column = "timestamp"
-//! unit = "us"
-//! [[signal]]
-//! signal = "cmd.elbow"           # name of the log's column
-//! file = "control.csv"           # of a folder; without it the only file
-//! column = "positions"
-//! item = 2                       # of a list; the first is 0
-//! unit = "deg"
-//! scale = -1.0                   # after the unit: scale · x + offset
-//! offset = 0.1                   # SI
-//! ```
+//! CSV files of anybody. A recording is one file, or a folder of several that share a clock; rows with the same
+//! stamp become one. A column may hold lists (`"[0.1, 0.2]"`), of which a signal is one item.
 
-use std::collections::BTreeMap;
-use std::path::Path;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
 
-use caudata_model::RobotModel;
-use caudata_runlog::{BaseHold, JointConditions, LogMeta, Payload, Setting, Signal};
-use serde::Deserialize;
+use super::run::{ImportError, bytes, file_stem, files_below};
+use super::sheet::{Recording, Sheet};
 
-use super::{ImportError, Imported};
-
-/// Stamps nearer to each other than this are one row, s.
-const SAME_STAMP_S: f64 = 1e-6;
-
-/// Which column is what.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Map {
-    base: BaseHold,
-    #[serde(default)]
-    terrain: String,
-    #[serde(default)]
-    notes: String,
-    kp: Option<f64>,
-    kd: Option<f64>,
-    supply_v: Option<f64>,
-    water_level_m: Option<f64>,
-    #[serde(default)]
-    joint: BTreeMap<String, JointConditions>,
-    #[serde(default)]
-    payload: Vec<Payload>,
-    time: Column,
-    signal: Vec<SignalColumn>,
-}
-
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Column {
-    column: String,
-    unit: String,
-}
-
-#[derive(Debug, Clone, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct SignalColumn {
-    signal: String,
-    file: Option<String>,
-    column: String,
-    item: Option<usize>,
-    unit: String,
-    #[serde(default = "one")]
-    scale: f64,
-    #[serde(default)]
-    offset: f64,
-}
-
-fn one() -> f64 {
-    1.0
-}
-
-/// Units of columns, in SI.
-const UNITS: &[(&str, f64)] = &[
-    ("1", 1.0),
-    ("rad", 1.0),
-    ("deg", std::f64::consts::PI / 180.0),
-    ("turn", std::f64::consts::TAU),
-    ("rad/s", 1.0),
-    ("deg/s", std::f64::consts::PI / 180.0),
-    ("rev/min", std::f64::consts::TAU / 60.0),
-    ("A", 1.0),
-    ("mA", 1e-3),
-    ("N·m", 1.0),
-    ("Nm", 1.0),
-    ("V", 1.0),
-    ("mV", 1e-3),
-    ("m", 1.0),
-    ("mm", 1e-3),
-    ("m/s", 1.0),
-    ("m/s²", 1.0),
-    ("m/s2", 1.0),
-    ("g", 9.80665),
-    ("°C", 1.0),
-    ("degC", 1.0),
-    ("%", 1e-2),
-    ("s", 1.0),
-    ("ms", 1e-3),
-    ("us", 1e-6),
-    ("ns", 1e-9),
-];
-
-/// Size of a unit; `counts/4096` is a turn of 4096 counts.
-pub(super) fn unit(text: &str) -> Result<f64, String> {
-    if let Some(n) = text.strip_prefix("counts/") {
-        let n: f64 = n
-            .parse()
-            .map_err(|_| format!("unit `{text}`: `{n}` is no number"))?;
-        return match n > 0.0 {
-            true => Ok(std::f64::consts::TAU / n),
-            false => Err(format!("unit `{text}`: a turn has more than no counts")),
-        };
-    }
-    let known = UNITS.iter().find(|u| u.0 == text);
-    known.map(|u| u.1).ok_or_else(|| {
-        let all: Vec<&str> = UNITS.iter().map(|u| u.0).collect();
-        format!("unknown unit `{text}`; known: {}, counts/N", all.join(", "))
-    })
-}
-
-impl Map {
-    /// Reads a map; `file` names it in errors.
-    ///
-    /// # Errors
-    /// [`ImportError::Format`] with line and reason.
-    pub fn parse(file: &str, text: &str) -> Result<Self, ImportError> {
-        let wrong = |message: String| ImportError::Format {
-            file: file.to_owned(),
-            message,
-        };
-        let map: Self = toml::from_str(text).map_err(|e| {
-            let line = e.span().map_or(1, |s| {
-                1 + text[..s.start.min(text.len())].matches('\n').count()
-            });
-            wrong(format!("line {line}: {}", e.message().replace('\n', " ")))
-        })?;
-        if map.signal.is_empty() {
-            return Err(wrong("has no [[signal]]".to_owned()));
-        }
-        unit(&map.time.unit).map_err(wrong)?;
-        for s in &map.signal {
-            unit(&s.unit).map_err(|e| wrong(format!("{}: {e}", s.signal)))?;
-            s.signal
-                .parse::<Signal>()
-                .map_err(|e| wrong(format!("{}: {e}", s.signal)))?;
-        }
-        Ok(map)
-    }
-}
-
-/// Reads the recording at `path` (a file, or a folder) of `robot` by `map`.
+/// The recording at `path`: a file, or of a folder the files that are `named`; all of them where none is.
 ///
 /// # Errors
-/// [`ImportError`] with file, column and reason.
-pub fn read(path: &Path, map: &Map, robot: &RobotModel) -> Result<Imported, ImportError> {
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-    let mut files: BTreeMap<Option<&str>, Vec<&SignalColumn>> = BTreeMap::new();
-    for s in &map.signal {
-        files.entry(s.file.as_deref()).or_default().push(s);
-    }
-    let mut signals: Vec<Signal> = Vec::new();
-    let mut samples: Vec<(f64, usize, f64)> = Vec::new();
-    for (name, columns) in files {
-        let file = name.map_or_else(|| path.to_owned(), |name| path.join(name));
-        let bytes = super::read(&file)?;
-        let file = file.display().to_string();
-        let table = Table::parse(&file, &String::from_utf8_lossy(&bytes))?;
-        let time_s = table.values(&map.time.column, None, unit(&map.time.unit).unwrap_or(1.0))?;
-        for column in columns {
-            let values = table.values(
-                &column.column,
-                column.item,
-                unit(&column.unit).unwrap_or(1.0),
-            )?;
-            let number = signals.len();
-            signals.push(
-                column
-                    .signal
-                    .parse()
-                    .map_err(|e| table.wrong(format!("{}: {e}", column.signal)))?,
-            );
-            for (t, v) in time_s.iter().zip(values) {
-                if let (Some(t), Some(v)) = (t, v) {
-                    samples.push((*t, number, column.scale * v + column.offset));
-                }
-            }
-        }
-    }
-    let rows = rows(samples, signals.len());
-    let (Some(first), Some(last)) = (rows.first(), rows.last()) else {
+/// [`ImportError`] with file and reason.
+pub fn open(path: &Path, named: &BTreeSet<&str>) -> Result<Recording, ImportError> {
+    let files: Vec<PathBuf> = match (path.is_dir(), named.is_empty()) {
+        (false, _) => vec![path.to_owned()],
+        (true, false) => named.iter().map(|name| path.join(name)).collect(),
+        (true, true) => files_below(path, "csv", 1)?,
+    };
+    if files.is_empty() {
+        let message = "has no .csv file".to_owned();
         return Err(ImportError::Format {
             file: path.display().to_string(),
-            message: "has no row with a stamp and a value".to_owned(),
+            message,
         });
-    };
-    let span_s = (last.0 - first.0).max(1e-6);
-    let mut meta = LogMeta::new(
-        robot.name(),
-        map.base,
-        (rows.len() as f64 / span_s).clamp(1e-3, 1e5),
-    );
-    meta.terrain.clone_from(&map.terrain);
-    meta.notes = match map.notes.as_str() {
-        "" => format!("imported from {stem}"),
-        notes => notes.to_owned(),
-    };
-    (meta.kp, meta.kd, meta.supply_v) = (map.kp, map.kd, map.supply_v);
-    meta.joint.clone_from(&map.joint);
-    meta.payload.clone_from(&map.payload);
-    if let Some(level_m) = map.water_level_m {
-        let key = "water_level_m".to_owned();
-        meta.settings.insert(key, Setting::Number(level_m));
     }
-    let letters = |c: char| match c.is_ascii_alphanumeric() || c == '-' {
-        true => c,
-        false => '_',
-    };
-    Ok(Imported {
-        name: stem.chars().map(letters).collect(),
-        meta,
-        signals,
-        rows,
+    let sheets = files.iter().map(|file| {
+        let text = bytes(file)?;
+        let table = Table::parse(&file.display().to_string(), &String::from_utf8_lossy(&text))?;
+        Ok::<Box<dyn Sheet>, ImportError>(Box::new(table))
+    });
+    Ok(Recording {
+        file: path.display().to_string(),
+        name: file_stem(path),
+        sheets: sheets.collect::<Result<_, _>>()?,
+        clock: None,
+        unread: Vec::new(),
         notes: Vec::new(),
     })
 }
 
-/// Samples (time, signal, value) as rows.
-fn rows(mut samples: Vec<(f64, usize, f64)>, width: usize) -> Vec<(f64, Vec<Option<f64>>)> {
-    samples.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let mut rows: Vec<(f64, Vec<Option<f64>>)> = Vec::new();
-    for (t, signal, value) in samples {
-        match rows.last_mut() {
-            Some(row) if t - row.0 < SAME_STAMP_S => row.1[signal] = Some(value),
-            _ => {
-                let mut row = vec![None; width];
-                row[signal] = Some(value);
-                rows.push((t, row));
-            }
-        }
-    }
-    rows
-}
-
 /// A CSV file as text.
-pub(super) struct Table<'a> {
-    pub(super) file: &'a str,
-    pub(super) header: Vec<String>,
+struct Table {
+    file: String,
+    header: Vec<String>,
     /// Whether `0,5` is a half: where semicolons or tabs part the fields.
     decimal_comma: bool,
     /// Line number and fields.
     rows: Vec<(usize, Vec<String>)>,
 }
 
-impl<'a> Table<'a> {
-    pub(super) fn parse(file: &'a str, text: &str) -> Result<Self, ImportError> {
+impl Table {
+    fn parse(file: &str, text: &str) -> Result<Self, ImportError> {
         let mut lines = text.lines().enumerate();
         let header = lines.next().map_or("", |(_, l)| l);
         let header = header.trim_start_matches('\u{feff}');
         let separator = separator(header);
         let table = Self {
-            file,
+            file: file.to_owned(),
             decimal_comma: separator != ',',
             header: fields(header, separator),
             rows: (lines.filter(|(_, l)| !l.trim().is_empty()))
@@ -278,20 +69,25 @@ impl<'a> Table<'a> {
         }
     }
 
-    pub(super) fn wrong(&self, message: String) -> ImportError {
+    fn wrong(&self, message: String) -> ImportError {
         ImportError::Format {
-            file: self.file.to_owned(),
+            file: self.file.clone(),
             message,
         }
     }
+}
 
-    /// A column in SI; an empty field was not sampled.
-    pub(super) fn values(
-        &self,
-        column: &str,
-        item: Option<usize>,
-        unit: f64,
-    ) -> Result<Vec<Option<f64>>, ImportError> {
+impl Sheet for Table {
+    fn name(&self) -> &str {
+        &self.file
+    }
+
+    fn header(&self) -> Vec<&str> {
+        self.header.iter().map(String::as_str).collect()
+    }
+
+    /// An empty field was not sampled.
+    fn values(&self, column: &str, item: Option<usize>) -> Result<Vec<Option<f64>>, ImportError> {
         let at = self.header.iter().position(|h| h.trim() == column.trim());
         let at = at.ok_or_else(|| {
             self.wrong(format!(
@@ -321,7 +117,7 @@ impl<'a> Table<'a> {
             let x = x.map_err(|_| {
                 self.wrong(format!("line {line}: `{column}`: `{text}` is no number"))
             })?;
-            Ok(x.is_finite().then_some(x * unit))
+            Ok(x.is_finite().then_some(x))
         };
         self.rows.iter().map(value).collect()
     }
@@ -357,7 +153,15 @@ fn fields(line: &str, separator: char) -> Vec<String> {
 mod tests {
     #![allow(clippy::unwrap_used)]
 
+    use caudata_model::RobotModel;
+
+    use super::super::map::{Map, apply};
+    use super::super::{ImportError, Imported};
     use super::*;
+
+    fn read(path: &Path, map: &Map, robot: &RobotModel) -> Result<Imported, ImportError> {
+        apply(&open(path, &map.files())?, map, robot)
+    }
 
     const MAP: &str = "base = \"fixed\"\nkp = 2\n[time]\ncolumn = \"stamp\"\nunit = \"ms\"\n\
         [[signal]]\nsignal = \"cmd.swing\"\nfile = \"goal.csv\"\ncolumn = \"goals\"\nitem = 1\nunit = \"deg\"\n\
@@ -417,6 +221,7 @@ mod tests {
         says("pos.swing", "place.swing", "place.swing");
         let dir = tempfile::tempdir().unwrap();
         std::fs::write(dir.path().join("goal.csv"), "stamp,goal\n0,1\n").unwrap();
+        std::fs::write(dir.path().join("state.csv"), "stamp,ticks\n0,1\n").unwrap();
         let map = Map::parse("map.toml", MAP).unwrap();
         let error = read(dir.path(), &map, &robot()).unwrap_err().to_string();
         assert!(

@@ -1,15 +1,17 @@
-//! A map for a CSV file of anybody, guessed from its header and its numbers: something to begin with, and to check.
+//! A map for a recording of anybody, guessed from its names and its numbers: something to begin with, and to check.
 //!
-//! Words of the header say what a column is (`goal`, `present position`, `vel`), brackets or the last word say its
-//! unit; where none does, the size of the numbers does. What nobody can know (where zero is) is said as a comment.
+//! What the form of the recording tells of a column counts ([`Hint`]). Else words of its name say what it is (`goal`,
+//! `present position`, `vel`), brackets or the last word say its unit; where none does, the size of the numbers
+//! does. What nobody can know (where zero is) is said as a comment.
 
 use std::fmt::Write as _;
 use std::path::Path;
 
 use caudata_model::{BaseKind, RobotModel};
 
-use super::ImportError;
-use super::csv::{Table, unit};
+use super::map::{UNKNOWN, unit};
+use super::run::ImportError;
+use super::sheet::{Clock, Hint, Joint, Recording, Sheet};
 
 /// Words that tell a kind of signal, the first that fits; a command is one of the words in [`COMMANDS`] with any
 /// of them or none.
@@ -84,78 +86,286 @@ const UNIT_WORDS: &[(&str, &str)] = &[
     ("µs", "us"),
     ("ns", "ns"),
 ];
+/// Words in the names of grippers, which some give as a share of their range when all else is an angle.
+const GRIPPERS: [&str; 3] = ["gripper", "jaw", "claw"];
+/// Numbers beyond this are no shares of 100, but degrees.
+const MOST_PERCENT: f64 = 100.5;
+/// Numbers up to this are radians.
+const MOST_RAD: f64 = 7.0;
 
-/// A map for the file at `path` of `robot`, with comments.
+/// A map for `recordings`, which are of one form, of `robot`; with comments.
 ///
 /// # Errors
-/// [`ImportError`] where the file is no CSV, or no column of it can be the time.
-pub fn map(path: &Path, robot: &RobotModel) -> Result<String, ImportError> {
-    let bytes = super::read(path)?;
-    let file = path.display().to_string();
-    let table = Table::parse(&file, &String::from_utf8_lossy(&bytes))?;
-    let columns: Vec<Words> = table.header.iter().map(|h| Words::of(h)).collect();
-    let clock = columns.iter().position(|c| c.has(CLOCKS)).ok_or_else(|| {
-        let message = format!(
-            "no column is called time; it has {}",
-            table.header.join(", ")
-        );
-        table.wrong(message)
-    })?;
+/// [`ImportError`] where there is none, or no column of it can be the time.
+pub fn map(recordings: &[Recording], robot: &RobotModel) -> Result<String, ImportError> {
+    let Some(first) = recordings.first() else {
+        return Ok(String::new());
+    };
+    let clock = match &first.clock {
+        Some(clock) => clock.clone(),
+        None => clock(first)?,
+    };
     let base = match robot.base() {
         BaseKind::Free => "free",
         _ => "fixed",
     };
-    let mut out = format!(
-        "# Guessed from {file}; check every line.\nbase = \"{base}\"\n\
+    let mut draft = Draft {
+        recordings,
+        robot,
+        angles: None,
+        offsets_rad: vec![None; robot.actuated().len()],
+        read: Vec::new(),
+        out: format!("# Guessed from {}; check every line.\n", first.file),
+    };
+    for note in &first.notes {
+        let _ = writeln!(draft.out, "# {note}");
+    }
+    draft.angles = draft.angles();
+    let _ = write!(
+        draft.out,
+        "base = \"{base}\"\n\
          # kp = 0.0            # N·m/rad, the gain that was in force; without it the robot file's\n\
          # supply_v = 0.0      # V\n\n[time]\ncolumn = {}\nunit = \"{}\"\n",
-        quoted(&table.header[clock]),
-        columns[clock]
-            .unit
-            .map_or_else(|| clock_unit(&numbers(&table, clock)), str::to_owned),
+        quoted(&clock.column),
+        clock.unit,
     );
-    let mut offsets = vec![None; robot.actuated().len()];
-    let mut read: Vec<String> = Vec::new();
-    for (at, words) in columns.iter().enumerate().filter(|(at, _)| *at != clock) {
-        let values = numbers(&table, at);
-        let Some(kind) = words.kind().filter(|_| !values.is_empty()) else {
-            let _ = writeln!(out, "\n# not read: {}", quoted(&table.header[at]));
-            continue;
-        };
-        let joint = words.joint(robot);
-        if kind != "volt" && joint.is_none() {
-            let header = quoted(&table.header[at]);
-            let _ = writeln!(
-                out,
-                "\n# not read: {header}, as none of the robot's joints is named in it"
-            );
-            continue;
-        }
-        let name = joint
-            .filter(|_| kind != "volt")
-            .map_or(kind.to_owned(), |joint| {
-                format!("{kind}.{}", robot.actuated_names()[joint])
-            });
-        if read.contains(&name) {
-            let header = quoted(&table.header[at]);
-            let _ = writeln!(out, "\n# not read: {header}, as {name} is there already");
-            continue;
-        }
-        read.push(name.clone());
-        let unit_name = words.unit.unwrap_or_else(|| unit_by_size(kind, &values));
-        let _ = writeln!(
-            out,
-            "\n[[signal]]\nsignal = {}\ncolumn = {}\nunit = \"{unit_name}\"",
-            quoted(&name),
-            quoted(&table.header[at])
-        );
-        if let (Some(joint), "cmd" | "pos") = (joint, kind) {
-            let size = unit(unit_name).unwrap_or(1.0);
-            let values_rad: Vec<f64> = values.iter().map(|v| v * size).collect();
-            out.push_str(&zero(robot, joint, &mut offsets[joint], &values_rad));
+    if !clock.remark.is_empty() {
+        let _ = writeln!(draft.out, "# {}", clock.remark);
+    }
+    for (number, sheet) in first.sheets.iter().enumerate() {
+        let columns = sheet.header().into_iter();
+        let clocks = ["stamp", "received"];
+        let is_clock = |c: &str| c == clock.column || first.clock.is_some() && clocks.contains(&c);
+        for column in columns.filter(|c| !is_clock(c)) {
+            draft.column(number, sheet.as_ref(), column);
         }
     }
-    Ok(out)
+    for topic in &first.unread {
+        let _ = writeln!(draft.out, "\n# not read: {topic}");
+    }
+    for (kind, what) in [("cmd", "commands"), ("pos", "measured angles")] {
+        if !draft.read.iter().any(|name| name.starts_with(kind)) {
+            let _ = writeln!(
+                draft.out,
+                "\n# Nothing was taken for {what} ({kind}.<joint>): a diagnosis needs them."
+            );
+        }
+    }
+    Ok(draft.out)
+}
+
+/// The clock of a recording whose form tells of none.
+fn clock(recording: &Recording) -> Result<Clock, ImportError> {
+    let header: Vec<&str> = recording.sheets.iter().flat_map(|s| s.header()).collect();
+    for sheet in &recording.sheets {
+        for column in sheet.header() {
+            let words = Words::of(column);
+            if words.has(CLOCKS) {
+                let stamps: Vec<f64> = sheet.values(column, None)?.into_iter().flatten().collect();
+                return Ok(Clock {
+                    column: column.to_owned(),
+                    unit: words.unit.unwrap_or_else(|| clock_unit(&stamps)),
+                    remark: String::new(),
+                });
+            }
+        }
+    }
+    Err(ImportError::Format {
+        file: recording.file.clone(),
+        message: format!("no column is called time; it has {}", header.join(", ")),
+    })
+}
+
+/// A map that is being written.
+struct Draft<'a> {
+    recordings: &'a [Recording],
+    robot: &'a RobotModel,
+    /// Unit of the angles of a recording whose form leaves it open.
+    angles: Option<&'static str>,
+    /// What the angles of each joint were moved by.
+    offsets_rad: Vec<Option<f64>>,
+    /// Signals that have a column.
+    read: Vec<String>,
+    out: String,
+}
+
+impl Draft<'_> {
+    /// The numbers of a column as they stand, in all recordings.
+    fn numbers(&self, sheet: usize, column: &str) -> Vec<f64> {
+        let sheets = self.recordings.iter().filter_map(|r| r.sheets.get(sheet));
+        let values = sheets.filter_map(|s| s.values(column, None).ok());
+        values.flatten().flatten().collect()
+    }
+
+    /// In which unit the angles are where the form leaves it open, and why: written as a comment.
+    fn angles(&mut self) -> Option<&'static str> {
+        let first = self.recordings.first()?;
+        let mut most = None;
+        for (number, sheet) in first.sheets.iter().enumerate() {
+            for column in sheet.header() {
+                let open = sheet.hint(column).is_some_and(|h| {
+                    h.unit == Some(UNKNOWN)
+                        && ["cmd", "pos"].contains(&h.kind)
+                        && !is_gripper(column)
+                });
+                if open {
+                    let values = self.numbers(number, column);
+                    let largest = values.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+                    most = Some(largest.max(most.unwrap_or(0.0)));
+                }
+            }
+        }
+        let most: f64 = most?;
+        let (unit, why) = match most {
+            m if m > MOST_PERCENT => ("deg", "taken for degrees: no share of 100 is as large"),
+            m if m <= MOST_RAD => ("rad", "taken for radians"),
+            _ => (
+                UNKNOWN,
+                "which fits degrees as well as shares of each joint's calibrated range (-100..100): \
+                 write in one of them",
+            ),
+        };
+        let _ = writeln!(
+            self.out,
+            "# Its units are not in the data. The largest of its angles is {most:.2}, {why}."
+        );
+        Some(unit)
+    }
+
+    /// The lines of one column.
+    fn column(&mut self, number: usize, sheet: &dyn Sheet, column: &str) {
+        let values = self.numbers(number, column);
+        let hint = sheet.hint(column);
+        match self.said(column, hint, &values) {
+            Ok((name, joint, unit_name)) => {
+                if self.read.contains(&name) {
+                    let header = quoted(column);
+                    let _ = writeln!(
+                        self.out,
+                        "\n# not read: {header}, as {name} is there already"
+                    );
+                    return;
+                }
+                let _ = writeln!(self.out, "\n[[signal]]\nsignal = {}", quoted(&name));
+                let several = self.recordings.iter().any(|r| r.sheets.len() > 1);
+                if let (true, None, Some(file)) =
+                    (several, hint, Path::new(sheet.name()).file_name())
+                {
+                    let _ = writeln!(self.out, "file = {}", quoted(&file.to_string_lossy()));
+                }
+                let _ = writeln!(
+                    self.out,
+                    "column = {}\nunit = \"{unit_name}\"",
+                    quoted(column)
+                );
+                if let (Some(joint), true) =
+                    (joint, name.starts_with("cmd.") || name.starts_with("pos."))
+                {
+                    self.place(joint, unit_name, &values);
+                }
+                if name.starts_with("base.") {
+                    self.out.push_str("# odometry is an estimate: leave it out unless it was measured from outside\n");
+                }
+                self.read.push(name);
+            }
+            Err(why) => {
+                let _ = writeln!(self.out, "\n# not read: {}{why}", quoted(column));
+            }
+        }
+    }
+
+    /// Which signal a column is, of which joint, in which unit; else why it is none.
+    fn said(
+        &self,
+        column: &str,
+        hint: Option<&Hint>,
+        values: &[f64],
+    ) -> Result<(String, Option<usize>, &'static str), String> {
+        let words = Words::of(column);
+        let kind = match hint {
+            Some(hint) => Some(hint.kind).filter(|kind| !kind.is_empty()),
+            None => words.kind(),
+        };
+        let kind = kind.filter(|_| !values.is_empty()).ok_or(String::new())?;
+        let joint = match hint.map(|hint| &hint.joint) {
+            _ if kind == "volt" => None,
+            Some(None) => None,
+            Some(Some(Joint::Named(name))) => Some(joint_called(self.robot, name)),
+            Some(Some(Joint::Numbered(k, count))) => {
+                let joints = self.robot.actuated().len();
+                if *count != joints {
+                    return Err(format!(
+                        ", as which joints its {count} numbers are is not said, and the robot has {joints}"
+                    ));
+                }
+                Some(Some(*k))
+            }
+            None => Some(words.joint(self.robot)),
+        };
+        let (name, joint) = match joint {
+            Some(Some(joint)) => (
+                format!("{kind}.{}", self.robot.actuated_names()[joint]),
+                Some(joint),
+            ),
+            Some(None) => return Err(", as none of the robot's joints is named in it".to_owned()),
+            None => (kind.to_owned(), None),
+        };
+        let unit_name = match hint.and_then(|hint| hint.unit).or(words.unit) {
+            Some(UNKNOWN) if ["cmd", "pos"].contains(&kind) => self.open_unit(column, values),
+            Some(UNKNOWN) | None => unit_by_size(kind, values),
+            Some(unit) => unit,
+        };
+        Ok((name, joint, unit_name))
+    }
+
+    /// Unit of an angle whose form leaves it open.
+    fn open_unit(&self, column: &str, values: &[f64]) -> &'static str {
+        let angles = self.angles.unwrap_or(UNKNOWN);
+        let within = |low: f64, high: f64| values.iter().all(|v| (low..=high).contains(v));
+        match (is_gripper(column), angles) {
+            (true, "rad") if within(-0.05, 1.05) => "0..1",
+            (true, "deg" | UNKNOWN) if within(-0.5, MOST_PERCENT) => "0..100",
+            _ => angles,
+        }
+    }
+
+    /// Where zero is, or the range of which a number is a share: no file says.
+    fn place(&mut self, joint: usize, unit_name: &str, values: &[f64]) {
+        let (low, high) = self.robot.joint_limits_rad()[joint];
+        let text = match unit(unit_name) {
+            Ok(size) => {
+                let values_rad: Vec<f64> = values.iter().map(|v| v * size).collect();
+                zero(self.robot, joint, &mut self.offsets_rad[joint], &values_rad)
+            }
+            Err(_) if unit_name == UNKNOWN => format!(
+                "# range = [{low:.4}, {high:.4}]   # rad at -100 and at 100, with unit = \"-100..100\"; these are the robot file's\n"
+            ),
+            Err(_) => format!(
+                "# range = [{low:.4}, {high:.4}]   # rad at its ends. These are the robot file's: check them, and take away the # in front\n"
+            ),
+        };
+        self.out.push_str(&text);
+    }
+}
+
+fn is_gripper(column: &str) -> bool {
+    let column = column.to_lowercase();
+    GRIPPERS.iter().any(|word| column.contains(word))
+}
+
+/// The actuated joint that is called so, or else the one with the longest name that is part of it.
+fn joint_called(robot: &RobotModel, text: &str) -> Option<usize> {
+    let text = text.to_lowercase();
+    let names: Vec<String> = robot
+        .actuated_names()
+        .iter()
+        .map(|n| n.to_lowercase())
+        .collect();
+    let part = || {
+        let named = (0..names.len()).filter(|&j| text.contains(&names[j]));
+        named.max_by_key(|&j| names[j].len())
+    };
+    names.iter().position(|name| *name == text).or_else(part)
 }
 
 /// Where zero is: no file says. What lies outside of the joint's range is moved so that it begins at its nominal
@@ -180,30 +390,23 @@ fn zero(
     )
 }
 
-/// The numbers of a column as they stand.
-fn numbers(table: &Table<'_>, at: usize) -> Vec<f64> {
-    let values = table.values(&table.header[at], None, 1.0);
-    values.unwrap_or_default().into_iter().flatten().collect()
-}
-
 /// Nobody samples a servo slower than once in 0.4 s, or faster than 20,000 times a second.
-fn clock_unit(stamps: &[f64]) -> String {
+fn clock_unit(stamps: &[f64]) -> &'static str {
     let span = stamps.last().unwrap_or(&0.0) - stamps.first().unwrap_or(&0.0);
     let step = span / (stamps.len().max(2) - 1) as f64;
-    let unit = match step {
+    match step {
         s if s < 0.4 => "s",
         s if s < 400.0 => "ms",
         s if s < 400_000.0 => "us",
         _ => "ns",
-    };
-    unit.to_owned()
+    }
 }
 
 fn unit_by_size(kind: &str, values: &[f64]) -> &'static str {
     let most = values.iter().fold(0.0f64, |most, v| most.max(v.abs()));
     match kind {
         "cmd" | "pos" if most > 720.0 => "counts/4096",
-        "cmd" | "pos" if most > 7.0 => "deg",
+        "cmd" | "pos" if most > MOST_RAD => "deg",
         "cmd" | "pos" => "rad",
         "vel" if most > 100.0 => "deg/s",
         "vel" => "rad/s",
@@ -277,13 +480,12 @@ impl Words {
         if names.len() == 1 {
             return Some(0);
         }
-        let named = (0..names.len()).filter(|&j| self.whole.contains(&names[j].to_lowercase()));
         let number = || {
             let last = self.words.last()?;
             let digits = last.trim_start_matches(|c: char| !c.is_ascii_digit());
             digits.parse().ok().filter(|&j: &usize| j < names.len())
         };
-        named.max_by_key(|&j| names[j].len()).or_else(number)
+        joint_called(robot, &self.whole).or_else(number)
     }
 }
 
@@ -296,7 +498,8 @@ fn unit_word(word: &str) -> Option<&'static str> {
 mod tests {
     #![allow(clippy::unwrap_used)]
 
-    use super::super::csv::{Map, read};
+    use super::super::map::{Map, apply};
+    use super::super::{Format, open};
     use super::*;
 
     fn robot(name: &str) -> RobotModel {
@@ -313,9 +516,16 @@ mod tests {
             0,0;150,0;150,0;0;11,9;x\n5,0;151,5;150,5;31,5;11,9;y\n";
         std::fs::write(&file, text).unwrap();
         let robot = robot("xl330_pendulum");
-        let draft = map(&file, &robot).unwrap();
+        let recordings = open(&file, Format::Csv, None).unwrap();
+        let draft = map(&recordings, &robot).unwrap();
         assert!(draft.contains("# not read: \"Remark\""), "{draft}");
-        let run = read(&file, &Map::parse("draft", &draft).unwrap(), &robot).unwrap();
+        let run = apply(
+            &recordings[0],
+            &Map::parse("draft", &draft).unwrap(),
+            &robot,
+        )
+        .unwrap();
+        assert_eq!(run.unused, ["Remark"]);
         let names: Vec<String> = run.signals.iter().map(ToString::to_string).collect();
         assert_eq!(names, ["cmd.swing", "pos.swing", "cur.swing", "volt"]);
         let deg = std::f64::consts::PI / 180.0;
@@ -335,7 +545,8 @@ mod tests {
         let text = "timestamp,FL_hip_cmd,FL_hip_pos_deg,q_1,torque.HR_calf,cmd_vel_2,target_99\n\
             1000000,0.1,205.0,2048,1.0,0,0\n1010000,0.1,205.0,2100,1.0,0,0\n";
         std::fs::write(&file, text).unwrap();
-        let draft = map(&file, &robot("quadruped")).unwrap();
+        let recordings = open(&file, Format::Csv, None).unwrap();
+        let draft = map(&recordings, &robot("quadruped")).unwrap();
         for said in [
             "unit = \"us\"",
             "signal = \"cmd.FL_hip\"\ncolumn = \"FL_hip_cmd\"\nunit = \"rad\"",

@@ -8,6 +8,7 @@ mod effects;
 mod excite;
 mod extension;
 mod page;
+mod recordings;
 mod recover;
 mod replay;
 mod xl330;

@@ -292,6 +292,48 @@ plain! {
 whole!(Number = "std_msgs/msg/Float64");
 
 plain! {
+    /// `std_msgs/msg/Float64MultiArray`.
+    NumberArray {
+        /// Label, size and stride of each dimension.
+        dimensions: Vec<((String, u32), u32)>,
+        /// Where the data begin.
+        offset: u32,
+        /// The numbers.
+        data: Vec<f64>,
+    }
+}
+whole!(NumberArray = "std_msgs/msg/Float64MultiArray");
+
+plain! {
+    /// `trajectory_msgs/msg/JointTrajectoryPoint`. Lists are as long as the joints, or empty.
+    TrajectoryPoint {
+        /// rad.
+        position: Vec<f64>,
+        /// rad/s.
+        velocity: Vec<f64>,
+        /// rad/s².
+        acceleration: Vec<f64>,
+        /// N·m.
+        effort: Vec<f64>,
+        /// Time from the start: seconds, nanoseconds.
+        after: (i32, u32),
+    }
+}
+
+plain! {
+    /// `trajectory_msgs/msg/JointTrajectory`.
+    JointTrajectory {
+        /// When it starts; 0: at once.
+        header: Header,
+        /// Joints.
+        name: Vec<String>,
+        /// In the order of time.
+        points: Vec<TrajectoryPoint>,
+    }
+}
+whole!(JointTrajectory = "trajectory_msgs/msg/JointTrajectory");
+
+plain! {
     /// `geometry_msgs/msg/Twist`.
     Twist {
         /// m/s.

@@ -18,10 +18,12 @@
 //! Time is the header's stamp (the recorder's, where a message has none), counted from the first message.
 //! Messages with one stamp make one row.
 
+pub mod bag;
 pub mod cdr;
 pub mod container;
 pub mod messages;
 mod read;
+mod sqlite;
 mod write;
 
 pub use mcap::Compression;
@@ -44,7 +46,8 @@ fn signal_of_topic(topic: &str) -> Option<Signal> {
 }
 
 /// Direction of gravity in a frame that stands in the world as `q` (world_from_frame, w, x, y, z).
-fn gravity_of([w, x, y, z]: [f64; 4]) -> [f64; 3] {
+#[must_use]
+pub fn gravity_of([w, x, y, z]: [f64; 4]) -> [f64; 3] {
     // the third row of the rotation matrix, turned round: Rᵀ·(0, 0, −1)
     [
         -2.0 * (x * z - w * y),

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use super::bag::of_mcap;
 use super::cdr::CdrError;
-use super::container::{ContainerError, Record, Records};
 use super::gravity_of;
 use super::messages::{BatteryState, Header, Imu, JointState, Number, PoseStamped, TwistStamped};
 use super::signal_of_topic;
@@ -28,73 +28,44 @@ type Row = Vec<(Signal, f64)>;
 /// Topics of other types are passed over, with a note unless they are known to say nothing. A file that ends in the middle gives what came before, with a note.
 ///
 /// # Errors
-/// [`LogError::Mcap`] for a file that is not MCAP or is damaged, or holds a message that is not what its type
+/// [`LogError::Recording`] for a file that is not MCAP or is damaged, or holds a message that is not what its type
 /// says.
 pub fn parse_mcap(file: &str, bytes: &[u8]) -> Result<Table, LogError> {
-    let wrong = |message: String| LogError::Mcap {
+    let wrong = |message: String| LogError::Recording {
         file: file.to_owned(),
         message: message.replace('\n', " "),
     };
-    let records = Records::new(bytes).map_err(|e| wrong(e.to_string()))?;
     let mut rows: BTreeMap<i64, Row> = BTreeMap::new();
-    let mut notes = Vec::new();
-    let mut types: BTreeMap<u16, String> = BTreeMap::new();
-    let mut channels: BTreeMap<u16, (String, String)> = BTreeMap::new();
-    let mut used: BTreeMap<u16, bool> = BTreeMap::new();
-    let mut messages = 0usize;
-    for record in records {
-        let (channel, log_time_ns, data) = match record {
-            Ok(Record::Schema { id, name }) => {
-                types.insert(id, name);
-                continue;
+    let mut used: BTreeMap<String, (String, bool)> = BTreeMap::new();
+    let torn = of_mcap(bytes, &mut |m| {
+        let (header, row) = samples(m.kind, m.topic, &m.data).map_err(|e| e.to_string())?;
+        match used.get_mut(m.topic) {
+            Some((_, read)) => *read |= !row.is_empty(),
+            None => {
+                let read = (m.kind.to_owned(), !row.is_empty());
+                used.insert(m.topic.to_owned(), read);
             }
-            Ok(Record::Channel { id, schema, topic }) => {
-                let kind = types.get(&schema).cloned().unwrap_or_default();
-                channels.insert(id, (topic, kind));
-                continue;
-            }
-            Ok(Record::Message {
-                channel,
-                log_time_ns,
-                data,
-            }) => (channel, log_time_ns, data),
-            Err(e @ ContainerError::Torn) if messages > 0 => {
-                notes.push(format!(
-                    "{file}: dropped what follows message {messages}: {e}"
-                ));
-                break;
-            }
-            Err(e) => return Err(wrong(e.to_string())),
-        };
-        messages += 1;
-        let Some((topic, kind)) = channels.get(&channel) else {
-            return Err(wrong(format!(
-                "message {messages} is on channel {channel}, which was not announced"
-            )));
-        };
-        let (header, row) = samples(kind, topic, &data)
-            .map_err(|e| wrong(format!("message {messages} on {topic} ({kind}): {e}")))?;
-        let read = used.entry(channel).or_insert(false);
-        *read |= !row.is_empty();
-        if row.is_empty() {
-            continue;
         }
-        let stamp_ns = if header.stamp_ns == 0 {
-            i64::try_from(log_time_ns).unwrap_or(i64::MAX)
-        } else {
-            header.stamp_ns
+        if row.is_empty() {
+            return Ok(());
+        }
+        let stamp_ns = match header.stamp_ns {
+            0 => m.received_ns,
+            stamp_ns => stamp_ns,
         };
         rows.entry(stamp_ns).or_default().extend(row);
-        if rows.len() > MAX_ROWS {
-            return Err(wrong(format!("more than {MAX_ROWS} rows; split the log")));
+        match rows.len() > MAX_ROWS {
+            true => Err(format!("more than {MAX_ROWS} rows; split the log")),
+            false => Ok(()),
         }
-    }
-    let unread = used.iter().filter(|(_, read)| !**read);
+    })
+    .map_err(wrong)?;
+    let mut notes: Vec<String> = torn.iter().map(|t| format!("{file}: {t}")).collect();
+    let unread = used.iter().filter(|(_, (_, read))| !read);
     notes.extend(
         unread
-            .filter_map(|(id, _)| channels.get(id))
             .filter(|(topic, _)| !PASSED_OVER.contains(&topic.as_str()))
-            .map(|(topic, kind)| format!("topic {topic} ({kind}) is not read")),
+            .map(|(topic, (kind, _))| format!("topic {topic} ({kind}) is not read")),
     );
     table(rows, notes).map_err(wrong)
 }

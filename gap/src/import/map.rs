@@ -1,0 +1,370 @@
+//! The map that says which column of a recording is which signal of a log, and in which unit.
+//!
+//! ```toml
+//! base = "fixed"
+//! kp = 16.4                      # everything that log.toml may say
+//! [time]
+//! column = "timestamp"
+//! unit = "us"
+//! [[signal]]
+//! signal = "cmd.elbow"           # name of the log's column
+//! file = "control.csv"           # of a folder of CSV files; without it the first that has the column
+//! column = "positions"
+//! item = 2                       # of a list; the first is 0
+//! unit = "deg"
+//! scale = -1.0                   # after the unit: scale · x + offset
+//! offset = 0.1                   # SI
+//! [[signal]]
+//! signal = "pos.gripper"
+//! column = "observation.state/gripper.pos"
+//! unit = "0..100"                # a share of the joint's range,
+//! range = [-0.17, 1.75]          # whose ends are these, SI
+//! ```
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use caudata_model::RobotModel;
+use caudata_runlog::{BaseHold, JointConditions, LogMeta, Payload, Setting, Signal};
+use serde::Deserialize;
+
+use super::run::{ImportError, Imported};
+use super::sheet::{Recording, Sheet};
+
+/// Stamps nearer to each other than this are one row, s.
+const SAME_STAMP_S: f64 = 1e-6;
+
+/// Which column is what.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Map {
+    base: BaseHold,
+    #[serde(default)]
+    terrain: String,
+    #[serde(default)]
+    notes: String,
+    kp: Option<f64>,
+    kd: Option<f64>,
+    supply_v: Option<f64>,
+    water_level_m: Option<f64>,
+    #[serde(default)]
+    joint: BTreeMap<String, JointConditions>,
+    #[serde(default)]
+    payload: Vec<Payload>,
+    time: Column,
+    #[serde(default)]
+    signal: Vec<SignalColumn>,
+}
+
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Column {
+    column: String,
+    unit: String,
+}
+
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SignalColumn {
+    signal: String,
+    file: Option<String>,
+    column: String,
+    item: Option<usize>,
+    unit: String,
+    #[serde(default = "one")]
+    scale: f64,
+    #[serde(default)]
+    offset: f64,
+    range: Option<[f64; 2]>,
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+/// Units of columns, in SI.
+const UNITS: &[(&str, f64)] = &[
+    ("1", 1.0),
+    ("rad", 1.0),
+    ("deg", std::f64::consts::PI / 180.0),
+    ("turn", std::f64::consts::TAU),
+    ("rad/s", 1.0),
+    ("deg/s", std::f64::consts::PI / 180.0),
+    ("rev/min", std::f64::consts::TAU / 60.0),
+    ("A", 1.0),
+    ("mA", 1e-3),
+    ("N·m", 1.0),
+    ("Nm", 1.0),
+    ("V", 1.0),
+    ("mV", 1e-3),
+    ("m", 1.0),
+    ("mm", 1e-3),
+    ("m/s", 1.0),
+    ("m/s²", 1.0),
+    ("m/s2", 1.0),
+    ("g", 9.80665),
+    ("°C", 1.0),
+    ("degC", 1.0),
+    ("%", 1e-2),
+    ("s", 1.0),
+    ("ms", 1e-3),
+    ("us", 1e-6),
+    ("ns", 1e-9),
+];
+
+/// Units that are a share of a joint's range: what stands at its lower and at its upper end.
+const SHARE_UNITS: &[(&str, [f64; 2])] = &[
+    ("-100..100", [-100.0, 100.0]),
+    ("0..100", [0.0, 100.0]),
+    ("0..1", [0.0, 1.0]),
+];
+/// Unit that a draft writes where it cannot tell.
+pub(super) const UNKNOWN: &str = "?";
+
+/// Size of a unit; `counts/4096` is a turn of 4096 counts.
+pub(super) fn unit(text: &str) -> Result<f64, String> {
+    if let Some(n) = text.strip_prefix("counts/") {
+        let n: f64 = n
+            .parse()
+            .map_err(|_| format!("unit `{text}`: `{n}` is no number"))?;
+        return match n > 0.0 {
+            true => Ok(std::f64::consts::TAU / n),
+            false => Err(format!("unit `{text}`: a turn has more than no counts")),
+        };
+    }
+    let known = UNITS.iter().find(|u| u.0 == text);
+    known.map(|u| u.1).ok_or_else(|| {
+        let all = UNITS.iter().map(|u| u.0);
+        let all: Vec<&str> = all.chain(SHARE_UNITS.iter().map(|s| s.0)).collect();
+        match text {
+            UNKNOWN => "its unit is not known: the numbers fit degrees as well as shares of the joint's range; write `unit = \"deg\"`, or `unit = \"-100..100\"` with `range = [low, high]` in rad".to_owned(),
+            _ => format!("unknown unit `{text}`; known: {}, counts/N", all.join(", ")),
+        }
+    })
+}
+
+impl SignalColumn {
+    /// What a value of the column is multiplied by and what is then added, for SI.
+    fn factors(&self) -> Result<(f64, f64), String> {
+        let share = SHARE_UNITS.iter().find(|s| s.0 == self.unit);
+        let (factor, shift) = match (share, self.range) {
+            (None, None) => (unit(&self.unit)?, 0.0),
+            (Some((_, [from, to])), Some([low, high])) => {
+                let factor = (high - low) / (to - from);
+                (factor, low - factor * from)
+            }
+            (Some(_), None) => {
+                return Err(format!(
+                    "unit `{}` is a share of the joint's range: say what its ends are, `range = [low, high]` in rad, or leave the signal out",
+                    self.unit
+                ));
+            }
+            (None, Some(_)) => {
+                let shares: Vec<&str> = SHARE_UNITS.iter().map(|s| s.0).collect();
+                return Err(format!("`range` is for the units {}", shares.join(", ")));
+            }
+        };
+        Ok((self.scale * factor, self.scale * shift + self.offset))
+    }
+}
+
+impl Map {
+    /// Reads a map; `file` names it in errors.
+    ///
+    /// # Errors
+    /// [`ImportError::Format`] with line and reason.
+    pub fn parse(file: &str, text: &str) -> Result<Self, ImportError> {
+        let wrong = |message: String| ImportError::Format {
+            file: file.to_owned(),
+            message,
+        };
+        let map: Self = toml::from_str(text).map_err(|e| {
+            let line = e.span().map_or(1, |s| {
+                1 + text[..s.start.min(text.len())].matches('\n').count()
+            });
+            wrong(format!("line {line}: {}", e.message().replace('\n', " ")))
+        })?;
+        if map.signal.is_empty() {
+            return Err(wrong("has no [[signal]]".to_owned()));
+        }
+        unit(&map.time.unit).map_err(wrong)?;
+        for s in &map.signal {
+            s.factors()
+                .map_err(|e| wrong(format!("{}: {e}", s.signal)))?;
+            s.signal
+                .parse::<Signal>()
+                .map_err(|e| wrong(format!("{}: {e}", s.signal)))?;
+        }
+        Ok(map)
+    }
+
+    /// The files that it names, of a folder of CSV files.
+    pub(super) fn files(&self) -> BTreeSet<&str> {
+        self.signal
+            .iter()
+            .filter_map(|s| s.file.as_deref())
+            .collect()
+    }
+}
+
+/// The log of `robot` that `recording` is by `map`.
+///
+/// # Errors
+/// [`ImportError`] with file, column and reason.
+pub fn apply(
+    recording: &Recording,
+    map: &Map,
+    robot: &RobotModel,
+) -> Result<Imported, ImportError> {
+    let wrong = |message: String| ImportError::Format {
+        file: recording.file.clone(),
+        message,
+    };
+    let mut signals: Vec<Signal> = Vec::new();
+    let mut samples: Vec<(f64, usize, f64)> = Vec::new();
+    let mut used: BTreeSet<(&str, &str)> = BTreeSet::new();
+    let mut most = 0;
+    for column in &map.signal {
+        let sheet = sheet_of(recording, column).map_err(wrong)?;
+        let time_s = sheet.values(&map.time.column, None)?;
+        let size_s = unit(&map.time.unit).map_err(wrong)?;
+        let (factor, shift) = column.factors().map_err(wrong)?;
+        let values = sheet.values(&column.column, column.item)?;
+        used.insert((sheet.name(), column.column.trim()));
+        let before = samples.len();
+        for (t, v) in time_s.iter().zip(values) {
+            if let (Some(t), Some(v)) = (t, v) {
+                samples.push((t * size_s, signals.len(), factor * v + shift));
+            }
+        }
+        if samples.len() == before {
+            return Err(wrong(format!(
+                "`{}` has no value with a stamp",
+                column.column
+            )));
+        }
+        most = most.max(samples.len() - before);
+        let signal = column.signal.parse();
+        signals.push(signal.map_err(|e| wrong(format!("{}: {e}", column.signal)))?);
+    }
+    let rows = rows(samples, signals.len());
+    let (Some(first), Some(last)) = (rows.first(), rows.last()) else {
+        return Err(wrong("has no row with a stamp and a value".to_owned()));
+    };
+    // Topics have stamps of their own: the rate is that of the signal with the most values.
+    let span_s = (last.0 - first.0).max(1e-6);
+    let meta = map.meta(robot, most as f64 / span_s, &recording.name);
+    Ok(Imported {
+        name: recording.name.chars().map(letters).collect(),
+        meta,
+        signals,
+        rows,
+        notes: recording.notes.clone(),
+        unused: unused(recording, map, &used),
+    })
+}
+
+fn letters(c: char) -> char {
+    match c.is_ascii_alphanumeric() || c == '-' {
+        true => c,
+        false => '_',
+    }
+}
+
+/// Where a signal's column is.
+fn sheet_of<'a>(recording: &'a Recording, column: &SignalColumn) -> Result<&'a dyn Sheet, String> {
+    let has = |s: &dyn Sheet| s.header().iter().any(|h| h.trim() == column.column.trim());
+    let mut sheets = recording.sheets.iter().map(AsRef::as_ref);
+    if let Some(file) = &column.file {
+        let ends = |s: &&dyn Sheet| std::path::Path::new(s.name()).ends_with(file);
+        return sheets
+            .find(ends)
+            .ok_or_else(|| format!("has no file `{file}`"));
+    }
+    sheets.find(|s| has(*s)).ok_or_else(|| {
+        let all: Vec<&str> = recording.sheets.iter().flat_map(|s| s.header()).collect();
+        format!("has no column `{}`; it has {}", column.column, listed(&all))
+    })
+}
+
+/// Names for a message; of very many the first.
+pub(super) fn listed(names: &[&str]) -> String {
+    const MOST: usize = 40;
+    let shown = names[..names.len().min(MOST)].join(", ");
+    match names.len() {
+        n if n > MOST => format!("{shown} and {} more", n - MOST),
+        _ => shown,
+    }
+}
+
+/// What is there and was not used: topics, and columns; of a part (`/imu/orientation`) of which nothing was used
+/// only its name with a star.
+fn unused(recording: &Recording, map: &Map, used: &BTreeSet<(&str, &str)>) -> Vec<String> {
+    let mut out = recording.unread.clone();
+    for sheet in &recording.sheets {
+        let header = sheet.header();
+        let columns = header.iter().map(|h| h.trim());
+        let clocks = ["stamp", "received", map.time.column.trim()];
+        let columns: Vec<&str> = columns.filter(|c| !clocks.contains(c)).collect();
+        let part = |c: &str| {
+            c.rsplit_once('/')
+                .map_or(String::new(), |(part, _)| part.to_owned())
+        };
+        let is_used = |c: &str| used.contains(&(sheet.name(), c));
+        if !columns.iter().any(|c| is_used(c)) {
+            out.push(sheet.name().to_owned());
+            continue;
+        }
+        let touched: BTreeSet<String> = columns
+            .iter()
+            .filter(|c| is_used(c))
+            .map(|c| part(c))
+            .collect();
+        let mut shown = BTreeSet::new();
+        for column in columns.into_iter().filter(|c| !is_used(c)) {
+            let part = part(column);
+            shown.insert(match part.is_empty() || touched.contains(&part) {
+                true => column.to_owned(),
+                false => format!("{part}/*"),
+            });
+        }
+        out.extend(shown);
+    }
+    out
+}
+
+impl Map {
+    /// The circumstances of a run.
+    fn meta(&self, robot: &RobotModel, rate_hz: f64, from: &str) -> LogMeta {
+        let mut meta = LogMeta::new(robot.name(), self.base, rate_hz.clamp(1e-3, 1e5));
+        meta.terrain.clone_from(&self.terrain);
+        meta.notes = match self.notes.as_str() {
+            "" => format!("imported from {from}"),
+            notes => notes.to_owned(),
+        };
+        (meta.kp, meta.kd, meta.supply_v) = (self.kp, self.kd, self.supply_v);
+        meta.joint.clone_from(&self.joint);
+        meta.payload.clone_from(&self.payload);
+        if let Some(level_m) = self.water_level_m {
+            let key = "water_level_m".to_owned();
+            meta.settings.insert(key, Setting::Number(level_m));
+        }
+        meta
+    }
+}
+
+/// Samples (time, signal, value) as rows.
+fn rows(mut samples: Vec<(f64, usize, f64)>, width: usize) -> Vec<(f64, Vec<Option<f64>>)> {
+    samples.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut rows: Vec<(f64, Vec<Option<f64>>)> = Vec::new();
+    for (t, signal, value) in samples {
+        match rows.last_mut() {
+            Some(row) if t - row.0 < SAME_STAMP_S => row.1[signal] = Some(value),
+            _ => {
+                let mut row = vec![None; width];
+                row[signal] = Some(value);
+                rows.push((t, row));
+            }
+        }
+    }
+    rows
+}
