@@ -61,8 +61,8 @@ test-arm: build ## build the robot's programs for aarch64 and run them under emu
 	@$(ARM) cargo build --release --locked --target $(ARM_TARGET) -p caudata-deploy -p caudata-ros2 --bins
 	@$(ARM) $${RUSTC:-rustc} --edition 2024 --test -O --target $(ARM_TARGET) -C linker=$$CC_aarch64_unknown_linux_gnu -o target/arm/lanes setup/arm_lanes.rs && target/arm/lanes
 	@$(ARM) cargo test --release --locked --target $(ARM_TARGET) -p caudata-policy --lib -- running --nocapture
-	@$(ARM) printf '#!/bin/sh\nexport ORT_DYLIB_PATH=%s\nexec %s "$$@"\n' "$$ORT_DYLIB_PATH" "$$CARGO_TARGET_DIR/$(ARM_TARGET)/release/caudata-robot" >target/arm/robot && chmod +x target/arm/robot
-	@$(ENV) CAUDATA_ROBOT_PROGRAM=$(CURDIR)/target/arm/robot QEMU_LD_PREFIX=/usr/aarch64-linux-gnu cargo test --release --locked --workspace --test it $(or $(ARGS),wire::the_program wire::doctor) -- --nocapture --test-threads 1
+	@$(ARM) printf '#!/bin/sh\nexport ORT_DYLIB_PATH=%s QEMU_LD_PREFIX=%s QEMU_CPU=%s\nexec %s "$$@"\n' "$$ORT_DYLIB_PATH" "$$QEMU_LD_PREFIX" "$$QEMU_CPU" "$$CARGO_TARGET_DIR/$(ARM_TARGET)/release/caudata-robot" >target/arm/robot && chmod +x target/arm/robot
+	@$(ENV) CAUDATA_ROBOT_PROGRAM=$(CURDIR)/target/arm/robot cargo test --release --locked --workspace --test it -- $(or $(ARGS),wire::the_program wire::doctor wire::a_robot_on_its_back) --nocapture --test-threads 1
 	@ls -l target/arm/$(ARM_TARGET)/release/caudata-robot target/arm/$(ARM_TARGET)/release/caudata-ros2
 
 fuzz: build ## knock at every door that bytes come in by, a minute each, CAUDATA_FUZZ_S=seconds

@@ -26,6 +26,14 @@ SYSROOT = "/usr/aarch64-linux-gnu"
 PACKAGES = ("gcc-aarch64-linux-gnu", "g++-aarch64-linux-gnu", "qemu-user-static")
 LINKER = "aarch64-linux-gnu-gcc"
 EMULATOR = "qemu-aarch64-static"
+CORTEX_A53 = """BogoMIPS\t: 38.40
+Features\t: fp asimd evtstrm crc32 cpuid
+CPU implementer\t: 0x41
+CPU architecture: 8
+CPU variant\t: 0x0
+CPU part\t: 0xd03
+CPU revision\t: 4
+"""
 BINFMT = "/proc/sys/fs/binfmt_misc"
 DEBIAN_SUITE = "trixie"
 DEBIAN_RUST = "1.96"
@@ -46,7 +54,8 @@ def main() -> int:
             "CARGO_TARGET_DIR": os.path.join(CHECKOUT, "target", "arm"),
             "CC_aarch64_unknown_linux_gnu": LINKER,
             "CXX_aarch64_unknown_linux_gnu": "aarch64-linux-gnu-g++",
-            "QEMU_LD_PREFIX": SYSROOT,
+            "QEMU_LD_PREFIX": emulated_root(),
+            "QEMU_CPU": "cortex-a53",
         }
         rustc = rust()
         if rustc:
@@ -86,6 +95,19 @@ def emulation() -> None:
             register.write(rule.read().strip())
     except (IndexError, OSError) as error:
         raise PlatformError("the kernel does not start aarch64 programs, and %s" % error)
+
+
+def emulated_root() -> str:
+    """What emulated programs see in place of this system's files: the libraries of their processor, and a list of
+    processors as Linux gives it on a Raspberry Pi Zero 2 W. ONNX Runtime reads that list, and ends with a
+    segmentation fault where it finds one of x86-64."""
+    root = os.path.join(cache_dir(), "aarch64-root")
+    os.makedirs(os.path.join(root, "proc"), exist_ok=True)
+    if not os.path.islink(os.path.join(root, "lib")):
+        os.symlink(os.path.join(SYSROOT, "lib"), os.path.join(root, "lib"))
+    listed = "".join("processor\t: %d\n%s\n" % (number, CORTEX_A53) for number in range(os.cpu_count() or 1))
+    write(os.path.join(root, "proc/cpuinfo"), listed)
+    return root
 
 
 def rust() -> str:

@@ -64,7 +64,9 @@ fn tell(report: &Report) {
         evidence(report);
     }
     if !report.others.is_empty() {
-        say::line("also suspect:");
+        if !report.causes.is_empty() {
+            say::line("also suspect:");
+        }
         report.others.iter().take(OTHERS).for_each(show);
     }
     if report.verdict != Verdict::Walks {

@@ -131,7 +131,7 @@ impl Mirror {
             return Err(TaskError::term(
                 "task.observation",
                 "term",
-                "makes an observation whose mirror image is not known; leave symmetry off"
+                "makes an observation whose mirror image is not known; set learner.network.symmetric = false"
                     .to_owned(),
             ));
         }

@@ -283,7 +283,7 @@ fn judged(unknown: &Unknown, session: Result<Session, Failure>, seconds: f64) ->
             let word = serde_json::to_value(s.verdict).unwrap_or_default();
             word.as_str().unwrap_or_default().to_owned()
         }),
-        right: session.is_some() && right_in(&named),
+        right: rounds.last().is_some_and(|r| r.verdict.is_some()) && right_in(&named),
         place_right: truth.is_none_or(|t| named.first().is_some_and(|n| place(n) == t.joint)),
         motion_s: session.as_ref().map_or(0.0, |s| s.motion_s),
         right_after_s: settled.last().map(|r| r.motion_s),

@@ -35,6 +35,13 @@ pub fn effect_name(effect: &str) -> String {
 }
 
 /// Figures under the headline.
+/// What a confidence is in: a name, or it and those that explain the runs as well.
+fn among_rivals(cause: &Cause) -> String {
+    let names = std::iter::once(&cause.effect).chain(&cause.alternatives);
+    let names: Vec<String> = names.map(|name| effect_name(name).to_lowercase()).collect();
+    names.join(" or ")
+}
+
 pub fn tiles(report: &Report) -> String {
     let mut tiles: Vec<(String, String)> = Vec::new();
     if let Some(worst) = report
@@ -64,10 +71,7 @@ pub fn tiles(report: &Report) -> String {
     if let Some(first) = report.causes.first() {
         tiles.push((
             format!("{} %", number(100.0 * first.confidence)),
-            format!(
-                "confidence in {}",
-                effect_name(&first.effect).to_lowercase()
-            ),
+            format!("confidence in {}", among_rivals(first)),
         ));
     }
     let role = |r: &str| report.runs.iter().filter(|x| x.role == r).count();
