@@ -94,11 +94,63 @@ fn check(model: &RobotModel) -> Result<Option<String>, Failure> {
         caudata_sim::build(robot, 1, &config, &terrain, 0, 1).or_exit(ExitCode::BadInput)?;
     let contract = PolicyContract::new(model, &TaskConfig::default());
     contract.or_exit(ExitCode::BadInput)?;
+    if let Some(why) = shake(model, engine.as_mut()).or_exit(ExitCode::BadInput)? {
+        return Ok(Some(why));
+    }
     if model.feet().is_empty() || model.base() != BaseKind::Free {
         return Ok(None);
     }
     stand(model, engine.as_mut()).or_exit(ExitCode::BadInput)
 }
+
+/// Commands small swings about the nominal pose; what keeps the robot from following them.
+fn shake(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, SimError> {
+    engine.reset(0, &InitialState::nominal(model))?;
+    let pose = model.nominal_pos_rad();
+    let joints = model.actuated();
+    let mut span = vec![(f32::INFINITY, f32::NEG_INFINITY); joints.len()];
+    let period_s = engine.config().control_period_s();
+    for step in 0..(SHAKING_S / period_s).round() as u64 {
+        let swing = SWING_RAD * (std::f64::consts::TAU * SWING_HZ * step as f64 * period_s).sin();
+        let targets: Vec<f32> = pose.iter().map(|&angle| (angle + swing) as f32).collect();
+        engine.step(&targets, &[0.0; 6])?;
+        let state = engine.state();
+        if state.diverged[0] {
+            let speed = |j: usize| state.joint_vel_radps[j].abs();
+            let worst = (0..model.joints().len()).max_by(|&a, &b| speed(a).total_cmp(&speed(b)));
+            let joint = &model.joints()[worst.unwrap_or(0)];
+            let ms = 1e3 * step as f64 * period_s;
+            return Ok(Some(format!(
+                "the simulation breaks down after {ms:.0} ms at `{}`: too stiff a gain for what it moves, `{}` of \
+                 {:.2e} kg and armature {:.1e} kg·m²; check its <inertial> and armature_kgm2",
+                joint.name,
+                model.links()[joint.child_link].name,
+                model.links()[joint.child_link].mass_kg,
+                joint.armature_kgm2
+            )));
+        }
+        for (span, &joint) in span.iter_mut().zip(joints) {
+            let at = state.joint_pos_rad[joint];
+            *span = (span.0.min(at), span.1.max(at));
+        }
+    }
+    let held = |(low, high): &(f32, f32)| f64::from(high - low) < STUCK_SHARE * SWING_RAD;
+    let stuck = span
+        .iter()
+        .position(held)
+        .filter(|_| model.base() == BaseKind::Fixed);
+    Ok(stuck.map(|a| {
+        let name = model.actuated_names()[a];
+        format!("`{name}` does not move when it is told to: does what it carries touch the ground (z = 0)?")
+    }))
+}
+
+/// How long a robot is shaken, s, and with what swing.
+const SHAKING_S: f64 = 0.5;
+const SWING_RAD: f64 = 0.05;
+const SWING_HZ: f64 = 4.0;
+/// A joint that moves by less of the swing is stuck.
+const STUCK_SHARE: f64 = 0.01;
 
 /// Holds the nominal pose on flat ground for a while; what is wrong with how the robot stands then.
 fn stand(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, SimError> {
@@ -293,7 +345,7 @@ fn print(model: &RobotModel, summary: &Summary<'_>) {
     }
     if let Some(why) = &summary.cannot_stand {
         say::line(format!(
-            "it does not stand: {why}; other angles in [pose.nominal_rad] or larger gains in [control] may help"
+            "it does not move or stand as told: {why}; angles in [pose.nominal_rad] and gains in [control] may help"
         ));
     }
     let row = |(index, name): (usize, &&str)| {

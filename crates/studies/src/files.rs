@@ -36,6 +36,12 @@ pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, Failure> {
 /// # Errors
 /// Exit code 66 where one is missing, 65 where it is wrong.
 pub fn robot(path: &Path) -> Result<RobotModel, Failure> {
+    if let Some(kind @ ("xml" | "urdf")) = path.extension().and_then(|e| e.to_str()) {
+        let kind = if kind == "xml" { "an MJCF" } else { "a URDF" };
+        let message = format!("{}: this is {kind}, no robot file", path.display());
+        let hint = format!("caudata robot import {} makes one of it", path.display());
+        return Err(Failure::message(ExitCode::BadInput, message).hint(hint));
+    }
     RobotModel::load(&shipped(path)).map_err(|error| {
         let code = match &error {
             ModelError::Read { .. } => ExitCode::NoInput,

@@ -73,6 +73,7 @@ pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot)
             joint,
             gains,
             force_limit: own_limit.or(force_limit),
+            speed_limit: None,
         });
     }
 }

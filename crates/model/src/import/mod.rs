@@ -94,6 +94,7 @@ pub fn import(file: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
                        for a robot that walks give each a sphere";
         remarks.note(&root, message);
     }
+    robot_toml::raise(&mut robot, &root, &mut remarks);
     let mjcf = write::mjcf(&name, &robot);
     let robot_toml = robot_toml::write(&name, file, &robot, &remarks.notes);
     // whatever this reader let through that the strict one does not

@@ -77,6 +77,8 @@ pub(super) struct Actuator {
     /// Gains of its position loop; `None`: it commands torque.
     pub gains: Option<(f64, f64)>,
     pub force_limit: Option<f64>,
+    /// Speed that it cannot pass, rad/s.
+    pub speed_limit: Option<f64>,
 }
 
 /// Joint positions of the pose that the robot file calls nominal.
@@ -98,6 +100,7 @@ pub(super) fn finish(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
         drive_all(robot, root, remarks);
     }
     limit_actuated(robot, remarks);
+    strengthen(robot, root, remarks);
     for (i, body) in robot.bodies.iter_mut().enumerate() {
         if body.inertial.is_none_or(|i| i.mass_kg <= 0.0) {
             let label = body.element.label();
@@ -128,6 +131,7 @@ fn drive_all(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
         joint: joint.name.clone(),
         gains: None,
         force_limit: joint.force_limit,
+        speed_limit: None,
     };
     robot.actuators = joints.map(drive).collect();
     let count = robot.actuators.len();
@@ -215,6 +219,52 @@ fn limit_actuated(robot: &mut Robot, remarks: &mut Remarks) {
             );
         }
     }
+}
+
+/// Torque that is written where nothing limits any drive, N·m.
+pub(super) const UNSAID_TORQUE_NM: f64 = 100.0;
+/// Inertia of rotor and gears at the joint for each N·m of the drive, s²: a URDF has no word for it, and a light
+/// link without it is too quick for the time step. The least of the servos in `robots/polymander.robot.toml`
+/// (XM430-W350: 0.0025 kg·m², 2.95 N·m).
+const ROTOR_S2: f64 = 8.5e-4;
+
+/// A drive without a greatest torque and gains gets the median of those that have one; one of a URDF
+/// also a rotor.
+fn strengthen(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
+    let mut known: Vec<f64> = robot
+        .actuators
+        .iter()
+        .filter_map(|a| a.force_limit)
+        .collect();
+    known.sort_by(f64::total_cmp);
+    let (torque_nm, source) = match known.get(known.len() / 2) {
+        Some(median) => (*median, "the median of the others"),
+        None => (UNSAID_TORQUE_NM, "a guess"),
+    };
+    for drive in &mut robot.actuators {
+        if drive.force_limit.is_none() && drive.gains.is_none() {
+            drive.force_limit = Some(torque_nm);
+            let message = format!(
+                "`{}` has no greatest torque; {torque_nm} N·m written, {source}",
+                drive.joint
+            );
+            remarks.note(root, message);
+        }
+    }
+    if root.tag == "robot" {
+        for drive in &robot.actuators {
+            let mut joints = robot.bodies.iter_mut().flat_map(|b| &mut b.joints);
+            if let Some(joint) = joints.find(|j| j.name == drive.joint) {
+                let armature = ROTOR_S2 * drive.force_limit.unwrap_or(UNSAID_TORQUE_NM);
+                joint.armature = two_digits(armature);
+            }
+        }
+    }
+}
+
+/// Two digits of a number: it is a guess.
+pub(super) fn two_digits(x: f64) -> f64 {
+    format!("{x:.1e}").parse().unwrap_or(x)
 }
 
 /// Gives shapes of the same name others, so that each can be spoken of.

@@ -5,17 +5,20 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
-use super::parts::{Actuator, Joint, Robot, nominal};
+use super::parts::{Actuator, Joint, Robot, UNSAID_TORQUE_NM, nominal, two_digits};
 use super::remark::Remark;
-use crate::pose::Pose;
+use super::tree::{Element, Remarks};
+use crate::pose::{self, Pose};
 use crate::types::{JointMotion, Shape};
 
 /// Gains that are written where the MJCF commands torque: the whole torque at this error, as legged robots of
 /// 12 to 50 kg are run (Unitree, ANYmal), and this much damping for it.
 const UNSAID_ERROR_RAD: f64 = 0.7;
 const UNSAID_DAMPING_S: f64 = 0.025;
-/// Torque that is written where nothing limits it.
-const UNSAID_TORQUE_NM: f64 = 100.0;
+/// Speed, rad/s, at which a drive has no torque left where the file does not say, and the share of it up to
+/// which it has all.
+const UNSAID_SPEED_RADPS: f64 = 30.0;
+const FULL_TORQUE_SHARE: f64 = 2.0 / 3.0;
 /// How much higher than the lowest a shape may end and still be a foot, m.
 const FOOT_LEVEL_M: f64 = 0.03;
 
@@ -37,7 +40,7 @@ pub(super) fn write(name: &str, file: &Path, robot: &Robot, notes: &[Remark]) ->
     let _ = writeln!(
         w,
         "# Made by `caudata robot import` of {source}. SI units and radians.\n\
-         #   [mjcf]  as there\n\
+         #   [mjcf]  as there (MJCF or URDF)\n\
          #   [ours]  not in there: a placeholder, to be replaced by what the robot has\n#"
     );
     for note in notes {
@@ -121,11 +124,21 @@ fn drives(w: &mut String, robot: &Robot, driven: &[&Joint]) {
             kd.max(0.0)
         );
     }
-    let mut types: Vec<[f64; 4]> = Vec::new();
+    let mut types: Vec<([f64; 5], [&str; 2])> = Vec::new();
     let mut of = Vec::new();
     for (joint, drive) in driven.iter().zip(&robot.actuators) {
         let torque = drive.force_limit.unwrap_or(UNSAID_TORQUE_NM);
-        let own = [torque, joint.armature, joint.damping, joint.friction_loss];
+        let speed = drive.speed_limit.unwrap_or(UNSAID_SPEED_RADPS);
+        let own = [
+            torque,
+            speed,
+            joint.armature,
+            joint.damping,
+            joint.friction_loss,
+        ];
+        let mark = |ours: bool| if ours { "[ours]" } else { "[mjcf]" };
+        let guessed = joint.armature > 0.0 && joint.element.get("armature").is_none();
+        let own = (own, [drive.speed_limit.is_none(), guessed].map(mark));
         let known = types.iter().position(|t| *t == own);
         of.push(known.unwrap_or_else(|| {
             types.push(own);
@@ -136,13 +149,16 @@ fn drives(w: &mut String, robot: &Robot, driven: &[&Joint]) {
     for (joint, k) in driven.iter().zip(&of).filter(|(_, k)| **k > 0) {
         let _ = writeln!(w, "{} = \"drive_{k}\"", quoted(&joint.name));
     }
-    for (k, [torque, armature, damping, friction]) in types.iter().enumerate() {
+    for (k, ([torque, speed, armature, damping, friction], [of_speed, of_rotor])) in
+        types.iter().enumerate()
+    {
+        let full = two_digits(speed * FULL_TORQUE_SHARE);
         let _ = writeln!(
             w,
             "\n[servo.preset.drive_{k}]\ntau_max_nm = {torque:?}                # [mjcf], or [ours] where it has no limit\n\
-             qd_tau_max_radps = 20.0           # [ours]\nqd_max_radps = 30.0               # [ours]\ntau_qd_max_nm = 0.0               # [ours]\n\
+             qd_tau_max_radps = {full:?}           # [ours]\nqd_max_radps = {speed:?}               # {of_speed}\ntau_qd_max_nm = 0.0               # [ours]\n\
              tau_brake_max_nm = {torque:?}\nkd_min_nm_s_per_rad = 0.0\nback_drive_kp_ratio = 1.0\n\
-             friction_loss_nm = {friction:?}          # [mjcf]\ndamping_nm_s_per_rad = {damping:?}      # [mjcf]\narmature_kgm2 = {armature:?}             # [mjcf]\n\
+             friction_loss_nm = {friction:?}          # [mjcf]\ndamping_nm_s_per_rad = {damping:?}      # [mjcf]\narmature_kgm2 = {armature:?}             # {of_rotor}\n\
              reference_supply_v = 24.0         # [ours]\nencoder_counts_per_turn = 16384   # [ours]\nvelocity_lsb_radps = 0.001        # [ours]\n\
              current_lsb_a = 0.01              # [ours]\ntorque_per_current_nm_per_a = 1.0 # [ours]\ncurrent_dead_band_a = 0.0\ngear_backlash_rad = 0.0"
         );
@@ -152,10 +168,8 @@ fn drives(w: &mut String, robot: &Robot, driven: &[&Joint]) {
 fn gains_of(drive: &Actuator) -> (f64, f64) {
     drive.gains.unwrap_or_else(|| {
         let torque_nm = drive.force_limit.unwrap_or(UNSAID_TORQUE_NM);
-        // two digits: it is a guess
-        let two = |x: f64| format!("{x:.1e}").parse().unwrap_or(x);
-        let kp = two(torque_nm / UNSAID_ERROR_RAD);
-        (kp, two(kp * UNSAID_DAMPING_S))
+        let kp = two_digits(torque_nm / UNSAID_ERROR_RAD);
+        (kp, two_digits(kp * UNSAID_DAMPING_S))
     })
 }
 
@@ -243,6 +257,51 @@ pub(super) fn feet(robot: &Robot) -> Vec<Foot> {
     let row = |x: f64| (-x / 0.1).round() as i64;
     found.sort_by(|(a, _, _), (b, _, _)| row(a[0]).cmp(&row(b[0])).then(b[1].total_cmp(&a[1])));
     found.into_iter().map(|(_, _, foot)| foot).collect()
+}
+
+/// Raises a held robot that would be stuck in the ground: nothing of it that moves reaches the ground then.
+pub(super) fn raise(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
+    let places = places(robot);
+    let mut stuck: Option<(f64, String)> = None;
+    // how far from the root's origin the farthest point of each body can be, and whether it moves
+    let (mut origins_m, mut moves): (Vec<f64>, Vec<bool>) = (Vec::new(), Vec::new());
+    let mut reach_m = 0.0f64;
+    for (i, body) in robot.bodies.iter().enumerate() {
+        let parent = body.parent.map_or(0.0, |p| {
+            origins_m[p] + pose::norm(body.parent_from_body.pos_m)
+        });
+        let travel = |j: &Joint| match (j.motion, j.range) {
+            (JointMotion::Slide, Some((low, high))) => low.abs().max(high.abs()),
+            _ => 2.0 * pose::norm(j.anchor_m),
+        };
+        origins_m.push(parent + body.joints.iter().map(travel).sum::<f64>());
+        moves.push(!body.joints.is_empty() || body.parent.is_some_and(|p| moves[p]));
+        let touching = body.geoms.iter().filter(|g| moves[i] && g.collides());
+        for geom in touching.filter(|g| !matches!(g.shape, Shape::Ellipsoid { .. } | Shape::Plane))
+        {
+            let at = places[i].compose(&geom.link_from_geom);
+            let extent_m = |axis| geom.shape.half_extent_m(axis);
+            let z = at.pos_m[2] - extent_m(at.inverse().rotate([0.0, 0.0, 1.0]));
+            if z < 0.0 && stuck.as_ref().is_none_or(|(lowest, _)| z < *lowest) {
+                stuck = Some((z, geom.name.clone().unwrap_or_else(|| body.name.clone())));
+            }
+            let size_m = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(extent_m);
+            reach_m = reach_m
+                .max(origins_m[i] + pose::norm(geom.link_from_geom.pos_m) + pose::norm(size_m));
+        }
+    }
+    let Some((z, geom)) = stuck.filter(|_| !robot.free_base) else {
+        return;
+    };
+    let at = &mut robot.bodies[0].parent_from_body.pos_m[2];
+    let up_m = ((reach_m - *at) * 100.0).ceil() / 100.0;
+    *at += up_m;
+    let message = format!(
+        "`{geom}` is {:.3} m below the ground (z = 0) in the nominal pose of a fixed base; the whole robot is raised by \
+         {up_m} m, out of its reach",
+        -z
+    );
+    remarks.note(root, message);
 }
 
 /// Where each body is in the nominal pose.

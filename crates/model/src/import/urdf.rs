@@ -60,8 +60,8 @@ pub(super) fn read(
     let base = reader.base()?;
     reader.link(base, None, Pose::IDENTITY, None, 0);
     let robot = &mut reader.robot;
-    let chains = robot.bodies.iter().filter(|b| b.parent == Some(0)).count();
-    robot.free_base = options.free_base.unwrap_or(chains > 1);
+    let on_world = matches!(base, "world" | "map");
+    robot.free_base = options.free_base.unwrap_or(!on_world && chains(robot) > 1);
     let held = if robot.free_base { "free" } else { "fixed" };
     if options.free_base.is_none() {
         let message = format!(
@@ -70,6 +70,18 @@ pub(super) fn read(
         reader.remarks.note(root, message);
     }
     Some(reader.robot)
+}
+
+/// How many joints hang on the root link and on what is fixed to it.
+fn chains(robot: &Robot) -> usize {
+    let mut fixed: Vec<bool> = Vec::new();
+    let mut count = 0;
+    for body in &robot.bodies {
+        let on_trunk = body.parent.is_none_or(|p| fixed[p]);
+        fixed.push(on_trunk && body.joints.is_empty());
+        count += usize::from(on_trunk && !body.joints.is_empty());
+    }
+    count
 }
 
 /// Link names that stand for the world.
@@ -147,6 +159,18 @@ impl<'a> Reader<'a> {
                 ..element.clone()
             },
         });
+        if inertial.is_none()
+            && element
+                .first("collision")
+                .or(element.first("visual"))
+                .is_some()
+        {
+            let message = format!(
+                "{}: no <inertial>; it weighs nothing but what is fixed to it",
+                element.label()
+            );
+            self.remarks.note(element, message);
+        }
         if WORLD.contains(&name) && inertial.is_none() {
             self.remarks.note(
                 element,
@@ -229,6 +253,7 @@ impl<'a> Reader<'a> {
             joint: name.clone(),
             gains: None,
             force_limit: effort,
+            speed_limit: of(self.remarks, "limit", "velocity").filter(|v| *v > 0.0),
         });
         Some(Joint {
             name,
