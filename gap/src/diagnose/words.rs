@@ -153,7 +153,9 @@ fn headline(
     let fall = if best.terms.is_empty() {
         format!("held-out misfit is {after:.2} floors, and was {before:.2}")
     } else if after > before {
-        format!("but held-out misfit rises from {before:.2} to {after:.2} floors: keep the robot as given")
+        format!(
+            "but held-out misfit rises from {before:.2} to {after:.2} floors: keep the robot as given"
+        )
     } else {
         format!("held-out misfit falls from {before:.2} to {after:.2} floors")
     };

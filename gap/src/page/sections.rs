@@ -34,7 +34,6 @@ pub fn effect_name(effect: &str) -> String {
     }
 }
 
-/// Figures under the headline.
 /// What a confidence is in: a name, or it and those that explain the runs as well.
 fn among_rivals(cause: &Cause) -> String {
     let names = std::iter::once(&cause.effect).chain(&cause.alternatives);
@@ -42,6 +41,7 @@ fn among_rivals(cause: &Cause) -> String {
     names.join(" or ")
 }
 
+/// Figures under the headline.
 pub fn tiles(report: &Report) -> String {
     let mut tiles: Vec<(String, String)> = Vec::new();
     if let Some(worst) = report

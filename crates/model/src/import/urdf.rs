@@ -110,6 +110,18 @@ impl<'a> Reader<'a> {
         Some(one)
     }
 
+    /// Says what becomes of a link that has no mass of its own.
+    fn weightless(&mut self, element: &'a Element, name: &str) {
+        let shapes = element.first("collision").or(element.first("visual"));
+        let what = match shapes {
+            Some(_) => "no <inertial>; it weighs nothing but what is fixed to it",
+            None if WORLD.contains(&name) => "holds nothing; it becomes part of the first link",
+            None => return,
+        };
+        let message = format!("{}: {what}", element.label());
+        self.remarks.note(element, message);
+    }
+
     fn link(
         &mut self,
         name: &'a str,
@@ -159,26 +171,8 @@ impl<'a> Reader<'a> {
                 ..element.clone()
             },
         });
-        if inertial.is_none()
-            && element
-                .first("collision")
-                .or(element.first("visual"))
-                .is_some()
-        {
-            let message = format!(
-                "{}: no <inertial>; it weighs nothing but what is fixed to it",
-                element.label()
-            );
-            self.remarks.note(element, message);
-        }
-        if WORLD.contains(&name) && inertial.is_none() {
-            self.remarks.note(
-                element,
-                format!(
-                    "{}: holds nothing; it becomes part of the first link",
-                    element.label()
-                ),
-            );
+        if inertial.is_none() {
+            self.weightless(element, name);
         }
         let own = |j: &&Element| j.first("parent").and_then(|p| p.get("link")) == Some(name);
         let children: Vec<&'a Element> = self.root.all("joint").filter(own).collect();

@@ -227,6 +227,33 @@ fn a_urdf_arm_by_hand() {
     near("x", x[1], 0.3f64.sin() * 0.2f64.cos(), 1e-12);
     near("x", x[2], -(0.2f64.sin()), 1e-12);
     near("height", places.links[1].pos_m[2], 0.6, 1e-12);
+    // the speed is the file's, the rotor a guess that says so
+    assert_eq!(m.servo(0).qd_max_radps, 3.0);
+    let mut lines = made.robot_toml.lines();
+    let rotor = lines.find(|l| l.starts_with("armature_kgm2")).unwrap();
+    assert!(
+        rotor.ends_with("# [ours]") && !rotor.contains("= 0.0 "),
+        "{rotor}"
+    );
+}
+
+#[test]
+fn a_held_robot_is_not_left_stuck_in_the_ground() {
+    let raised = |made: &Imported| made.notes.iter().any(|n| n.to_string().contains("raised"));
+    assert!(!raised(&read("arm.urdf", ARM).unwrap()));
+    // Bolted 0.2 m above the ground, with its joint 0.3 m below that: the box begins below the ground.
+    let low = ARM
+        .replace("xyz=\"0 0 0.5\"", "xyz=\"0 0 0.2\"")
+        .replace("xyz=\"0 0 0.1\"", "xyz=\"0 0 -0.3\"");
+    let made = read("low.urdf", &low).unwrap();
+    assert!(raised(&made), "{:?}", made.notes);
+    let places = model(&made).kinematics(&Pose::IDENTITY, &[0.0]).unwrap();
+    // The box's far corner is within 0.2 + |(0.2, 0.01, 0.03)| = 0.403 m of the joint.
+    assert!(
+        places.links[1].pos_m[2] > 0.403,
+        "{:?}",
+        places.links[1].pos_m
+    );
 }
 
 #[test]

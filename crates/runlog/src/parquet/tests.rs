@@ -73,7 +73,10 @@ fn a_log_is_the_same_behind_it() {
         assert!(error.to_string().contains(want), "{error}");
     };
     says(&[("pos.a", &[1.0])], "x.parquet: has no column `t`");
-    says(&[("t", &[1.0, 1.0])], "row 1: t = 1.0 does not come after 1.0");
+    says(
+        &[("t", &[1.0, 1.0])],
+        "row 1: t = 1.0 does not come after 1.0",
+    );
     says(
         &[("t", &[1.0]), ("contact.FL", &[0.5])],
         "contact is 0 or 1",
