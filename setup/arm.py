@@ -23,20 +23,17 @@ from common import PlatformError, SetupError, cache_dir, machine, say
 CHECKOUT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 TARGET = "aarch64-unknown-linux-gnu"
 SYSROOT = "/usr/aarch64-linux-gnu"
-PACKAGES = ("gcc-aarch64-linux-gnu", "g++-aarch64-linux-gnu", "qemu-user-static")
+PACKAGES = ("gcc-aarch64-linux-gnu", "g++-aarch64-linux-gnu")
 LINKER = "aarch64-linux-gnu-gcc"
-EMULATOR = "qemu-aarch64-static"
-CORTEX_A53 = """BogoMIPS\t: 38.40
-Features\t: fp asimd evtstrm crc32 cpuid
-CPU implementer\t: 0x41
-CPU architecture: 8
-CPU variant\t: 0x0
-CPU part\t: 0xd03
-CPU revision\t: 4
-"""
 BINFMT = "/proc/sys/fs/binfmt_misc"
 DEBIAN_SUITE = "trixie"
 DEBIAN_RUST = "1.96"
+# QEMU 7.2 of the Debian before neither opens serial lines (TCGETS2) nor shows programs their own processor, which
+# ONNX Runtime asks for.
+DEBIAN_QEMU = "10.0"
+# Start of an ELF file for aarch64, and the bits of it that count.
+ELF = r"\x7fELF\x02\x01\x01" + r"\x00" * 9 + r"\x02\x00\xb7\x00"
+ELF_MASK = r"\xff" * 7 + r"\x00" + r"\xff" * 8 + r"\xfe\xff\xff\xff"
 # What Debian's rustc needs to run on an older Debian.
 DEBIAN_RUNS = (
     "libc6 libgcc-s1 libstdc++6 libllvm22 libedit2 libtinfo6 libxml2 libz3-4 libzstd1 zlib1g libffi8 libbsd0 libmd0 liblzma5"
@@ -54,7 +51,7 @@ def main() -> int:
             "CARGO_TARGET_DIR": os.path.join(CHECKOUT, "target", "arm"),
             "CC_aarch64_unknown_linux_gnu": LINKER,
             "CXX_aarch64_unknown_linux_gnu": "aarch64-linux-gnu-g++",
-            "QEMU_LD_PREFIX": emulated_root(),
+            "QEMU_LD_PREFIX": SYSROOT,
             "QEMU_CPU": "cortex-a53",
         }
         rustc = rust()
@@ -73,7 +70,7 @@ def main() -> int:
 
 
 def system() -> None:
-    if all(shutil.which(program) for program in (LINKER, EMULATOR)):
+    if shutil.which(LINKER):
         return
     if os.geteuid() != 0 or not shutil.which("apt-get"):
         raise PlatformError("missing here, for root to install: " + " ".join(PACKAGES))
@@ -83,31 +80,18 @@ def system() -> None:
 
 
 def emulation() -> None:
-    """The kernel must start aarch64 programs through QEMU, since the robot's program starts itself. Debian's
-    package asks for that where a system has an init; elsewhere root does."""
-    if os.path.exists(os.path.join(BINFMT, "qemu-aarch64")):
+    """The kernel must start aarch64 programs through QEMU, since the robot's program starts itself. Of several rules
+    it takes the newest."""
+    qemu = os.path.join(debian("qemu-%s" % DEBIAN_QEMU, ["qemu-user:amd64"]), "usr/bin/qemu-aarch64")
+    if os.path.exists(os.path.join(BINFMT, "caudata-aarch64")):
         return
-    rules = glob.glob("/usr/lib/binfmt.d/qemu-aarch64.conf")
     try:
         if not os.path.exists(os.path.join(BINFMT, "register")):
             run("mount", "-t", "binfmt_misc", "none", BINFMT)
-        with open(rules[0], "rb") as rule, open(os.path.join(BINFMT, "register"), "wb", buffering=0) as register:
-            register.write(rule.read().strip())
-    except (IndexError, OSError) as error:
+        with open(os.path.join(BINFMT, "register"), "w", encoding="ascii") as register:
+            register.write(":caudata-aarch64:M::%s:%s:%s:OF" % (ELF, ELF_MASK, qemu))
+    except OSError as error:
         raise PlatformError("the kernel does not start aarch64 programs, and %s" % error)
-
-
-def emulated_root() -> str:
-    """What emulated programs see in place of this system's files: the libraries of their processor, and a list of
-    processors as Linux gives it on a Raspberry Pi Zero 2 W. ONNX Runtime reads that list, and ends with a
-    segmentation fault where it finds one of x86-64."""
-    root = os.path.join(cache_dir(), "aarch64-root")
-    os.makedirs(os.path.join(root, "proc"), exist_ok=True)
-    if not os.path.islink(os.path.join(root, "lib")):
-        os.symlink(os.path.join(SYSROOT, "lib"), os.path.join(root, "lib"))
-    listed = "".join("processor\t: %d\n%s\n" % (number, CORTEX_A53) for number in range(os.cpu_count() or 1))
-    write(os.path.join(root, "proc/cpuinfo"), listed)
-    return root
 
 
 def rust() -> str:
@@ -124,27 +108,31 @@ def has_target(rustc: str) -> bool:
 
 
 def debian_rust() -> str:
-    folder = os.path.join(cache_dir(), "debian-rust-%s" % DEBIAN_RUST)
+    here = ["rustc-web", "libstd-rust-web-%s" % DEBIAN_RUST, "libstd-rust-web-dev", *DEBIAN_RUNS]
+    folder = debian("rust-%s" % DEBIAN_RUST, [name + ":amd64" for name in here] + ["libstd-rust-web-dev:arm64"])
     rustc = os.path.join(folder, "rustc")
-    with parts.locked(cache_dir()):
-        if not os.path.exists(rustc):
-            shutil.rmtree(folder, ignore_errors=True)
-            building = folder + ".tmp"
-            shutil.rmtree(building, ignore_errors=True)
-            unpack_debian(building)
-            os.rename(building, folder)
-            loader = os.path.join(folder, "usr/lib/x86_64-linux-gnu")
-            script = '#!/bin/sh\nexec %s/ld-linux-x86-64.so.2 --library-path %s %s "$@"\n'
-            with open(rustc + ".tmp", "w") as file:
-                file.write(script % tuple(map(shlex.quote, (loader, loader, os.path.join(folder, "usr/bin/rustc")))))
-            os.chmod(rustc + ".tmp", 0o755)
-            os.rename(rustc + ".tmp", rustc)
+    loader = os.path.join(folder, "usr/lib/x86_64-linux-gnu")
+    script = '#!/bin/sh\nexec %s/ld-linux-x86-64.so.2 --library-path %s %s "$@"\n'
+    write(rustc, script % tuple(map(shlex.quote, (loader, loader, os.path.join(folder, "usr/bin/rustc")))))
+    os.chmod(rustc, 0o755)
     if not has_target(rustc):
         raise PlatformError("Debian's Rust in %s does not run here" % folder)
     return rustc
 
 
-def unpack_debian(into: str) -> None:
+def debian(name: str, packages: list) -> str:
+    """The folder in the cache with these packages of Debian, unpacked where they are not yet."""
+    folder = os.path.join(cache_dir(), "debian-" + name)
+    with parts.locked(cache_dir()):
+        if not os.path.exists(folder):
+            building = folder + ".tmp"
+            shutil.rmtree(building, ignore_errors=True)
+            unpack_debian(building, packages)
+            os.rename(building, folder)
+    return folder
+
+
+def unpack_debian(into: str, packages: list) -> None:
     """Through apt, with folders of its own, so that this system's packages and lists stay as they are."""
     state = os.path.join(into, "apt")
     for name in ("state/lists/partial", "cache/archives/partial", "etc/sources.list.d"):
@@ -160,8 +148,7 @@ def unpack_debian(into: str) -> None:
     )
     apt = dict(os.environ, APT_CONFIG=os.path.join(state, "apt.conf"))
     run("apt-get", "update", env=apt)
-    here = ["rustc-web", "libstd-rust-web-%s" % DEBIAN_RUST, "libstd-rust-web-dev", *DEBIAN_RUNS]
-    run("apt-get", "download", *(name + ":amd64" for name in here), "libstd-rust-web-dev:arm64", env=apt, cwd=state)
+    run("apt-get", "download", *packages, env=apt, cwd=state)
     for package in glob.glob(os.path.join(state, "*.deb")):
         run("dpkg", "-x", package, into)
     shutil.rmtree(state)
