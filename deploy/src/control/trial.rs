@@ -70,6 +70,10 @@ impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
         targets: &PerJoint,
         command: &[f32; COMMAND_DIM],
     ) {
+        // One that is getting up presses its joints against their limits, and does not walk.
+        if self.fallen_ticks > 0 {
+            return;
+        }
         let ticks = self.gate.watch_limits(targets);
         if self.trial.is_over() {
             return;
