@@ -64,7 +64,7 @@ fn tell(report: &Report) {
         evidence(report);
     }
     if !report.others.is_empty() {
-        if !report.causes.is_empty() {
+        if report.verdict != Verdict::Suspected || !report.causes.is_empty() {
             say::line("also suspect:");
         }
         report.others.iter().take(OTHERS).for_each(show);

@@ -93,7 +93,7 @@ pub struct RunArgs {
     #[arg(long, value_name = "N", default_value_t = 30.0, value_parser = seconds(0.0, 1e6))]
     pub(super) swap_wait: f64,
     /// How long a robot that lies may take to get up, s, before its servos are let go. For policies that can
-    /// get up, also from where they are started; too long for any other: it thrashes on its back
+    /// get up; under any other it thrashes on its back for as long
     #[arg(long, value_name = "N", default_value_t = FALLEN_FOR.as_secs_f64(), value_parser = seconds(FALLEN_FOR.as_secs_f64(), 60.0))]
     pub(super) get_up: f64,
     /// Address of /metrics and /healthz; none when absent

@@ -1,7 +1,5 @@
 //! The trial of a policy: what it must show on this robot before it is trusted; and its falls.
 
-use std::time::Duration;
-
 use caudata_task::{COMMAND_DIM, PerJoint};
 
 use super::plan::{Sensed, mean_speed};
@@ -40,16 +38,16 @@ impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
         let sane = finite(&sensed.imu.gyro_radps) && finite(&sensed.imu.acc_mps2);
         let sane = sane && finite(&sensed.gravity);
         let lies = sensed.gravity[2] > FALLEN_GRAVITY_Z || !sane;
-        self.fallen_ticks = if lies { self.fallen_ticks + 1 } else { 0 };
+        let stage = self.motion.stage();
+        // Its policy, which gets it up, has not begun.
+        let waits = matches!(stage, Stage::Rise | Stage::Settle) && self.plan.get_up > FALLEN_FOR;
+        let counts = lies && !(waits && sane);
+        self.fallen_ticks = if counts { self.fallen_ticks + 1 } else { 0 };
         // Whatever it does: one that tips over while it stands must not walk on its back when the link
         // returns.
-        let stage = self.motion.stage();
         let braking = matches!(stage, Stage::Damped | Stage::Off);
         let patience = match stage {
-            _ if !sane => FALLEN_FOR,
-            // its policy has not begun: rising takes as long as it takes
-            Stage::Rise | Stage::Settle if self.plan.get_up > FALLEN_FOR => Duration::MAX,
-            Stage::Walk | Stage::Halt => self.plan.get_up,
+            Stage::Walk | Stage::Halt if sane => self.plan.get_up,
             _ => FALLEN_FOR,
         };
         if self.plan.period * self.fallen_ticks >= patience && !braking {

@@ -241,15 +241,19 @@ fn strengthen(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
         Some(median) => (*median, "the median of the others"),
         None => (UNSAID_TORQUE_NM, "a guess"),
     };
+    let mut weak: Vec<&str> = Vec::new();
     for drive in &mut robot.actuators {
         if drive.force_limit.is_none() && drive.gains.is_none() {
             drive.force_limit = Some(torque_nm);
-            let message = format!(
-                "`{}` has no greatest torque; {torque_nm} N·m written, {source}",
-                drive.joint
-            );
-            remarks.note(root, message);
+            weak.push(&drive.joint);
         }
+    }
+    if !weak.is_empty() {
+        let message = format!(
+            "no greatest torque of {}: {torque_nm} N·m written, {source}",
+            weak.join(", ")
+        );
+        remarks.note(root, message);
     }
     if root.tag == "robot" {
         for drive in &robot.actuators {
