@@ -1,7 +1,6 @@
 //! `caudata`: the command line. Each command is thin: the work is in the crates.
 // Printing to standard output is what a command line is for.
 #![allow(clippy::print_stdout)]
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod commands;
 mod say;

@@ -9,7 +9,6 @@ const NAMED: u32 = 1 << 31;
 
 /// The number of an actor with this name: the same on every start. Of 1,000 names two share a number with a
 /// probability of 0.02 %; such actors share one quota, and every chunk still counts once.
-#[must_use]
 pub fn named_actor_id(name: &str) -> u32 {
     let digest: [u8; 32] = Sha256::digest(name.as_bytes()).into();
     let [a, b, c, d, ..] = digest;
@@ -18,7 +17,6 @@ pub fn named_actor_id(name: &str) -> u32 {
 
 /// The incarnation of an actor that starts at `now`, seconds since 1970: a later start has a larger number,
 /// on whichever host. Whoever starts actors must leave a second between two starts of one.
-#[must_use]
 pub fn clock_incarnation(now: SystemTime) -> u64 {
     now.duration_since(UNIX_EPOCH)
         .map_or(0, |since| since.as_secs())

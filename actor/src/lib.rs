@@ -8,7 +8,6 @@
 //! policies' bytes: not on clocks, thread counts, or the transport.
 //!
 //! *Invariant:* libtorch is not linked.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod chunk;
 mod error;

@@ -25,7 +25,6 @@ pub struct Network {
 impl Network {
     /// The network of `spec`, which has been checked. Where it commutes with `mirror`, that saves half of the
     /// multiplications.
-    #[must_use]
     pub fn new(spec: &MlpSpec, mirror: Option<&Mirror>) -> Self {
         let mut network = Self {
             mean: Vec::new(),

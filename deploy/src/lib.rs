@@ -8,7 +8,6 @@
 //! two. `docs/reference/robot-client.md` describes the whole from outside.
 //!
 //! *Invariant:* nothing that was not verified here runs here, and neither libtorch nor a simulator is linked.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod boundary;
 pub mod bus;

@@ -40,7 +40,6 @@ pub struct Excitation {
 
 impl Excitation {
     /// What `trials` excite.
-    #[must_use]
     pub fn of(model: &RobotModel, trials: &[&Trial]) -> Self {
         let mut all = Self {
             joints: vec![JointExcitation::default(); model.actuated().len()],
@@ -91,19 +90,16 @@ impl Excitation {
     }
 
     /// Whether a kind of channel was recorded.
-    #[must_use]
     pub fn has(&self, kind: Kind) -> bool {
         self.kinds.contains(&kind)
     }
 
     /// Fastest of the joints at `place`, rad/s.
-    #[must_use]
     pub fn fastest_radps(&self, place: &Place) -> f64 {
         self.most(place, |j| j.fastest_radps)
     }
 
     /// Hardest-working of the joints at `place`.
-    #[must_use]
     pub fn most_torque_share(&self, place: &Place) -> f64 {
         self.most(place, |j| j.most_torque_share)
     }

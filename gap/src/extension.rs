@@ -94,7 +94,6 @@ pub fn terms(extension: &Extension, model: &RobotModel) -> Result<Variant, GapEr
 }
 
 /// The lane parameters in which `variant` differs from `model`'s robot, by path.
-#[must_use]
 pub fn lane(model: &Arc<RobotModel>, variant: &[Term]) -> BTreeMap<String, f64> {
     let mut plant = Plant::nominal(model);
     plant.session = 0.5;

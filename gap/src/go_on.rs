@@ -13,13 +13,11 @@ pub struct GoOn(Option<Arc<dyn Fn() -> bool + Send + Sync>>);
 
 impl GoOn {
     /// As long as `asked` answers true.
-    #[must_use]
     pub fn as_long_as(asked: impl Fn() -> bool + Send + Sync + 'static) -> Self {
         Self(Some(Arc::new(asked)))
     }
 
     /// The same, and not beyond `end`, if there is one.
-    #[must_use]
     pub fn until(&self, end: Option<Instant>) -> Self {
         let Some(end) = end else { return self.clone() };
         let asked = self.clone();

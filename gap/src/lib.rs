@@ -6,8 +6,6 @@
 //!
 //! Invariant: no clock, no network; same logs, same seed, same report, whatever the thread count.
 
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
-
 pub mod check;
 pub mod diagnose;
 pub mod effects;

@@ -37,7 +37,6 @@ impl Place {
     }
 
     /// `effect@name`, for people and for keys.
-    #[must_use]
     pub fn label(&self, effect: &str) -> String {
         match self.names.as_slice() {
             [] => effect.to_owned(),
@@ -47,7 +46,6 @@ impl Place {
     }
 
     /// The place in `domain` with these names; all of it where there are none.
-    #[must_use]
     pub fn named(model: &RobotModel, domain: Domain, names: &[String]) -> Option<Self> {
         let all = item_names(model, domain);
         let items = if names.is_empty() {
@@ -86,7 +84,6 @@ fn item_names(model: &RobotModel, domain: Domain) -> Vec<String> {
 }
 
 /// All places in a domain of a robot, widest first.
-#[must_use]
 pub fn places(model: &RobotModel, domain: Domain) -> Vec<Place> {
     let names = item_names(model, domain);
     let all = Place {

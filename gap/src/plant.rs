@@ -96,7 +96,6 @@ pub struct RunIn {
 
 impl Plant {
     /// The robot file's robot, without the effects of its extension.
-    #[must_use]
     pub fn nominal(model: &Arc<RobotModel>) -> Self {
         let joints = model.actuated().len();
         Self {
@@ -121,7 +120,6 @@ impl Plant {
     }
 
     /// The robot under the conditions of a run: its gains, its supply, what it carries.
-    #[must_use]
     pub fn in_trial(model: &Arc<RobotModel>, trial: &Trial) -> Self {
         let mut plant = Self::nominal(model);
         let lane = &mut plant.lane;

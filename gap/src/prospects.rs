@@ -102,7 +102,6 @@ impl Weights {
     }
 
     /// That nothing is wrong.
-    #[must_use]
     pub fn nothing(&self) -> f64 {
         self.0[0]
     }
@@ -179,7 +178,6 @@ impl Prospects {
 
     /// Before anything is recorded, and after `recorded` trials of which none showed anything: what would have
     /// shown is improbable.
-    #[must_use]
     pub fn unseen(&self, recorded: &[&str]) -> Weights {
         let gram = self.sum(|t| recorded.contains(&t.name.as_str()));
         let mut weights = vec![NOTHING];
@@ -193,7 +191,6 @@ impl Prospects {
 
     /// That one of `ids` (any, where there are none) is wrong at one of `joints` (anywhere, where there are
     /// none) or with the robot as a whole, each alike.
-    #[must_use]
     pub fn among(&self, ids: &[&str], joints: &[usize]) -> Weights {
         let is = |p: &Possible| {
             (ids.is_empty() || ids.contains(&p.effect.id))
@@ -206,7 +203,6 @@ impl Prospects {
 
     /// The trial that is not recorded, of at most `left_s`, that tells most per second. None where none is
     /// worth its time.
-    #[must_use]
     pub fn best(&self, weights: &Weights, recorded: &[&str], left_s: f64) -> Option<Choice<'_>> {
         let before = self.sum(|t| recorded.contains(&t.name.as_str()));
         let known = self.doubts(&before, weights);
@@ -231,7 +227,6 @@ impl Prospects {
     }
 
     /// Effects that matter, and that `recorded` trials would not have shown anywhere.
-    #[must_use]
     pub fn dark(&self, recorded: &[&str]) -> Vec<&'static str> {
         let gram = self.sum(|t| recorded.contains(&t.name.as_str()));
         let shows = |p: &&Possible| self.inner(&gram, p, p) >= MATTERS_FROM * MATTERS_FROM;
@@ -245,7 +240,6 @@ impl Prospects {
     }
 
     /// The trial with this name.
-    #[must_use]
     pub fn find(&self, name: &str) -> Option<&excite::Trial> {
         let mut all = self.trials.iter().map(|p| &p.trial);
         all.find(|t| t.name == name)

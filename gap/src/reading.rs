@@ -139,7 +139,6 @@ fn open_voltage(volt_v: &[f64]) -> f64 {
 }
 
 /// Whether a diagnosis reads a signal of a run whose base is so held.
-#[must_use]
 pub fn is_read(signal: &Signal, base: BaseHold) -> bool {
     match signal {
         // of a held robot these say where the stand is, and nothing about the robot

@@ -22,7 +22,6 @@ pub fn group(trials: &mut [Trial]) {
 
 /// One trial per group of repeats: their mean at the stamps of the first, since what repeats agree on is what
 /// a model can explain.
-#[must_use]
 pub fn collapse(trials: &[Trial]) -> Vec<Trial> {
     let mut out: Vec<Trial> = Vec::new();
     for trial in trials {

@@ -122,13 +122,11 @@ pub struct Cause {
 
 impl Cause {
     /// Whether another name, or another place, explains it as well.
-    #[must_use]
     pub fn is_open(&self) -> bool {
         !self.alternatives.is_empty() || !self.elsewhere.is_empty()
     }
 
     /// All that explain it alike, in words: `a at x or at y or b`.
-    #[must_use]
     pub fn rivals(&self) -> String {
         let mut out = self.effect.clone();
         if !self.elsewhere.is_empty() {

@@ -59,7 +59,6 @@ pub const YAW: usize = 2;
 
 impl Kind {
     /// Name in reports.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Position => "pos",
@@ -78,7 +77,6 @@ impl Kind {
     }
 
     /// SI unit.
-    #[must_use]
     pub fn unit(self) -> &'static str {
         match self {
             Self::Position | Self::BaseAttitude => "rad",
@@ -95,7 +93,6 @@ impl Kind {
 
     /// Whether component `index` says where the robot is in the world, which no two runs of a free robot
     /// agree on.
-    #[must_use]
     pub fn of_place(self, index: usize) -> bool {
         match self {
             Self::BasePosition | Self::Foot => true,
@@ -105,7 +102,6 @@ impl Kind {
     }
 
     /// Whether `index` of such a channel is an actuated joint.
-    #[must_use]
     pub fn of_joint(self) -> bool {
         matches!(
             self,
@@ -131,7 +127,6 @@ pub struct Channel {
 
 impl Channel {
     /// Value at `t_s`, on the line between samples.
-    #[must_use]
     pub fn at(&self, t_s: f64) -> f64 {
         let k = self.time_s.partition_point(|&t| t < t_s);
         if k == 0 {
@@ -160,7 +155,6 @@ pub struct Steps {
 
 impl Steps {
     /// What holds at `t_s`; the first value before all of them.
-    #[must_use]
     pub fn at(&self, t_s: f64) -> f64 {
         let k = self.time_s.partition_point(|&t| t <= t_s);
         self.value.get(k.saturating_sub(1)).copied().unwrap_or(0.0)
@@ -200,13 +194,11 @@ pub struct Trial {
 
 impl Trial {
     /// s.
-    #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.span_s.1 - self.span_s.0
     }
 
     /// The channel of `kind` and `index`.
-    #[must_use]
     pub fn channel(&self, kind: Kind, index: usize) -> Option<&Channel> {
         self.channels
             .iter()
@@ -237,7 +229,6 @@ impl Trial {
 
 /// x and y of the direction of gravity in the body (level: 0, 0), yaw (rad), and its z (level: −1), of
 /// world_from_body `[w, x, y, z]`.
-#[must_use]
 pub fn attitude_of([w, x, y, z]: [f64; 4]) -> [f64; 4] {
     let n = (w * w + x * x + y * y + z * z).sqrt().max(1e-12);
     let (w, x, y, z) = (w / n, x / n, y / n, z / n);
@@ -250,7 +241,6 @@ pub fn attitude_of([w, x, y, z]: [f64; 4]) -> [f64; 4] {
 }
 
 /// `angle_rad`, or as many whole turns away from it as bring it nearest to `near_rad`.
-#[must_use]
 pub fn nearest_turn(angle_rad: f64, near_rad: f64) -> f64 {
     use std::f64::consts::TAU;
     angle_rad + TAU * ((near_rad - angle_rad) / TAU).round()

@@ -1,5 +1,4 @@
 //! PPO on libtorch: batches, update, checkpoints, ONNX export.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod adam;
 pub mod batch;

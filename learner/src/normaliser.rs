@@ -72,7 +72,6 @@ impl Moments {
 
     /// What these observations and their mirror images have in common, each counted for half: mean (a + b)/2,
     /// and M2 (M2_a + M2_b)/2 + n·(a − b)²/4. Exactly symmetric, to the bit.
-    #[must_use]
     pub fn with_image(&self, mirror: &SignedPermutation) -> Self {
         debug_assert_eq!(self.mean.len(), mirror.len());
         let mut both = self.clone();

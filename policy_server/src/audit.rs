@@ -40,13 +40,11 @@ pub struct Origin {
 
 impl Origin {
     /// Somebody on this host, now.
-    #[must_use]
     pub fn local() -> Self {
         Self::of("local")
     }
 
     /// `by`, now.
-    #[must_use]
     pub fn of(by: &str) -> Self {
         let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
         // A clock before 1970 is a wrong clock.

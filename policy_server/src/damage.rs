@@ -57,7 +57,6 @@ impl Store {
     }
 
     /// Files that were set aside.
-    #[must_use]
     pub fn damaged_files(&self) -> usize {
         fs::read_dir(self.root.join("damaged")).map_or(0, Iterator::count)
     }

@@ -38,7 +38,6 @@ pub enum Change {
 
 impl Change {
     /// The change counter that it got.
-    #[must_use]
     pub fn generation(&self) -> u64 {
         match self {
             Self::Published(record) => record.generation,
@@ -48,7 +47,6 @@ impl Change {
     }
 
     /// Its stream.
-    #[must_use]
     pub fn stream(&self) -> &StreamName {
         match self {
             Self::Published(record) => &record.manifest.stream,
@@ -76,7 +74,6 @@ impl Store {
     }
 
     /// Whether a version is out of use.
-    #[must_use]
     pub fn is_quarantined(&self, stream: &StreamName, version: u64) -> bool {
         self.quarantined.contains_key(&(stream.clone(), version))
     }
@@ -101,7 +98,6 @@ impl Store {
 
     /// All labels of `stream` (`None`: of all), `latest` first of each. One whose version is out of use is
     /// among them.
-    #[must_use]
     pub fn labels(&self, stream: Option<&StreamName>) -> Vec<LabelState> {
         let wanted = |name: &&StreamName| stream.is_none_or(|s| s == *name);
         self.stream_names()
@@ -195,7 +191,6 @@ impl Store {
     }
 
     /// Robots that said that a version went through its trial.
-    #[must_use]
     pub fn good_reports(&self, stream: &StreamName, version: u64) -> usize {
         let reports = self.reports.get(&(stream.clone(), version));
         reports.map_or(0, Reports::good)
@@ -371,7 +366,6 @@ impl Store {
     }
 
     /// Labels, quarantine and reports of `stream` (`None`: of all), the newest reports first.
-    #[must_use]
     pub fn overview(&self, stream: Option<&StreamName>) -> Overview {
         let wanted = |name: &StreamName| stream.is_none_or(|s| s == name);
         let said = self.reports.values().flat_map(|reports| reports.0.values());

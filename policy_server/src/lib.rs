@@ -1,7 +1,6 @@
 //! The registry of policies: content-addressed store and gRPC service.
 //!
 //! *Invariant:* a version is whole or absent, and the bytes under a hash never change.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod access;
 mod audit;

@@ -74,7 +74,6 @@ pub struct UsedUp {
 
 impl UsedUp {
     /// Why `version` cannot be published with these bytes; `None`: it can.
-    #[must_use]
     pub fn objection(&self, version: u64, sha256: &Hash) -> Option<String> {
         match self.damaged.get(&version) {
             Some(Some(known)) if known == sha256 => None,
@@ -147,14 +146,12 @@ pub struct Reports(pub BTreeMap<String, RobotReport>);
 
 impl Reports {
     /// Robots that said that it went through its trial.
-    #[must_use]
     pub fn good(&self) -> usize {
         let good = |report: &&RobotReport| report.state == RobotState::Good;
         self.0.values().filter(good).count()
     }
 
     /// These with `report` in place of the robot's last one.
-    #[must_use]
     pub fn with(&self, report: RobotReport) -> Self {
         let mut next = self.clone();
         if next.0.len() >= ROBOTS_MAX && !next.0.contains_key(&report.robot) {

@@ -88,7 +88,6 @@ impl RegistryService {
     }
 
     /// Why the store cannot be changed; `None`: it can.
-    #[must_use]
     pub fn trouble(&self) -> watch::Receiver<Option<String>> {
         self.store.trouble()
     }

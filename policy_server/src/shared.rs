@@ -15,7 +15,6 @@ pub struct SharedStore {
 
 impl SharedStore {
     /// Shares `store`.
-    #[must_use]
     pub fn new(store: Store) -> Self {
         let trouble = watch::Sender::new(store.trouble().map(str::to_owned));
         Self {
@@ -41,7 +40,6 @@ impl SharedStore {
     }
 
     /// Why it cannot be changed; `None`: it can.
-    #[must_use]
     pub fn trouble(&self) -> watch::Receiver<Option<String>> {
         self.trouble.subscribe()
     }

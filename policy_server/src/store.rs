@@ -93,19 +93,16 @@ pub(crate) struct Trouble {
 
 impl Store {
     /// Its folder.
-    #[must_use]
     pub fn root(&self) -> &Path {
         &self.root
     }
 
     /// Why the last change failed on the disk; `None`: it did not.
-    #[must_use]
     pub fn trouble(&self) -> Option<&str> {
         self.trouble.as_ref().map(|trouble| trouble.reason.as_str())
     }
 
     /// Why nothing can be changed at present; `None`: it can.
-    #[must_use]
     pub fn read_only(&self) -> Option<&str> {
         let trouble = self.trouble.as_ref().filter(|trouble| trouble.read_only);
         trouble.map(|trouble| trouble.reason.as_str())
@@ -272,13 +269,11 @@ impl Store {
     }
 
     /// The newest version of a stream.
-    #[must_use]
     pub fn newest(&self, stream: &StreamName) -> Option<&Record> {
         self.streams.get(stream)?.values().next_back()
     }
 
     /// The newest version of a stream that is not quarantined; where `latest` leads.
-    #[must_use]
     pub fn newest_usable(&self, stream: &StreamName) -> Option<&Record> {
         let usable = |record: &&Record| !self.is_quarantined(stream, record.manifest.version);
         self.streams.get(stream)?.values().rev().find(usable)
@@ -301,7 +296,6 @@ impl Store {
     }
 
     /// Grows by one with each publication, label and quarantine, over all streams, and survives restarts.
-    #[must_use]
     pub fn generation(&self) -> u64 {
         self.generation
     }

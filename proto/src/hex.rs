@@ -3,7 +3,6 @@
 use serde::{Deserialize, Deserializer, Serializer};
 
 /// Lower-case hexadecimal.
-#[must_use]
 pub fn hex(bytes: &[u8]) -> String {
     use std::fmt::Write;
     bytes.iter().fold(String::new(), |mut text, byte| {
@@ -14,7 +13,6 @@ pub fn hex(bytes: &[u8]) -> String {
 }
 
 /// The bytes of pairs of hexadecimal digits.
-#[must_use]
 pub fn from_hex(text: &str) -> Option<Vec<u8>> {
     let pairs = text.as_bytes().chunks_exact(2);
     let digit = |byte: u8| char::from(byte).to_digit(16);

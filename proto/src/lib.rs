@@ -2,7 +2,6 @@
 //!
 //! *Invariant*: what comes from outside becomes a domain type here, once and completely checked;
 //! the generated types in [`wire`] are for encoders, decoders and gRPC services only.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod checks;
 mod disk;

@@ -84,7 +84,6 @@ pub struct Sensors {
 
 impl Sensors {
     /// Whether these are the readings of a robot with so many joints and feet.
-    #[must_use]
     pub fn fit(&self, joints: usize, feet: usize) -> bool {
         let lists = [&self.joint_pos_rad, &self.joint_vel_radps, &self.current_a];
         lists.iter().all(|list| list.len() == joints)

@@ -100,7 +100,6 @@ settings! {
 
 impl EngineConfig {
     /// The Rapier engine with the step that it is tuned for: 4 ms, five per control period.
-    #[must_use]
     pub fn rapier() -> Self {
         Self {
             kind: EngineKind::Rapier,
@@ -111,7 +110,6 @@ impl EngineConfig {
     }
 
     /// The control period, s.
-    #[must_use]
     pub fn control_period_s(&self) -> f64 {
         self.dt_s * f64::from(self.substeps)
     }

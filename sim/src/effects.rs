@@ -43,7 +43,6 @@ macro_rules! effects {
 
         impl $name {
             $(#[$nominal_meta])*
-            #[must_use]
             pub fn nominal($($from: $kind),+) -> Self {
                 Self { $($field: ($nominal) as f32,)+ }
             }
@@ -54,7 +53,6 @@ macro_rules! effects {
             ];
 
             /// Value of the field called `name`.
-            #[must_use]
             pub fn get(&self, name: &str) -> Option<f32> {
                 match name {
                     $(stringify!($field) => Some(self.$field),)+

@@ -7,7 +7,6 @@
 //!
 //! Invariant: nothing here knows a network, a clock or a file being watched; the same seed, lane
 //! parameters and commands give the same bits for any number of threads.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod batch;
 pub mod config;

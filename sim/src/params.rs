@@ -82,7 +82,6 @@ pub struct LaneParams {
 impl LaneParams {
     /// The robot file's values: no scaling, no offset, no delay, default supply; with what its `[extension]`
     /// has, where it has one.
-    #[must_use]
     pub fn nominal(model: &RobotModel) -> Self {
         let mut params = Self::bare(model);
         params.extend(model);
@@ -90,7 +89,6 @@ impl LaneParams {
     }
 
     /// As [`LaneParams::nominal`] without the robot file's `[extension]`.
-    #[must_use]
     pub fn bare(model: &RobotModel) -> Self {
         let per_servo = |f: &dyn Fn(usize) -> f64| -> Vec<f32> {
             (0..model.actuated().len()).map(|a| f(a) as f32).collect()
@@ -223,7 +221,6 @@ pub struct InitialState {
 
 impl InitialState {
     /// At rest in the nominal pose above the origin, facing +x.
-    #[must_use]
     pub fn nominal(model: &RobotModel) -> Self {
         Self {
             base_xy_m: [0.0; 2],

@@ -35,7 +35,6 @@ macro_rules! state {
 
         impl State {
             /// All zeros in the given shape.
-            #[must_use]
             pub fn zeros(lanes: usize, $joints: usize, $actuated: usize, $feet: usize) -> Self {
                 Self {
                     lanes,
@@ -48,7 +47,6 @@ macro_rules! state {
             }
 
             /// Every numeric field, in the order of declaration.
-            #[must_use]
             pub fn fields(&self) -> [&[f32]; FIELDS] {
                 [$(&self.$field),+]
             }

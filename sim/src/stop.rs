@@ -55,7 +55,6 @@ impl Stop {
     /// `inverse_inertia`: A, 1/(kg·m²); 0 where nothing moves. Time constants of less than two steps are not
     /// lengthened to two as MuJoCo's `refsafe` does: taken in the middle of the step, they need not be, and
     /// play would open farther in larger steps.
-    #[must_use]
     pub fn new(softness: &Softness, inverse_inertia: f64) -> Self {
         let impedance = |d: f64| d.clamp(IMPEDANCE.0, IMPEDANCE.1);
         let [low, high, width, middle, power] = softness.solimp;
@@ -100,19 +99,16 @@ impl Stop {
     }
 
     /// Its spring over its impedance, 1/s².
-    #[must_use]
     pub fn stiffness_per_s2(&self) -> f64 {
         self.stiffness_per_s2
     }
 
     /// Its damper, 1/s.
-    #[must_use]
     pub fn damping_per_s(&self) -> f64 {
         self.damping_per_s
     }
 
     /// A: inverse of the inertia that the stop reckons with, 1/(kg·m²).
-    #[must_use]
     pub fn mobility(&self) -> f64 {
         self.mobility
     }
@@ -132,7 +128,6 @@ impl Stop {
     /// The torque at `beyond_rad` past a limit (signed: above the upper one is positive), at `qd_radps`. It
     /// pushes only where the joint would accelerate outwards more than the law wants without it:
     /// `free_radps2`, as it was in the last step.
-    #[must_use]
     #[inline(always)]
     pub fn torque<R: Real>(&self, beyond_rad: R, qd_radps: R, free_radps2: R) -> ImplicitTorque<R> {
         let o = R::zero();

@@ -112,7 +112,6 @@ pub struct LinkForces<R> {
 }
 
 /// The forces of water on one link.
-#[must_use]
 #[inline(always)]
 pub fn forces<R: Real>(p: &WaterLink<R>, at: &LinkMotion<R>, water: &Surface<R>) -> LinkForces<R> {
     let rot = &at.rotation;
@@ -232,7 +231,6 @@ fn into_link<R: Real>(rot: &[[R; 3]; 3], v: [R; 3]) -> [R; 3] {
 
 impl WaterLink<f64> {
     /// All links of a lane with parameters `params`; `None` for a robot without water in its file. `[L]`
-    #[must_use]
     pub fn all(model: &RobotModel, params: &LaneParams) -> Option<Vec<Self>> {
         let water = model.water()?;
         let links = model.links().iter().zip(&params.water).enumerate();

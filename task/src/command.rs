@@ -79,7 +79,6 @@ pub struct CommandState {
 
 /// A velocity in the heading frame as it is along the course and to the left of it, `off_course_rad` being
 /// how far the heading is to the left of the course.
-#[must_use]
 pub fn along_course([x, y, _]: [f32; 3], off_course_rad: f32) -> [f32; 2] {
     let (sin, cos) = off_course_rad.sin_cos();
     [cos * x - sin * y, sin * x + cos * y]
@@ -87,7 +86,6 @@ pub fn along_course([x, y, _]: [f32; 3], off_course_rad: f32) -> [f32; 2] {
 
 /// Yaw rate that a person with a joystick would ask for to come from `heading_rad` to `course_rad`, within
 /// `range_radps`.
-#[must_use]
 pub fn yaw_rate_towards(course_rad: f32, heading_rad: f32, [least, most]: [f32; 2]) -> f32 {
     (COURSE_GAIN_PER_S * wrap_angle(course_rad - heading_rad))
         .max(least)
@@ -133,7 +131,6 @@ impl CommandState {
     }
 
     /// How far `heading_rad` is to the left of the course, rad; 0 where none is held.
-    #[must_use]
     pub fn off_course_rad(&self, heading_rad: f32) -> f32 {
         self.course_rad
             .map_or(0.0, |course_rad| wrap_angle(heading_rad - course_rad))

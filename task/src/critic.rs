@@ -73,7 +73,6 @@ impl Critic {
     }
 
     /// E.
-    #[must_use]
     pub fn dim(&self) -> usize {
         self.signals.iter().map(|signal| self.width(*signal)).sum()
     }
@@ -99,7 +98,6 @@ impl Critic {
     }
 
     /// How the view changes when left and right are exchanged, `[E]`.
-    #[must_use]
     pub fn mirrored(&self, mirror: &Mirror) -> SignedPermutation {
         let none = SignedPermutation::identity(0);
         let views = self.signals.iter().map(|signal| image(*signal, mirror));
@@ -108,7 +106,6 @@ impl Critic {
 
     /// What rollouts of this view and the policy contract with this hash are marked with: the contract's hash
     /// itself where the value function sees nothing else. Learner and actors of one run have the same.
-    #[must_use]
     pub fn seal(&self, contract: [u8; 32]) -> [u8; 32] {
         if self.signals.is_empty() {
             return contract;

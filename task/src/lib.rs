@@ -11,7 +11,6 @@
 //! knows how many there are.
 //!
 //! *Invariant:* nothing here knows an engine, a network, a clock or a file.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod action;
 pub mod command;

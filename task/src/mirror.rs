@@ -25,7 +25,6 @@ pub struct SignedPermutation {
 
 impl SignedPermutation {
     /// Leaves everything as it is.
-    #[must_use]
     pub fn identity(len: usize) -> Self {
         Self {
             source: (0..len).collect(),
@@ -34,7 +33,6 @@ impl SignedPermutation {
     }
 
     /// Exchanges the first with the last, the second with the last but one, and so on.
-    #[must_use]
     pub fn reversal(len: usize) -> Self {
         Self {
             source: (0..len).rev().collect(),
@@ -43,13 +41,11 @@ impl SignedPermutation {
     }
 
     /// How many values there are.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.source.len()
     }
 
     /// Whether there are none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.source.is_empty()
     }
@@ -71,7 +67,6 @@ impl SignedPermutation {
     }
 
     /// These values, and those of `other` behind them.
-    #[must_use]
     pub fn followed_by(&self, other: &Self) -> Self {
         let mut all = Self::identity(self.len() + other.len());
         all.place(0, self);
@@ -88,7 +83,6 @@ impl SignedPermutation {
 
 /// How a mirror changes the values between the layers of a network that commutes with it, input and output
 /// included: in a hidden layer of n units, unit i changes places with unit n − 1 − i.
-#[must_use]
 pub fn sides(
     input: &SignedPermutation,
     hidden: &[usize],

@@ -34,7 +34,6 @@ pub enum GaitPattern {
 
 impl GaitPattern {
     /// Phase of a foot relative to the clock, rad, for a robot with so many feet.
-    #[must_use]
     pub fn offset_rad(self, foot: usize, feet: usize) -> f32 {
         let (pair, right) = (foot / 2, foot % 2);
         let half = |odd: usize| if odd.is_multiple_of(2) { 0.0 } else { PI };

@@ -9,8 +9,6 @@
 //! [`SendError::Full`] at its deadline and the frame has *not* been taken: the caller tries again.
 //! `docs/reference/transport.md` has the protocol, the limits and the fault table.
 
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
-
 mod actor_core;
 mod config;
 mod crew;

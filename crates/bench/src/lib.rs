@@ -3,7 +3,6 @@
 //! Each benchmark is a `Plan` (the flags of its command) and what it found (what `--json` prints). All
 //! measure alike: after a warm-up, in rounds, side by side with what they are compared with ([`measure`]).
 //! [`verify`] holds the engines against MuJoCo, closed forms and conservation laws.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod explain;
 pub mod gap;

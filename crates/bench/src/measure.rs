@@ -83,14 +83,12 @@ pub fn until(seconds: f64, mut round: impl FnMut() -> Result<(), Failure>) -> Re
 }
 
 /// The value at a share of sorted ones; `None` where there are none.
-#[must_use]
 pub fn quantile(sorted: &[f64], q: f64) -> Option<f64> {
     let last = sorted.len().checked_sub(1)?;
     sorted.get((last as f64 * q).round() as usize).copied()
 }
 
 /// The middle one, the upper of two; `None` where there are none.
-#[must_use]
 pub fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied()
@@ -147,7 +145,6 @@ fn cpu_s(who: UsageWho) -> Result<f64, Failure> {
 }
 
 /// CPU time of process `pid` so far, all threads, user and system, s.
-#[must_use]
 pub fn cpu_s_of(pid: u32) -> Option<f64> {
     let text = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
     // The second field is the name in brackets, which may have spaces; utime and stime are the 14th and 15th.

@@ -55,7 +55,6 @@ impl Axis {
     }
 
     /// 0 at the low end, 1 at the high end.
-    #[must_use]
     pub fn place(&self, x: f64) -> f64 {
         if self.log {
             (x.max(1e-300) / self.low).ln() / (self.high / self.low).ln()
@@ -65,7 +64,6 @@ impl Axis {
     }
 
     /// About so many marks at round places, with their labels.
-    #[must_use]
     pub fn ticks(&self, about: usize) -> Vec<(f64, String)> {
         if self.log {
             return self.log_ticks();

@@ -29,7 +29,6 @@ pub struct Chart {
 
 impl Chart {
     /// An empty chart. `about`: what it shows, for those who do not see it.
-    #[must_use]
     pub fn new(size: (f64, f64), x: Axis, y: Axis, title: &str, about: &str) -> Self {
         let marks = y.ticks(((size.1 / 48.0) as usize).max(3));
         let longest = marks.iter().map(|tick| tick.1.chars().count()).max();
@@ -144,7 +143,6 @@ impl Chart {
     }
 
     /// The chart for a page, which gives it its caption and [`style`](crate::style).
-    #[must_use]
     pub fn finish(self) -> String {
         let (w, h) = self.size;
         format!(
@@ -158,7 +156,6 @@ impl Chart {
 }
 
 /// An SVG file of its own: charts of one size in rows of `columns`, each below its title.
-#[must_use]
 pub fn sheet(charts: &[Chart], columns: usize) -> String {
     const TITLE: f64 = 30.0;
     let columns = columns.clamp(1, charts.len().max(1));

@@ -3,8 +3,6 @@
 //! Every still picture of curves is drawn here. Only the evaluation's page draws on canvases instead: its
 //! diagrams move with the replay. *Invariant:* the same data give the same bytes.
 
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
-
 mod axis;
 mod chart;
 mod style;

@@ -31,7 +31,6 @@ svg .title{fill:var(--ink);font-size:14px;font-weight:600}
 ";
 
 /// The style sheet of pictures inside a page: variables for light, dark and paper, then the classes.
-#[must_use]
 pub fn style() -> String {
     let of = |ground: fn(&Colour) -> &'static str| {
         let set = |colour: &Colour| format!("--{}:{};", colour.0, ground(colour));

@@ -1,7 +1,6 @@
 //! Texts and numbers as they stand in a picture.
 
 /// Text made safe for HTML and SVG.
-#[must_use]
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
@@ -19,7 +18,6 @@ pub fn escape(text: &str) -> String {
 }
 
 /// A number in three significant digits, without a trail of zeros.
-#[must_use]
 pub fn number(x: f64) -> String {
     let size = x.abs();
     if !x.is_finite() {

@@ -54,7 +54,6 @@ fn waiting(run: &Path) -> Vec<PathBuf> {
 }
 
 /// The requests that wait, each with its file, which is left for the caller to remove.
-#[must_use]
 pub fn asked(run: &Path) -> Vec<(PathBuf, Result<Vec<String>, String>)> {
     let read = |path: PathBuf| {
         let text = caudata_durable::read_text_at_most(&path, BYTES_MAX);

@@ -7,7 +7,6 @@
 //!
 //! *Invariant:* plain data. Neither libtorch nor a network library is linked, so that the command line can
 //! check everything.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod args;
 mod asked;

@@ -136,7 +136,6 @@ impl Changes {
     }
 
     /// All settings until the end, in order.
-    #[must_use]
     pub fn settings(&self) -> Vec<String> {
         self.change.iter().flat_map(|c| c.set.clone()).collect()
     }
@@ -233,7 +232,6 @@ impl Config {
     }
 
     /// The keys that may change while a run goes on, with their values.
-    #[must_use]
     pub fn changeable(&self) -> Vec<(String, String)> {
         let own = self.task.reward.term.iter();
         let own = own.map(|term| {

@@ -68,7 +68,6 @@ macro_rules! named {
             $visible const ALL: [Self; [$($text),+].len()] = [$(Self::$variant),+];
 
             /// Its name in files, logs and on the command line.
-            #[must_use]
             $visible const fn name(self) -> &'static str {
                 match self {
                     $(Self::$variant => $text,)+
@@ -76,7 +75,6 @@ macro_rules! named {
             }
 
             /// The one that has this name.
-            #[must_use]
             $visible fn of_name(name: &str) -> Option<Self> {
                 Self::ALL.into_iter().find(|one| one.name() == name)
             }

@@ -17,7 +17,6 @@ pub struct Folder {
 
 impl Folder {
     /// Where it is.
-    #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }

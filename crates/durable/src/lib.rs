@@ -3,7 +3,6 @@
 //! Everything that must survive a crash or a power cut (policies, checkpoints, the robot's state) is written
 //! through this crate, so that the order of operations is right in one place: the bytes reach the disk before
 //! the name does, and the name reaches the disk before the caller goes on.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod bounded;
 mod disk;
@@ -46,7 +45,6 @@ pub enum DurableError {
 
 impl DurableError {
     /// Sorts an operating-system error into the cases that callers tell apart.
-    #[must_use]
     pub fn from_io(action: &'static str, path: &Path, source: io::Error) -> Self {
         let path = path.to_path_buf();
         match source.kind() {
@@ -64,13 +62,11 @@ impl DurableError {
 
     /// True where the system would not say that the bytes are on the disk. What is on it then is not known:
     /// writing on could build on sand, so that whoever keeps a store stops changing it.
-    #[must_use]
     pub fn is_sync_failure(&self) -> bool {
         matches!(self, Self::Io { action: "sync", .. })
     }
 
     /// True where the cause is missing space.
-    #[must_use]
     pub fn is_disk_full(&self) -> bool {
         matches!(self, Self::DiskFull { .. })
     }

@@ -5,7 +5,6 @@
 //! pseudo-terminals.
 //!
 //! *Invariant:* the far end learns nothing that a real servo or IMU would not say.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod robot;
 pub mod serve;

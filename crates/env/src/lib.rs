@@ -9,7 +9,6 @@
 //!
 //! *Invariant:* one control step allocates nothing once the buffers have grown to size; no result depends on
 //! a clock, a thread count or the order of a hash map.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod checks;
 mod error;

@@ -234,7 +234,6 @@ impl WaterSensor {
     }
 
     /// Whether lane `lane` of `engine` swims.
-    #[must_use]
     pub fn in_water(&self, engine: &dyn Engine, lane: usize) -> bool {
         self.0.read(engine, lane).afloat > 0.0
     }

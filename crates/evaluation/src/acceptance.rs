@@ -81,7 +81,6 @@ fn row(name: &'static str, unit: &'static str, target: Target, found: Found) -> 
 
 /// The table from the results of the suite `acceptance`. Times of training are not in it: a policy does not
 /// show them.
-#[must_use]
 pub fn acceptance(result: &SuiteResult) -> Vec<Row> {
     let mut rows = walking(result);
     rows.extend(standing_and_pushes(result));

@@ -40,7 +40,6 @@ pub struct Anatomy {
 
 impl Anatomy {
     /// The build of `model`.
-    #[must_use]
     pub fn of(model: &Arc<RobotModel>) -> Self {
         let plan = BodyPlan::from_model(model);
         let nominal = model.nominal_pos_rad();

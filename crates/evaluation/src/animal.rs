@@ -47,7 +47,6 @@ fn row(
 }
 
 /// The table from walks straight ahead and from swimming; empty for robots of another build.
-#[must_use]
 pub fn animal(scenarios: &[ScenarioResult], anatomy: &Anatomy) -> Vec<AnimalRow> {
     let bends = anatomy.in_trunk.iter().any(|&is| is);
     if !bends || anatomy.sides.is_empty() || anatomy.snout_vent_m <= 0.0 {
@@ -130,7 +129,6 @@ pub fn animal(scenarios: &[ScenarioResult], anatomy: &Anatomy) -> Vec<AnimalRow>
 }
 
 /// Mean of the scores that there are.
-#[must_use]
 pub fn score(rows: &[AnimalRow]) -> Option<f64> {
     let scores: Vec<f64> = rows.iter().filter_map(|r| r.score).collect();
     (!scores.is_empty()).then(|| scores.iter().sum::<f64>() / scores.len() as f64)

@@ -26,7 +26,6 @@ pub struct Envelope {
 
 impl Envelope {
     /// The envelope of a robot's servos.
-    #[must_use]
     pub fn of(model: &RobotModel) -> Self {
         let servo = model.servo(0);
         let supply_v = model.supply_v();
@@ -43,7 +42,6 @@ impl Envelope {
 
     /// Largest torque in the direction of motion at `speed_radps` (≥ 0), N·m; negative beyond the no-load
     /// speed.
-    #[must_use]
     pub fn driving_limit_nm(&self, speed_radps: f64) -> f64 {
         let fall =
             (self.tau_max_nm - self.tau_there_nm) / (self.taper_at_radps - self.flat_to_radps);
@@ -52,7 +50,6 @@ impl Envelope {
     }
 
     /// Whether a motor that gives `torque_nm` at `speed_radps` gives all it can.
-    #[must_use]
     pub fn is_reached(&self, torque_nm: f64, speed_radps: f64) -> bool {
         let limit_nm = match torque_nm * speed_radps < 0.0 {
             true => self.tau_brake_max_nm,

@@ -19,7 +19,6 @@ const Z_95: f64 = 1.96;
 impl Estimate {
     /// Mean of the values and its standard error `s/√n`, with `s² = Σ(x − mean)²/(n − 1)`. No width for a
     /// single value.
-    #[must_use]
     pub fn of(values: &[f64]) -> Self {
         if values.is_empty() {
             return Self::default();
@@ -41,7 +40,6 @@ impl Estimate {
 
     /// A share of `count` out of `total`, with Wilson's interval, which also holds near 0 and 1; it lies
     /// within them.
-    #[must_use]
     pub fn share(count: usize, total: usize) -> Self {
         if total == 0 {
             return Self::default();
@@ -59,7 +57,6 @@ impl Estimate {
     }
 
     /// Standard error of the mean.
-    #[must_use]
     pub fn standard_error(&self) -> f64 {
         (self.ci_high - self.ci_low) / (2.0 * Z_95)
     }

@@ -37,7 +37,6 @@ pub struct Evaluation<'a> {
 
 impl Evaluation<'_> {
     /// How many scenarios there are to run, on all engines.
-    #[must_use]
     pub fn scenarios(&self) -> usize {
         let speed_mps = self.config.evaluation.command_mps as f32;
         let all = self

@@ -88,7 +88,6 @@ pub struct Gait {
 
 impl Gait {
     /// Measures an episode; `None` if fewer than [`SHORTEST_S`] of it are left after settling.
-    #[must_use]
     pub fn of(trace: &Trace, measure: &Measure) -> Option<Self> {
         let frames = trace.after(measure.settle_s);
         if (frames.len() as f64) * trace.period_s < SHORTEST_S {

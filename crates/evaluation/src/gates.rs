@@ -120,7 +120,6 @@ pub struct GateReport {
 
 impl GateReport {
     /// Judges the episodes of one scenario.
-    #[must_use]
     pub fn of(gaits: &[Gait], limits: &Limits) -> Self {
         if gaits.is_empty() {
             return Self::default();
@@ -140,7 +139,6 @@ impl GateReport {
     }
 
     /// Names of the gates that are not met.
-    #[must_use]
     pub fn missed(&self) -> Vec<&str> {
         self.gates
             .iter()

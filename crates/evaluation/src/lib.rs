@@ -6,7 +6,6 @@
 //!
 //! Invariant: the same policy, configuration and seed give the same figures, on any number of threads;
 //! nothing here looks at a clock.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod acceptance;
 mod anatomy;

@@ -31,7 +31,6 @@ pub struct Shapes {
 
 impl Shapes {
     /// The shapes of `model`.
-    #[must_use]
     pub fn of(model: &Arc<RobotModel>) -> Self {
         let links = model.links().iter().enumerate();
         let capsules: Vec<Capsule> = links
@@ -62,7 +61,6 @@ impl Shapes {
     }
 
     /// The foremost point of all shapes along the horizontal unit vector `ahead`, links placed as in `at`, m.
-    #[must_use]
     pub fn foremost_m(&self, at: &Kinematics, ahead: [f64; 2]) -> f64 {
         let reach = |capsule: &Capsule| {
             let along = |end: [f64; 3]| {
@@ -81,7 +79,6 @@ impl Shapes {
 
     /// Depth of the deepest overlap at these positions of the actuated joints (rad), m; 0 where nothing
     /// meets. `at` is room to work in.
-    #[must_use]
     pub fn deepest_m(&self, joint_pos_rad: &[f64], at: &mut Kinematics) -> f64 {
         if !self.place(joint_pos_rad, at) {
             return 0.0;

@@ -38,7 +38,6 @@ pub struct SuiteResult {
 
 impl SuiteResult {
     /// The scenario of that name.
-    #[must_use]
     pub fn scenario(&self, name: &str) -> Option<&ScenarioResult> {
         self.scenarios.iter().find(|s| s.name == name)
     }
@@ -55,7 +54,6 @@ pub struct Referee {
 
 impl Referee {
     /// Its result for the scenario of that name.
-    #[must_use]
     pub fn scenario(&self, name: &str) -> Option<&ScenarioResult> {
         self.scenarios.iter().find(|s| s.name == name)
     }
@@ -246,7 +244,6 @@ impl ScenarioResult {
 
     /// Whether it walks by the gates and without falling in more than 5 % of the episodes; `None` where it is
     /// not about walking.
-    #[must_use]
     pub fn walks(&self) -> Option<bool> {
         const FALLS_MOST: f64 = 0.05;
         let gates = self.gates.as_ref()?;

@@ -165,7 +165,6 @@ fn judge(episodes: &[Episode], scenario: &Scenario, limits: &Limits) -> GateRepo
 
 /// The training configuration under the scenario's conditions; `surface_m` is the height of the water, if
 /// there is any.
-#[must_use]
 pub fn conditions(
     config: &Config,
     scenario: &Scenario,

@@ -39,7 +39,6 @@ pub struct Scenario {
 
 impl Scenario {
     /// An undisturbed walk on flat ground at a constant command.
-    #[must_use]
     pub fn walk(name: &str, command: [f32; 3]) -> Self {
         Self {
             name: name.to_owned(),
@@ -59,7 +58,6 @@ impl Scenario {
     }
 
     /// Whether the ground is flat, so that a trunk on it is a fault.
-    #[must_use]
     pub fn is_flat(&self) -> bool {
         self.terrain.kind == TerrainKind::Flat
     }
@@ -100,7 +98,6 @@ impl Leg {
     pub const MOST_RADPS: f32 = 0.6;
 
     /// The command at `time_s` and `heading_rad` in an episode that began with `first`; `None` without legs.
-    #[must_use]
     pub fn command(
         legs: &[Self],
         first: [f32; 3],
@@ -153,7 +150,6 @@ pub struct Corner {
 
 impl Corner {
     /// The robot as its file says.
-    #[must_use]
     pub fn nominal() -> Self {
         Self {
             command_delay_s: 0.0,
@@ -168,7 +164,6 @@ impl Corner {
     }
 
     /// As a randomisation without any width.
-    #[must_use]
     pub fn randomisation(&self) -> RandomisationConfig {
         let all = |value: f32| [value, value];
         RandomisationConfig {

@@ -86,7 +86,6 @@ impl Suite {
     ];
 
     /// Its name on the command line.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Flat => "flat",
@@ -106,7 +105,6 @@ impl Suite {
 
     /// Its scenarios. `mass_kg`: of the robot, since pushes are given as a change of speed. `speed_mps`: what
     /// it is judged at; all velocities are as many times those named here as it is of the paper's 0.3 m/s.
-    #[must_use]
     pub fn scenarios(self, mass_kg: f64, speed_mps: f32) -> Vec<Scenario> {
         match self {
             Self::Flat => flat(speed_mps),
@@ -148,7 +146,6 @@ impl Suite {
 }
 
 /// Name of the walk straight ahead on flat ground at `speed_mps`.
-#[must_use]
 pub fn flat_name(speed_mps: f32) -> String {
     match (speed_mps * 10.0).fract() == 0.0 || speed_mps == PAPER_COMMAND_MPS {
         true => format!("flat {speed_mps:.1} m/s"),

@@ -119,7 +119,6 @@ impl Line {
 
 impl Summary {
     /// Summarises a result for a robot whose files have this SHA-256.
-    #[must_use]
     pub fn of(result: &SuiteResult, robot_hash: String, seed: u64) -> Self {
         let rows = &result.acceptance;
         let met = rows.iter().filter(|r| r.met).count();
@@ -175,7 +174,6 @@ impl Summary {
 }
 
 /// Where the summary of a policy file lies: `policy.onnx` → `policy.evaluation.json`.
-#[must_use]
 pub fn summary_path(policy: &Path) -> PathBuf {
     policy.with_extension("evaluation.json")
 }

@@ -40,7 +40,6 @@ pub struct Frame {
 
 impl Frame {
     /// All zeros, for a robot with so many actuated joints and feet.
-    #[must_use]
     pub fn still(joints: usize, feet: usize) -> Self {
         let (per_joint, per_foot) = (PerJoint::filled(joints, 0.0), PerFoot::filled(feet, 0.0));
         Self {
@@ -56,7 +55,6 @@ impl Frame {
     }
 
     /// Reads one lane of `env` after a step that did not end its episode.
-    #[must_use]
     pub fn read(env: &VecEnv, lane: usize) -> Self {
         let truth = env.truth(lane);
         let state = env.state();
@@ -102,7 +100,6 @@ pub struct Trace {
 
 impl Trace {
     /// The frames from `from_s` on.
-    #[must_use]
     pub fn after(&self, from_s: f64) -> &[Frame] {
         let first = (from_s / self.period_s).round() as usize;
         self.frames.get(first..).unwrap_or_default()
@@ -131,7 +128,6 @@ pub struct RobotPose {
 
 impl RobotPose {
     /// Reads one lane of `env`.
-    #[must_use]
     pub fn read(env: &VecEnv, lane: usize) -> Self {
         let state = env.state();
         Self {
@@ -151,7 +147,6 @@ pub struct Track {
 
 impl Track {
     /// Takes the velocities out of a trace.
-    #[must_use]
     pub fn of(trace: &Trace) -> Self {
         let row = |f: &Frame| {
             let ([cx, cy, cw], [vx, vy]) = (f.command, f.velocity_mps);

@@ -48,7 +48,6 @@ pub enum Sign {
 
 impl Sign {
     /// In words, as the end of "it …".
-    #[must_use]
     pub fn words(self) -> &'static str {
         match self {
             Self::StandsStill => "stands still",
@@ -83,7 +82,6 @@ pub struct Behaviour {
 
 impl Behaviour {
     /// Whether that is walking.
-    #[must_use]
     pub fn walks(&self) -> bool {
         self.score >= WALKS
     }

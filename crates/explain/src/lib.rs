@@ -7,7 +7,6 @@
 //! suspect. The suspects are put right, one at a time and together, each in a short training
 //! ([`trial`]), and compared with the same training as the run is ([`search`]). Only what makes it walk is
 //! named.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod behaviour;
 mod observation;

@@ -6,7 +6,6 @@
 //!
 //! *Invariant:* knows neither a simulator nor a control loop; whatever bytes arrive, nothing here panics or
 //! waits without end.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod emulated;
 pub mod i2c;

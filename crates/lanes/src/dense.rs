@@ -14,7 +14,6 @@ pub const BLOCK: usize = 16;
 const ROWS: usize = 6;
 
 /// Values in a padded row of `width`.
-#[must_use]
 pub fn padded(width: usize) -> usize {
     width.next_multiple_of(BLOCK)
 }
@@ -74,13 +73,11 @@ impl Dense {
     }
 
     /// Inputs.
-    #[must_use]
     pub fn inputs(&self) -> usize {
         self.inputs
     }
 
     /// Outputs.
-    #[must_use]
     pub fn outputs(&self) -> usize {
         self.outputs
     }

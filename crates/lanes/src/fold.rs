@@ -30,14 +30,12 @@ pub struct Side {
 
 impl Side {
     /// `len` values that no mirror changes.
-    #[must_use]
     pub fn plain(len: usize) -> Self {
         Self::new(&Vec::from_iter(0..len), &vec![1.0; len])
     }
 
     /// The mirror image of value i is `sign[i]` times value `source[i]`; twice mirrored is as it was. A first
     /// part of the values that is mirrored in itself is folded into the first parts of both halves.
-    #[must_use]
     pub fn new(source: &[usize], sign: &[f32]) -> Self {
         let mut side = Self {
             len: source.len(),
@@ -69,31 +67,26 @@ impl Side {
     }
 
     /// Values of a row that is not folded.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.len
     }
 
     /// Whether there are none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }
 
     /// Even and odd parts.
-    #[must_use]
     pub fn counts(&self) -> [usize; 2] {
         [self.even.len(), self.odd.len()]
     }
 
     /// Where the odd parts begin in a folded row.
-    #[must_use]
     pub fn part(&self) -> usize {
         padded(self.even.len().max(self.odd.len()))
     }
 
     /// Values in a folded row.
-    #[must_use]
     pub fn width(&self) -> usize {
         match self.odd.is_empty() {
             true => self.part(),
@@ -139,7 +132,6 @@ impl Side {
 }
 
 /// The two matrices, even and odd, row-major, that a layer with `weight` `[out, in]` is between folded rows.
-#[must_use]
 pub fn fold_weights(weight: &[f32], output: &Side, input: &Side) -> [Vec<f32>; 2] {
     let halves = [
         (&output.even, &input.even, 1.0),
@@ -188,7 +180,6 @@ pub fn unfold_weights(halves: [&[f32]; 2], output: &Side, input: &Side, weight: 
 
 /// The biases between folded rows: those of the even parts. A layer that commutes with its mirror has none of
 /// odd parts.
-#[must_use]
 pub fn fold_bias(bias: &[f32], output: &Side) -> Vec<f32> {
     output.even.iter().map(|unit| bias[unit.index]).collect()
 }

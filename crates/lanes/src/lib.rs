@@ -3,7 +3,6 @@
 //! [`perceptron`] (layers of networks).
 //!
 //! *Invariant:* the only `unsafe` code of physics and networks is here.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod dense;
 pub mod fold;

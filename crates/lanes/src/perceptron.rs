@@ -69,7 +69,6 @@ impl Tape {
 
 impl Perceptron {
     /// A network without weights yet, with a layer between each of `sides` and the next.
-    #[must_use]
     pub fn new(sides: Vec<Side>, activation: Activation) -> Self {
         Self {
             layers: vec![<[Dense; 2]>::default(); sides.len().saturating_sub(1)],
@@ -79,13 +78,11 @@ impl Perceptron {
     }
 
     /// Its inputs.
-    #[must_use]
     pub fn input(&self) -> &Side {
         &self.sides[0]
     }
 
     /// Its outputs.
-    #[must_use]
     pub fn output(&self) -> &Side {
         &self.sides[self.layers.len()]
     }
@@ -145,7 +142,6 @@ impl Perceptron {
     }
 
     /// Length of the gradient of [`Perceptron::backward`].
-    #[must_use]
     pub fn gradient_len(&self) -> usize {
         let sizes = (0..self.layers.len()).map(|at| self.gradient_sizes(at));
         sizes.flatten().sum()

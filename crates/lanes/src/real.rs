@@ -42,30 +42,22 @@ pub trait Real:
     /// Value of lane `lane`.
     fn lane(self, lane: usize) -> f64;
     /// With lane `lane` replaced.
-    #[must_use]
     fn with_lane(self, lane: usize, value: f64) -> Self;
     /// `self · a + b`, rounded once or twice, whichever is faster here.
-    #[must_use]
     fn mul_add(self, a: Self, b: Self) -> Self;
     /// Square root.
-    #[must_use]
     fn sqrt(self) -> Self;
     /// Absolute value.
-    #[must_use]
     fn abs(self) -> Self;
     /// The smaller one; the other where one is NaN.
-    #[must_use]
     fn min(self, other: Self) -> Self;
     /// The larger one; the other where one is NaN.
-    #[must_use]
     fn max(self, other: Self) -> Self;
     /// The largest whole number not above.
-    #[must_use]
     fn floor(self) -> Self;
     /// Sine and cosine of an angle in rad.
     fn sin_cos(self) -> (Self, Self);
     /// e to the power of `self`.
-    #[must_use]
     fn exp(self) -> Self;
     /// `self < other`.
     fn lt(self, other: Self) -> Self::Mask;
@@ -77,14 +69,12 @@ pub trait Real:
     fn select(mask: Self::Mask, yes: Self, no: Self) -> Self;
 
     /// 0.
-    #[must_use]
     #[inline(always)]
     fn zero() -> Self {
         Self::splat(0.0)
     }
 
     /// 1.
-    #[must_use]
     #[inline(always)]
     fn one() -> Self {
         Self::splat(1.0)

@@ -6,7 +6,6 @@
 //!
 //! *Invariant:* nothing is answered without the token that [`LivePage::address`] holds, and no training changes
 //! without another; a client that does not keep up is cut off, and keeps nobody waiting.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod hub;
 mod order;

@@ -110,7 +110,6 @@ impl Stage {
     }
 
     /// Time of one step, s.
-    #[must_use]
     pub fn period_s(&self) -> f64 {
         self.config.task.control_period_s
     }
@@ -131,13 +130,11 @@ impl Stage {
     }
 
     /// Where every part of the robot is.
-    #[must_use]
     pub fn pose(&self) -> RobotPose {
         RobotPose::read(&self.env, 0)
     }
 
     /// What it does.
-    #[must_use]
     pub fn frame(&self) -> Frame {
         Frame::read(&self.env, 0)
     }

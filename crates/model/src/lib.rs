@@ -9,8 +9,6 @@
 //!
 //! Frames: world x forward, y left, z up. SI units and radians. Quaternions w, x, y, z.
 
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
-
 mod assemble;
 mod error;
 mod extension;

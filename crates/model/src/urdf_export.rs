@@ -17,7 +17,6 @@ impl RobotModel {
     /// The robot as URDF: links with inertia, joints with limits, damping and friction, shapes as primitives (a
     /// capsule as a cylinder and two balls). Rotor inertia, servos, sensors and water have no place in it. A
     /// robot that is bolted down hangs on a link called `world`.
-    #[must_use]
     pub fn to_urdf(&self) -> String {
         let mut out = String::new();
         let w = &mut out;

@@ -6,7 +6,6 @@
 //!
 //! *Invariant*: bytes from outside reach ONNX Runtime only as a [`PolicyFile`]; the runtime is no
 //! sandbox.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod average;
 mod error;

@@ -8,7 +8,6 @@
 //! save and restore.
 //!
 //! *Invariant:* nothing here reads a clock, the operating system's entropy or a global state.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod stream;
 

@@ -98,7 +98,6 @@ impl RegistryClient {
     }
 
     /// Where the server is expected.
-    #[must_use]
     pub fn address(&self) -> &str {
         &self.address
     }

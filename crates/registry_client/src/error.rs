@@ -62,7 +62,6 @@ pub enum ClientError {
 
 impl ClientError {
     /// True where the same call may succeed later.
-    #[must_use]
     pub fn is_transient(&self) -> bool {
         match self {
             Self::Unreachable { .. } | Self::TimedOut { .. } => true,
@@ -79,7 +78,6 @@ impl ClientError {
     }
 
     /// True where somebody else changed the same thing first: look again and decide anew.
-    #[must_use]
     pub fn is_lost_race(&self) -> bool {
         matches!(
             self,
@@ -91,7 +89,6 @@ impl ClientError {
     }
 
     /// True where the server does not hold what was asked for.
-    #[must_use]
     pub fn is_not_found(&self) -> bool {
         matches!(
             self,

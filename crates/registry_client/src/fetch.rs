@@ -191,7 +191,6 @@ impl RegistryClient {
 
 /// `pause` made up to half longer or shorter by chance, so that clients that lost the same server do not all
 /// come back at once.
-#[must_use]
 pub fn jittered(pause: Duration) -> Duration {
     use std::hash::{BuildHasher, Hasher};
     // Keyed anew in each process and each time, from the system's random source; nothing depends on its

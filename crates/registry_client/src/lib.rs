@@ -3,7 +3,6 @@
 //! Every answer is checked (`caudata-proto`) before a caller sees it, and held against its question; every
 //! call has a deadline, and a fetch that is cut goes on where it stopped. The bytes that
 //! [`RegistryClient::fetch`] returns hash to what was asked for.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod call;
 mod client;

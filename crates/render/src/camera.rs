@@ -108,14 +108,12 @@ impl Camera {
     }
 
     /// Where the camera is, world, m.
-    #[must_use]
     pub fn eye_m(&self) -> Vec3 {
         self.eye_m
     }
 
     /// Unit direction through `(x, y)` of a picture of `width × height` pixels, from its upper left corner;
     /// whole numbers are pixels' corners.
-    #[must_use]
     pub fn direction(&self, x: f64, y: f64, width: u32, height: u32) -> Vec3 {
         let per_pixel = self.pixel_rad(height);
         let across = (x - f64::from(width) / 2.0) * per_pixel;
@@ -131,7 +129,6 @@ impl Camera {
 
     /// Column and row (from the upper left corner, fractions count) at which a point of the world appears;
     /// `None` behind the camera.
-    #[must_use]
     pub fn project(&self, point_m: Vec3, width: u32, height: u32) -> Option<[f64; 2]> {
         let to = sub(point_m, self.eye_m);
         let along = |axis: Vec3| caudata_model::pose::dot(to, axis);

@@ -34,19 +34,16 @@ impl Image {
     }
 
     /// Width, pixels.
-    #[must_use]
     pub fn width(&self) -> u32 {
         self.width
     }
 
     /// Height, pixels.
-    #[must_use]
     pub fn height(&self) -> u32 {
         self.height
     }
 
     /// All bytes, `[height, width, 3]`.
-    #[must_use]
     pub fn rgb(&self) -> &[u8] {
         &self.rgb
     }
@@ -62,7 +59,6 @@ impl Image {
     }
 
     /// The pixel in column `x`, row `y` from the top; black outside.
-    #[must_use]
     pub fn pixel(&self, x: u32, y: u32) -> [u8; 3] {
         let at = self.place(x, y);
         at.map_or([0; 3], |at| [0, 1, 2].map(|i| self.rgb[at + i]))

@@ -4,7 +4,6 @@
 //! occlusion. Pure functions: the same scene gives the same bytes, for any number of threads. [`Scene`] says
 //! what is there, [`Camera`] from where, [`render`] makes an [`Image`], which [`encode`] turns into PNG, and
 //! a row of them into an animated GIF.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod camera;
 pub mod encode;

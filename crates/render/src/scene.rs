@@ -34,7 +34,6 @@ pub struct Scene {
 
 impl Scene {
     /// `items` on `terrain` at `time_s` (which only moves the water's ripples).
-    #[must_use]
     pub fn new(items: &[Item], terrain: Arc<Terrain>, time_s: f64) -> Self {
         let solids: Vec<(Solid, Vec3)> = items
             .iter()

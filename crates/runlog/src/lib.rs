@@ -14,8 +14,6 @@
 //!
 //! Invariant: no clock is read here; time is what the caller says.
 
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
-
 mod error;
 mod log;
 mod meta;

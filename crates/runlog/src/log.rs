@@ -48,7 +48,6 @@ impl RunLog {
 }
 
 /// The file of a log folder that its rows are read from: `log.csv`, else the first MCAP by name.
-#[must_use]
 pub fn rows_file(dir: &Path) -> PathBuf {
     let csv = dir.join(CSV_NAME);
     match mcap_in(dir) {

@@ -144,7 +144,6 @@ impl LogMeta {
     }
 
     /// Gains in force at `joint`, as far as they are noted: N·m/rad, N·m·s/rad.
-    #[must_use]
     pub fn gains(&self, joint: &str) -> (Option<f64>, Option<f64>) {
         let own = self.joint.get(joint).copied().unwrap_or_default();
         (own.kp.or(self.kp), own.kd.or(self.kd))
@@ -152,7 +151,6 @@ impl LogMeta {
 
     /// Whether `other` was recorded under the same conditions, as far as they are noted. Supplies that differ
     /// by a twentieth are the same.
-    #[must_use]
     pub fn same_conditions(&self, other: &Self) -> bool {
         let supplies = match (self.supply_v, other.supply_v) {
             (Some(a), Some(b)) => (a - b).abs() <= 0.05 * a.max(b),

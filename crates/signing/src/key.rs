@@ -138,7 +138,6 @@ impl ReleaseKey {
     }
 
     /// Says, signed, where a label leads.
-    #[must_use]
     pub fn vouch(&self, said: Freshness) -> SignedFreshness {
         let signature = self.key.sign(&freshness_bytes(&said)).to_bytes().to_vec();
         let key_id = self.id.clone();

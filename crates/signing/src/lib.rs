@@ -8,7 +8,6 @@
 //! signature binds all of it.
 //!
 //! *Invariant:* whatever a manifest or a file says, checking never panics, and a key counts once.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod error;
 mod key;

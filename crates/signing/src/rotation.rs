@@ -69,7 +69,6 @@ impl ReleaseKey {
     }
 
     /// Signs a trust file.
-    #[must_use]
     pub fn sign_trust(&self, text: &str) -> TrustSignature {
         TrustSignature {
             key_id: self.id.clone(),
@@ -144,7 +143,6 @@ impl Trust {
     }
 
     /// Whether `key` is, under its name, one of the root keys.
-    #[must_use]
     pub fn has_root(&self, key: &ReleaseKey) -> bool {
         let public = key.key.verifying_key();
         self.root_keys

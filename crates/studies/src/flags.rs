@@ -39,7 +39,6 @@ impl From<EngineName> for EngineKind {
 
 impl EngineName {
     /// Those that were named; all where none was.
-    #[must_use]
     pub fn or_all(named: &[Self]) -> Vec<Self> {
         match named {
             [] => Self::value_variants().to_vec(),
@@ -49,13 +48,11 @@ impl EngineName {
 }
 
 /// Threads that this machine has.
-#[must_use]
 pub fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }
 
 /// The flags as given, else this preset, or for another robot the one that is made for it.
-#[must_use]
 pub fn or_preset(flags: &ConfigArgs, preset: &str) -> ConfigArgs {
     let mut source = flags.source();
     source.or_preset(preset);
@@ -67,7 +64,6 @@ pub fn or_preset(flags: &ConfigArgs, preset: &str) -> ConfigArgs {
 
 /// The flags as given, else the configuration that lies beside a policy, else the preset as
 /// [`or_preset`].
-#[must_use]
 pub fn or_beside(flags: &ConfigArgs, policy: &Path, preset: &str) -> ConfigArgs {
     let mut flags = flags.clone();
     let beside = policy.with_file_name("config.toml");
@@ -79,7 +75,6 @@ pub fn or_beside(flags: &ConfigArgs, policy: &Path, preset: &str) -> ConfigArgs 
 
 /// The presets in whose tasks a policy's numbers mean what they meant in training; the one that it was most
 /// likely trained with first.
-#[must_use]
 pub fn presets_for(contract: &PolicyContract) -> Vec<&'static str> {
     let differences = |preset: &&Preset| {
         let config = Config::load(&Source::preset(preset.name)).ok()?;
@@ -100,7 +95,6 @@ pub fn presets_for(contract: &PolicyContract) -> Vec<&'static str> {
 }
 
 /// The flags again, for a program that takes them too.
-#[must_use]
 pub fn as_words(flags: &ConfigArgs) -> Vec<OsString> {
     let mut words: Vec<OsString> = Vec::new();
     if let Some(preset) = &flags.preset {

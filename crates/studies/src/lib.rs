@@ -5,7 +5,6 @@
 //! evaluation are called; a training is a child process, `caudata train`, since learner and actors are
 //! programs of their own. Plans are flags of the command line, results are what `--json` prints. Errors are
 //! [`Failure`](caudata_telemetry::Failure)s: a study is what a command does, exit code included.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod adapt;
 pub mod diagnosis;

@@ -119,7 +119,6 @@ pub fn draw(plan: &Plan, steps: &mut Steps<'_>) -> Result<Drawn, Failure> {
 
 impl Drawn {
     /// What was measured, in the model as given, and in the extended one.
-    #[must_use]
     pub fn tables(&self) -> Vec<Table> {
         tables(&self.pictures)
     }

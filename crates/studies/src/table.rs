@@ -13,7 +13,6 @@ pub struct Table {
 
 impl Table {
     /// As HTML. The words are the program's own.
-    #[must_use]
     pub fn html(&self) -> String {
         let mut html = String::from("<div class=\"scroll\"><table><thead><tr>");
         for head in &self.head {

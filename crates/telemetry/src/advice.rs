@@ -22,7 +22,6 @@ pub enum Advice {
 
 impl Advice {
     /// As a metric: 1, 0, −1.
-    #[must_use]
     pub fn as_metric(self) -> f64 {
         match self {
             Self::More => 1.0,

@@ -20,7 +20,6 @@
 //! ```
 //!
 //! *Invariant:* nothing here knows robots, policies or rollouts.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod advice;
 mod announce;

@@ -64,7 +64,6 @@ macro_rules! metrics {
 
         impl $name {
             /// Puts all of them on the page.
-            #[must_use]
             pub fn register(metrics: &$crate::Metrics) -> Self {
                 Self {
                     $($field: metrics.make($full_name, $help),)+

@@ -22,7 +22,6 @@ impl Default for Pulse {
 
 impl Pulse {
     /// A pulse that has just beaten.
-    #[must_use]
     pub fn new() -> Self {
         Self {
             began: Instant::now(),
@@ -37,7 +36,6 @@ impl Pulse {
     }
 
     /// Time since the last beat.
-    #[must_use]
     pub fn silent_for(&self) -> Duration {
         let last = Duration::from_millis(self.last_ms.load(Ordering::Relaxed));
         self.began.elapsed().saturating_sub(last)

@@ -52,13 +52,11 @@ pub fn add(part: Part, time: Duration) {
 }
 
 /// Seconds of this process by part since it began, as [`Part::ALL`] has them.
-#[must_use]
 pub fn totals() -> [f64; Part::ALL.len()] {
     std::array::from_fn(|i| NANOSECONDS[i].load(Ordering::Relaxed) as f64 * 1e-9)
 }
 
 /// Seconds by name from `before` to `after`.
-#[must_use]
 pub fn between(before: &[f64], after: &[f64]) -> BTreeMap<String, f64> {
     let parts = Part::ALL.iter().zip(before.iter().zip(after));
     parts
@@ -72,7 +70,6 @@ pub struct Laps(Instant);
 
 impl Laps {
     /// From now on.
-    #[must_use]
     #[allow(clippy::new_without_default)] // a clock begins when it is told to
     pub fn new() -> Self {
         Self(Instant::now())

@@ -6,7 +6,6 @@
 //!
 //! *Invariant:* it never opens the bus, and its commands count no more than those of `caudata-robot drive`:
 //! with the link's key only.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod door;
 pub mod wire;

@@ -17,7 +17,6 @@ pub struct Trial {
 
 impl Trial {
     /// s.
-    #[must_use]
     pub fn duration_s(&self) -> f64 {
         (self.rows_rad.len().saturating_sub(1)) as f64 / RATE_HZ
     }
@@ -144,7 +143,6 @@ fn ranges(model: &RobotModel) -> Vec<(f64, f64)> {
 }
 
 /// Trials to fit on: holds under load, chirps, triangles at three speeds, steps of three sizes.
-#[must_use]
 pub fn fit(model: &RobotModel, amount: Amount) -> Vec<Trial> {
     let pace = match amount {
         Amount::Short => 0.6,
@@ -205,7 +203,6 @@ pub fn fit(model: &RobotModel, amount: Amount) -> Vec<Trial> {
 }
 
 /// Held-out trials: other commands, the same regimes (all speeds, the whole range, loads both ways).
-#[must_use]
 pub fn holdout(model: &RobotModel, amount: Amount, stream: &mut Stream) -> Vec<Trial> {
     let pace = match amount {
         Amount::Short => 0.6,
@@ -255,7 +252,6 @@ pub fn holdout(model: &RobotModel, amount: Amount, stream: &mut Stream) -> Vec<T
 }
 
 /// Too little to tell look-alikes apart: a slow gait at one amplitude, no holds, no steps.
-#[must_use]
 pub fn starved(model: &RobotModel) -> Vec<Trial> {
     let tracks = ranges(model)
         .iter()

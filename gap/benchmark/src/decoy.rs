@@ -40,7 +40,6 @@ impl Decoy {
     ];
 
     /// Its name.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::KpDeclared => "kp_declared",
@@ -55,13 +54,11 @@ impl Decoy {
     }
 
     /// Whether the data contradict themselves.
-    #[must_use]
     pub fn is_fault(self) -> bool {
         !matches!(self, Self::KpDeclared | Self::SupplyDeclared | Self::Touch)
     }
 
     /// Kinds of fault that are right.
-    #[must_use]
     pub fn kinds(self) -> &'static [&'static str] {
         match self {
             Self::Sign => &["sign", "parity"],
@@ -74,7 +71,6 @@ impl Decoy {
     }
 
     /// The gain that the log gives, where it is another one.
-    #[must_use]
     pub fn declared_kp(self) -> Option<f64> {
         (self == Self::KpDeclared).then_some(10.0)
     }
@@ -93,7 +89,6 @@ impl Decoy {
     }
 
     /// A touch in this run.
-    #[must_use]
     pub fn touch(self, role: &str, trial: &Trial, repeat: u64) -> Option<Touch> {
         let here = self == Self::Touch && role == "fit" && trial.name == "chirp" && repeat == 1;
         here.then(|| Touch {

@@ -119,7 +119,6 @@ pub(crate) fn stream(seed: u64, what: u64, run: u64) -> Stream {
 }
 
 /// A careful lab's robot: nearly the model, with what no lab can help.
-#[must_use]
 pub fn lab(model: &RobotModel, seed: u64) -> World {
     let mut s = stream(seed, ROBOT, 0);
     let mut spec = Spec::nominal(model);

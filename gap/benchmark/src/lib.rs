@@ -5,8 +5,6 @@
 //! logs and a nominal robot file) and its answer ([`mod@case`]), which [`seal`] keeps from the process that
 //! diagnoses.
 
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
-
 pub mod baselines;
 pub mod battery;
 pub mod case;

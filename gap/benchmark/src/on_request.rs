@@ -190,7 +190,6 @@ impl Null {
     }
 
     /// A healthy one.
-    #[must_use]
     pub fn healthy(&self, seed: u64) -> Unknown {
         Unknown {
             lane: LaneParams::nominal(self.replayer.model()),

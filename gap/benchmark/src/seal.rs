@@ -22,7 +22,6 @@ pub enum SealError {
 }
 
 /// Seals `text` with `secret`.
-#[must_use]
 pub fn seal(text: &[u8], secret: &[u8]) -> Vec<u8> {
     let mut plain = Sha256::digest(text).to_vec();
     plain.extend_from_slice(text);

@@ -135,7 +135,6 @@ const STARVABLE: &[&str] = &[
 const DECOYS: [Decoy; 8] = Decoy::ALL;
 
 /// The plans of a set drawn by `seed`, in an order that tells nothing. `most` cuts it short.
-#[must_use]
 pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
     let mut s = Stream::new(Key::for_run(seed), Purpose::Command);
     let (counts, amount) = Counts::of(set);

@@ -179,7 +179,6 @@ fn unseen(
 
 /// Effects that these runs cannot show, by id. Effects that the robot cannot have (water without water, feet
 /// without feet) are left out.
-#[must_use]
 pub fn blind(
     logs: &[(&str, &RunLog)],
     runs: &[RunExcitation],

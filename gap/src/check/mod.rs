@@ -76,7 +76,6 @@ pub enum CheckVerdict {
 }
 
 /// Reads log folders and checks them together. A log that cannot be read becomes a fault.
-#[must_use]
 pub fn check_dirs(
     dirs: &[impl AsRef<Path>],
     robot: &RobotModel,
@@ -102,7 +101,6 @@ pub fn check_dirs(
 }
 
 /// The name that reports give to the run in `dir`: its folder's.
-#[must_use]
 pub fn run_name(dir: &Path) -> String {
     let name = dir.file_name().unwrap_or(dir.as_os_str());
     name.to_string_lossy().into_owned()
@@ -126,7 +124,6 @@ fn unreadable(name: &str, error: &LogError) -> DataFault {
 }
 
 /// Checks runs (name and log) of `robot` together.
-#[must_use]
 pub fn check(logs: &[(&str, &RunLog)], robot: &RobotModel) -> Checked {
     let runs: Vec<Run<'_>> = logs
         .iter()

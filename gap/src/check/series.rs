@@ -23,7 +23,6 @@ pub struct Grid {
 impl Grid {
     /// The grid of a log with rows at `time_s`: its median step, not finer than 5 ms and not coarser than 50
     /// ms.
-    #[must_use]
     pub fn of(time_s: &[f64]) -> Self {
         let start_s = time_s.first().copied().unwrap_or(0.0);
         let span_s = time_s.last().copied().unwrap_or(0.0) - start_s;
@@ -39,14 +38,12 @@ impl Grid {
     }
 
     /// Points in `s` seconds, at least one.
-    #[must_use]
     pub fn points(&self, s: f64) -> usize {
         ((s / self.step_s).round() as usize).max(1)
     }
 
     /// The signal at every grid point: between two samples on the line through them, NaN in holes longer than
     /// 0.25 s. `None` without such a column.
-    #[must_use]
     pub fn linear(&self, table: &Table, signal: &Signal) -> Option<Vec<f64>> {
         let samples = samples(table, signal)?;
         let mut next = 0;
@@ -68,7 +65,6 @@ impl Grid {
     }
 
     /// The signal as it holds from sample to sample (a command, a switch); NaN before the first.
-    #[must_use]
     pub fn held(&self, table: &Table, signal: &Signal) -> Option<Vec<f64>> {
         let samples = samples(table, signal)?;
         let mut next = 0;
@@ -91,13 +87,11 @@ fn samples(table: &Table, signal: &Signal) -> Option<Vec<(f64, f64)>> {
 }
 
 /// Median of the steps between rows, s; 0 for fewer than two rows.
-#[must_use]
 pub fn median_step_s(time_s: &[f64]) -> f64 {
     median(time_s.windows(2).map(|w| w[1] - w[0]).collect()).unwrap_or(0.0)
 }
 
 /// Median of what is finite.
-#[must_use]
 pub fn median(mut values: Vec<f64>) -> Option<f64> {
     values.retain(|x| x.is_finite());
     if values.is_empty() {
@@ -108,7 +102,6 @@ pub fn median(mut values: Vec<f64>) -> Option<f64> {
 }
 
 /// Mean over a window of `width` points about each point; NaN where less than half of it is known.
-#[must_use]
 pub fn smooth(x: &[f64], width: usize) -> Vec<f64> {
     let mut sums = Vec::with_capacity(x.len() + 1);
     let (mut sum, mut known) = (0.0, 0usize);
@@ -135,7 +128,6 @@ pub fn smooth(x: &[f64], width: usize) -> Vec<f64> {
 }
 
 /// Slope over ± `half` points, per `step_s`; NaN at the ends.
-#[must_use]
 pub fn slope(x: &[f64], half: usize, step_s: f64) -> Vec<f64> {
     let n = x.len();
     (0..n)
@@ -164,7 +156,6 @@ pub struct Together {
 }
 
 /// The first signal `lag` points ago (negative: points ahead) against the second.
-#[must_use]
 pub fn together(first: &[f64], second: &[f64], lag: isize) -> Together {
     let (mut n, mut sx, mut sy, mut sxx, mut syy, mut sxy) = (0usize, 0.0, 0.0, 0.0, 0.0, 0.0);
     for (i, &y) in second.iter().enumerate() {
@@ -195,7 +186,6 @@ pub fn together(first: &[f64], second: &[f64], lag: isize) -> Together {
 }
 
 /// The lag in points, from `lags`, at which `first` goes best with `second`, and how.
-#[must_use]
 pub fn best_lag(
     first: &[f64],
     second: &[f64],

@@ -48,7 +48,6 @@ pub struct JointLimits {
 
 impl JointLimits {
     /// Limits of every actuated joint, policy order.
-    #[must_use]
     pub fn all(robot: &RobotModel) -> Vec<Self> {
         (0..robot.actuated().len())
             .map(|a| Self::of(robot, a))
@@ -103,7 +102,6 @@ impl JointLimits {
     }
 
     /// Torque that holds position `q_rad` against gravity, N·m.
-    #[must_use]
     pub fn gravity_nm(&self, q_rad: f64) -> f64 {
         let margin =
             (self.range_rad.1 - self.range_rad.0) / (1.0 - 2.0 * LIMIT_MARGIN) * LIMIT_MARGIN;
@@ -127,7 +125,6 @@ impl JointLimits {
     }
 
     /// Command in the range whose hold takes most, but not more than [`HOT_SHARE`]; its torque as a share.
-    #[must_use]
     pub fn hottest(&self) -> (f64, f64) {
         let mut best = (self.nominal_rad, 0.0);
         let mut q = self.range_rad.0;
@@ -146,7 +143,6 @@ impl JointLimits {
     ///
     /// The torque is that of the position loop on this inertia: per rad of command
     /// `kp·|I·ω² − j·d·ω| / |kp − I·ω² + j·d·ω|`, which is most where the joint swings on its own gain.
-    #[must_use]
     pub fn sine_rad(&self, size_rad: f64, hz: f64) -> f64 {
         let w = std::f64::consts::TAU * hz;
         let (inertia, damping) = (self.inertia_kgm2 * w * w, self.kd_nm_s_per_rad * w);
@@ -159,7 +155,6 @@ impl JointLimits {
 
     /// Size of random jumps every `bit_s` that a sine of no frequency among theirs would exceed by more than
     /// half.
-    #[must_use]
     pub fn jump_rad(&self, size_rad: f64, bit_s: f64) -> f64 {
         let highest_hz = 0.5 / bit_s;
         let sines = (1..=20).map(|k| self.sine_rad(size_rad, highest_hz * f64::from(k) / 20.0));

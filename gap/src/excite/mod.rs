@@ -145,7 +145,6 @@ pub fn trial(
 }
 
 /// Names of the trials that `robot` can do.
-#[must_use]
 pub fn names(robot: &RobotModel, joint: Option<&str>) -> Vec<&'static str> {
     RECIPES
         .iter()
@@ -189,14 +188,12 @@ const KINDS: &[(&str, &str)] = &[
 ];
 
 /// The battery's name of a trial, or of a kind of trial; `None` for neither.
-#[must_use]
 pub fn canonical(name: &str) -> Option<&'static str> {
     let kind = KINDS.iter().find(|k| k.0 == name).map(|k| k.1);
     kind.or_else(|| RECIPES.iter().find(|r| r.name == name).map(|r| r.name))
 }
 
 /// The trial of the battery that a run's name or notes name; the longest name where several do.
-#[must_use]
 pub fn names_in(text: &str) -> Option<&'static str> {
     let is_letter = |c: char| c.is_ascii_alphanumeric();
     let whole = |name: &str| {
@@ -213,7 +210,6 @@ pub fn names_in(text: &str) -> Option<&'static str> {
 /// The trial that says most about `separates` (effect ids): made for as many of them as possible, and for
 /// each as directly as possible. `joints`: where the effects are suspected; empty: anywhere. `None` where no
 /// trial of the battery shows any of them.
-#[must_use]
 pub fn next(robot: &RobotModel, separates: &[&str], joints: &[String]) -> Option<NextExperiment> {
     let one = (joints.len() == 1).then(|| joints[0].as_str());
     // First in a trial's list counts 1, each place after it less; what it also shows of other effects does

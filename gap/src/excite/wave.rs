@@ -23,7 +23,6 @@ pub struct Wave<'a> {
 
 impl<'a> Wave<'a> {
     /// A command that begins at the nominal position.
-    #[must_use]
     pub fn new(limits: &'a JointLimits, rate_hz: f64, sign: f64, pace: f64) -> Self {
         Self {
             limits,
@@ -38,26 +37,22 @@ impl<'a> Wave<'a> {
     }
 
     /// Rows and switch of the finished command.
-    #[must_use]
     pub fn finish(self) -> (Vec<f64>, Vec<bool>) {
         (self.rad, self.on)
     }
 
     /// The last command, rad.
-    #[must_use]
     pub fn now(&self) -> f64 {
         self.rad.last().copied().unwrap_or(self.limits.nominal_rad)
     }
 
     /// A place in what may be held: −1 the lower end, 0 the nominal position, 1 the upper end, turned by the
     /// joint's sign.
-    #[must_use]
     pub fn place(&self, x: f64) -> f64 {
         self.between(self.limits.hold_rad, self.sign * x)
     }
 
     /// The same in the whole range, for moving through.
-    #[must_use]
     pub fn far(&self, x: f64) -> f64 {
         self.between(self.limits.range_rad, self.sign * x)
     }
@@ -72,7 +67,6 @@ impl<'a> Wave<'a> {
     }
 
     /// How far the command may swing about `centre_rad` on both sides, rad.
-    #[must_use]
     pub fn room(&self, centre_rad: f64) -> f64 {
         let (low, high) = self.limits.range_rad;
         (centre_rad - low).min(high - centre_rad).max(0.0)

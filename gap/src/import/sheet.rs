@@ -91,7 +91,6 @@ pub struct Numbers {
 
 impl Numbers {
     /// Without rows.
-    #[must_use]
     pub fn new(name: impl Into<String>) -> Self {
         let name = name.into();
         Self {
@@ -101,7 +100,6 @@ impl Numbers {
     }
 
     /// How many rows there are.
-    #[must_use]
     pub fn rows(&self) -> usize {
         self.rows
     }

@@ -14,7 +14,6 @@ use crate::plots::{Overlay, Plots, Signature};
 use crate::report::{Report, Verdict};
 
 /// The page of a diagnosis of `robot`. `plots`: what there is to draw beyond the report itself.
-#[must_use]
 pub fn render(robot: &str, report: &Report, plots: Option<&Plots>) -> String {
     let (word, class) = sections::verdict(report.verdict);
     let mut body = String::new();
@@ -109,7 +108,6 @@ pub struct Chapter {
 
 /// A page of curves alone: measured, and two models; then chapters. `lead`: HTML below the title, made by the
 /// caller.
-#[must_use]
 pub fn curves(title: &str, lead: &str, overlays: &[Overlay], chapters: &[Chapter]) -> String {
     let title = escape(title);
     let mut body = format!("<h1>{title}</h1>{lead}");

@@ -38,7 +38,6 @@ pub struct Segment {
 
 impl Segment {
     /// s.
-    #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.end_s - self.start_s
     }
@@ -76,7 +75,6 @@ pub struct Data {
 
 impl Data {
     /// Cuts `trials` into stretches and samples.
-    #[must_use]
     pub fn new(model: &RobotModel, trials: Vec<Trial>, options: SegmentOptions) -> Self {
         let total: usize = trials
             .iter()
@@ -160,7 +158,6 @@ impl Data {
     }
 
     /// The same runs with these stretches alone, in this order.
-    #[must_use]
     pub fn only(&self, keep: &[usize]) -> Self {
         let mut out = Self {
             trials: self.trials.clone(),
@@ -194,25 +191,21 @@ impl Data {
     }
 
     /// Simulated time of one candidate, s.
-    #[must_use]
     pub fn duration_s(&self) -> f64 {
         self.segments.iter().map(Segment::duration_s).sum()
     }
 
     /// Number of samples.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.value.len()
     }
 
     /// Whether there is nothing.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.value.is_empty()
     }
 
     /// 0: held, 1: on the ground, 2: in water.
-    #[must_use]
     pub fn hold(&self, segment: usize) -> usize {
         match self.trials[self.segments[segment].trial].base {
             BaseHold::Fixed => 0,

@@ -93,13 +93,11 @@ impl Replayer {
     }
 
     /// Whether every candidate has `effect`.
-    #[must_use]
     pub fn gives(&self, effect: &Effect) -> bool {
         self.given.iter().any(|t| t.effect.id == effect.id)
     }
 
     /// The same without `effect` in what is given.
-    #[must_use]
     pub fn except(&self, effect: &Effect) -> Self {
         let mut other = self.with(self.step_s, self.contact_hardness);
         other.given.retain(|t| t.effect.id != effect.id);
@@ -107,13 +105,11 @@ impl Replayer {
     }
 
     /// The same with half the step.
-    #[must_use]
     pub fn finer(&self) -> Self {
         self.with(0.5 * self.step_s, self.contact_hardness)
     }
 
     /// The same on ground that pushes back so many times faster.
-    #[must_use]
     pub fn on_harder_ground(&self, times: f64) -> Self {
         self.with(self.step_s, times * self.contact_hardness)
     }
@@ -134,19 +130,16 @@ impl Replayer {
     }
 
     /// The robot.
-    #[must_use]
     pub fn model(&self) -> &Arc<RobotModel> {
         &self.model
     }
 
     /// What the robot file's own extension has, and `variant`.
-    #[must_use]
     pub fn with_given(&self, variant: &[Term]) -> Variant {
         self.given.iter().chain(variant).cloned().collect()
     }
 
     /// Simulated stretches so far, and simulated time, s.
-    #[must_use]
     pub fn spent(&self) -> (usize, f64) {
         (
             self.rollouts.load(Ordering::Relaxed),
@@ -155,7 +148,6 @@ impl Replayer {
     }
 
     /// The robot of a trial with a candidate's effects.
-    #[must_use]
     pub fn plant(&self, trial: &Trial, variant: &[Term]) -> Plant {
         let mut plant = Plant::in_trial(&self.model, trial);
         plant.session = trial.session;

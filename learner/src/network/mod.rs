@@ -101,13 +101,11 @@ impl NetworkSpec {
     }
 
     /// D + E, what the value function sees.
-    #[must_use]
     pub fn seen_dim(&self) -> usize {
         self.obs_dim + self.critic.len()
     }
 
     /// How the mirror changes what the value function sees, if there is one.
-    #[must_use]
     pub fn seen_mirror(&self) -> Option<SignedPermutation> {
         let mirror = self.mirror.as_ref()?;
         Some(mirror.observation.followed_by(&self.critic))

@@ -62,7 +62,6 @@ pub struct Total {
 }
 
 /// As [`Minibatch::advantage_scale`], for the samples `order` of a batch.
-#[must_use]
 pub fn advantage_scale(scale: AdvantageScale, advantages: &[f32], order: &[u32]) -> (f32, f32) {
     if scale != AdvantageScale::Minibatch {
         return (0.0, 1.0);

@@ -28,7 +28,6 @@ pub struct Loss<'a> {
 
 impl<'a> Loss<'a> {
     /// Before the first sample.
-    #[must_use]
     pub fn new(minibatch: &'a Minibatch, samples: &'a Samples) -> Self {
         let log_std = &minibatch.log_std;
         let half_precision = |x: &f32| 0.5 * (-2.0 * x).exp();
@@ -105,14 +104,12 @@ impl<'a> Loss<'a> {
 
     /// Gradient with respect to the log-std, `[A]`, after all `rows` samples of the shard. The entropy is
     /// Σ(log σ + ½ log 2πe): its derivative is 1 per action, here in proportion to the rows.
-    #[must_use]
     pub fn log_std_gradient(&self, rows: usize) -> Vec<f32> {
         let entropy = self.minibatch.loss.entropy_weight as f32 * rows as f32 * self.scale;
         self.log_std_gradient.iter().map(|g| g - entropy).collect()
     }
 
     /// In the order of [`sums`].
-    #[must_use]
     pub fn sums(&self) -> [f64; sums::COUNT] {
         self.sums
     }
@@ -124,7 +121,6 @@ fn log_prob_constant(log_std: &[f32]) -> f32 {
 }
 
 /// log N(a; μ, σ) of each of `[B, A]` actions and means, with the sums of [`Loss::add`].
-#[must_use]
 pub fn log_probs(actions: &[f32], means: &[f32], log_std: &[f32]) -> Vec<f32> {
     let inverse_std: Vec<f32> = log_std.iter().map(|x| (-x).exp()).collect();
     let (width, constant) = (log_std.len(), log_prob_constant(log_std));
@@ -141,7 +137,6 @@ pub fn log_probs(actions: &[f32], means: &[f32], log_std: &[f32]) -> Vec<f32> {
 }
 
 /// Entropy of the policy, nats: Σ(log σ + ½ log 2πe).
-#[must_use]
 pub fn entropy(log_std: &[f32]) -> f64 {
     let sum: f64 = log_std.iter().map(|&x| f64::from(x)).sum();
     sum + 0.5 * log_std.len() as f64 * (1.0 + (2.0 * PI).ln())

@@ -32,7 +32,6 @@ struct OnTheDevice {
 
 impl Torch {
     /// Networks of the shape of `net`, on its device.
-    #[must_use]
     pub fn new(net: &ActorCritic) -> Self {
         Self {
             net: net.zeros_like(),

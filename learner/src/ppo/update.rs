@@ -32,7 +32,6 @@ pub struct PpoSettings {
 
 impl PpoSettings {
     /// What `config` asks for.
-    #[must_use]
     pub fn new(config: &Config) -> Self {
         Self {
             ppo: config.learner.ppo.clone(),

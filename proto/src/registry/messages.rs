@@ -246,7 +246,6 @@ named! {
 
 impl RobotState {
     /// Whether it is one of an Ack.
-    #[must_use]
     pub fn went_well(self) -> bool {
         matches!(self, Self::Armed | Self::Trial | Self::Good)
     }
@@ -341,7 +340,6 @@ pub type AuditPage = Vec<AuditEntry>;
 /// What a revert announces: the manifest of the new version, from the old one's.
 ///
 /// `version` is the new, higher number. Signatures are left off: they covered the old number.
-#[must_use]
 pub fn reverting(old: &Manifest, version: u64, created_unix_ms: u64) -> Manifest {
     Manifest {
         version,

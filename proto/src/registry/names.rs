@@ -57,25 +57,21 @@ impl LabelName {
     }
 
     /// [`LabelName::LATEST`].
-    #[must_use]
     pub fn latest() -> Self {
         Self(Self::LATEST.to_owned())
     }
 
     /// Whether it moves by itself.
-    #[must_use]
     pub fn is_latest(&self) -> bool {
         self.0 == Self::LATEST
     }
 
     /// Whether robots must have said that the version went well.
-    #[must_use]
     pub fn needs_proof(&self) -> bool {
         self.0 == Self::STABLE
     }
 
     /// The name.
-    #[must_use]
     pub fn as_str(&self) -> &str {
         &self.0
     }

@@ -97,7 +97,6 @@ fn same<T: PartialEq>(
 
 impl<'a> Facts<'a> {
     /// A question about one stream, or about all of them.
-    #[must_use]
     pub fn of_stream(stream: impl Into<Option<&'a StreamName>>) -> Self {
         Self {
             stream: stream.into(),

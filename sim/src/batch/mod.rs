@@ -123,7 +123,6 @@ impl BatchEngine {
 
     /// Seconds that the steps since [`time_phases`](Self::time_phases) spent in each phase, over all threads;
     /// zeros without it.
-    #[must_use]
     pub fn phase_seconds(&self) -> PhaseSeconds {
         self.core.phase_seconds()
     }

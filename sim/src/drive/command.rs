@@ -37,7 +37,6 @@ pub struct Scheduled<R> {
 
 impl<R: Real> Scheduled<R> {
     /// The same command all the time.
-    #[must_use]
     #[inline(always)]
     pub fn constant(command_rad: R) -> Self {
         Self {
@@ -49,7 +48,6 @@ impl<R: Real> Scheduled<R> {
 
     /// The command's mean over the physics step that starts `since_s` into the period and lasts `dt_s` (so a
     /// delay of a fraction of a step acts as one), rad. `per_dt`: 1/dt.
-    #[must_use]
     #[inline(always)]
     pub fn over_step(&self, since_s: R, dt_s: R, per_dt: R) -> R {
         let newer = ((since_s + dt_s - self.switch_s) * per_dt).clamp(R::zero(), R::one());
@@ -65,7 +63,6 @@ impl<R: Real> Scheduled<R> {
 impl<R: Real> CommandHistory<R> {
     /// History for control periods of `period_s`, filled with `rest_rad` (what the servos hold before the
     /// first command).
-    #[must_use]
     pub fn new(period_s: f64, rest_rad: &[R]) -> Self {
         // One more than whole periods of delay, one for the command before it.
         let depth = (f64::from(MAX_COMMAND_DELAY_S) / period_s).floor() as usize + 2;
@@ -76,14 +73,12 @@ impl<R: Real> CommandHistory<R> {
     }
 
     /// What lane `lane` holds, newest command first. `[depth, width]`, rad.
-    #[must_use]
     pub fn lane(&self, lane: usize) -> Vec<f64> {
         self.values.iter().map(|v| v.lane(lane)).collect()
     }
 
     /// Replaces what lane `lane` holds by what [`lane`](Self::lane) gave. Whether the length fitted; if not,
     /// nothing changes.
-    #[must_use]
     pub fn set_lane(&mut self, lane: usize, values_rad: &[f64]) -> bool {
         if values_rad.len() != self.values.len() {
             return false;
@@ -106,7 +101,6 @@ impl<R: Real> CommandHistory<R> {
     }
 
     /// The newest command of joint `joint`, rad.
-    #[must_use]
     #[inline(always)]
     pub fn newest(&self, joint: usize) -> R {
         self.values[joint]
@@ -114,7 +108,6 @@ impl<R: Real> CommandHistory<R> {
 
     /// What joint `joint` is told during the control period (of `period_s`) that began with the last push,
     /// with a delay of `delay_s`.
-    #[must_use]
     #[inline(always)]
     pub fn schedule(&self, joint: usize, delay_s: R, period_s: f64) -> Scheduled<R> {
         // A delay of whole periods looks further back; what is left shifts the switch-over inside this

@@ -15,7 +15,6 @@ macro_rules! features {
 
         impl DriveFeatures {
             /// What `servo` needs.
-            #[must_use]
             pub fn of($servo: &ServoDrive<f64>) -> Self {
                 Self { $($flag: $needed,)+ }
             }

@@ -7,7 +7,6 @@ use crate::real::Real;
 
 /// A first-order low-pass `y' = (u − y)/τ` over one step with constant input, exactly; `share` is 1 −
 /// exp(−dt/τ).
-#[must_use]
 #[inline(always)]
 pub fn low_pass<R: Real>(filtered: R, input: R, share: R) -> R {
     // exactly the input at share 1: a lane without the lag must not notice a neighbour's
@@ -16,7 +15,6 @@ pub fn low_pass<R: Real>(filtered: R, input: R, share: R) -> R {
 }
 
 /// 1 − exp(−dt/τ): the part of the way that a first-order lag of `time_s` makes in `dt_s`; 1 for no lag.
-#[must_use]
 pub fn lag_share(time_s: f64, dt_s: f64) -> f64 {
     if time_s > 0.0 {
         -(-dt_s / time_s).exp_m1()
@@ -31,7 +29,6 @@ pub fn lag_share(time_s: f64, dt_s: f64) -> f64 {
 ///
 /// The speed is the highest from which the point can still stop at the target: with steps of dt and braking a
 /// it covers a further v²/2a + v·dt/2.
-#[must_use]
 #[inline(always)]
 pub fn profile<R: Real>(
     p: &ServoDrive<R>,

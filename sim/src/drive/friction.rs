@@ -31,7 +31,6 @@ const POWER_FADE_RADPS: f64 = 0.02;
 const MAX_EXPONENT: f64 = 40.0;
 
 /// Stribeck's extra friction at speed `qd_radps`, N·m.
-#[must_use]
 #[inline(always)]
 pub fn stribeck_nm<R: Real>(p: &ServoDrive<R>, qd_radps: R) -> R {
     p.stribeck_nm * at_rest_share(p, qd_radps)
@@ -46,14 +45,12 @@ fn at_rest_share<R: Real>(p: &ServoDrive<R>, qd_radps: R) -> R {
 }
 
 /// Extra friction at rest from the torque that passes through the joint to its load, N·m.
-#[must_use]
 #[inline(always)]
 pub fn load_stribeck_nm<R: Real>(p: &ServoDrive<R>, load_nm: R, qd_radps: R) -> R {
     load_nm.abs() * p.load_stribeck * at_rest_share(p, qd_radps)
 }
 
 /// Friction from the torque that passes through the joint to its load, N·m.
-#[must_use]
 #[inline(always)]
 pub fn load_friction_nm<R: Real>(p: &ServoDrive<R>, load_nm: R, qd_radps: R) -> R {
     let power = qd_radps * load_nm.signum0() * R::splat(1.0 / POWER_FADE_RADPS);
@@ -63,7 +60,6 @@ pub fn load_friction_nm<R: Real>(p: &ServoDrive<R>, load_nm: R, qd_radps: R) -> 
 
 /// The part of the bound that depends on the direction, N·m: `asymmetry` towards positive, its opposite
 /// towards negative, in between in proportion to the bristle.
-#[must_use]
 #[inline(always)]
 pub fn asymmetry_nm<R: Real>(p: &ServoDrive<R>, bristle_rad: R, presliding_rad: R) -> R {
     let direction = (bristle_rad / presliding_rad).clamp(-R::one(), R::one());
@@ -72,7 +68,6 @@ pub fn asymmetry_nm<R: Real>(p: &ServoDrive<R>, bristle_rad: R, presliding_rad: 
 
 /// Friction torque of bound `bound_nm` (≥ 0) at velocity `qd_radps` and bristle deflection `bristle_rad`, for
 /// a step of `dt_s`.
-#[must_use]
 #[inline(always)]
 pub fn bristle_torque<R: Real>(
     bound_nm: R,
@@ -98,7 +93,6 @@ pub fn bristle_torque<R: Real>(
 }
 
 /// Bristle deflection after the joint moved by `moved_rad`, rad.
-#[must_use]
 #[inline(always)]
 pub fn drag_bristle<R: Real>(bristle_rad: R, moved_rad: R, presliding_rad: R) -> R {
     (bristle_rad + moved_rad).clamp(-presliding_rad, presliding_rad)

@@ -35,7 +35,6 @@ pub struct GearStep<R> {
 
 impl<R: Real> GearStep<R> {
     /// Rotor speed at the end of the step, rad/s.
-    #[must_use]
     #[inline(always)]
     pub fn rotor_radps(&self, qd_radps: R) -> R {
         self.speed_radps + self.speed_per_speed * qd_radps
@@ -44,7 +43,6 @@ impl<R: Real> GearStep<R> {
 
 /// One step of rotor and teeth. `lead_rad`: rotor ahead of the joint (x = θ − q); `rotor_radps`, `qd_radps`:
 /// their speeds; `motor_nm`: motor torque; `drag`: friction and damping on the rotor.
-#[must_use]
 #[inline(always)]
 pub fn step<R: Real>(
     p: &ServoDrive<R>,

@@ -22,7 +22,6 @@ use crate::real::Real;
 pub const MAX_LOOP_DELAY_S: f32 = 0.05;
 
 /// `delay_s` in physics steps of `dt_s`.
-#[must_use]
 pub fn steps(delay_s: f32, dt_s: f64) -> f64 {
     f64::from(delay_s) / dt_s
 }
@@ -49,7 +48,6 @@ pub struct WantedTorques<R> {
 
 impl<R: Real> WantedTorques<R> {
     /// Torques of `width` joints, none of them late.
-    #[must_use]
     pub fn new(width: usize) -> Self {
         Self {
             width,
@@ -90,7 +88,6 @@ impl<R: Real> WantedTorques<R> {
     }
 
     /// What lane `lane` remembers, newest first. `[width, its steps]`, N·m; empty where it remembers nothing.
-    #[must_use]
     pub fn lane(&self, lane: usize) -> Vec<f64> {
         if self.begins.lane(lane) > 0.5 {
             return Vec::new();
@@ -103,7 +100,6 @@ impl<R: Real> WantedTorques<R> {
 
     /// Replaces what lane `lane` remembers by what [`lane`](Self::lane) gave. Whether the length fitted; if
     /// not, nothing changes.
-    #[must_use]
     pub fn set_lane(&mut self, lane: usize, values_nm: &[f64]) -> bool {
         let own = self.own[lane];
         if !fits(values_nm.len(), self.width, own) {
@@ -133,7 +129,6 @@ impl<R: Real> WantedTorques<R> {
     }
 
     /// Joint `joint` in the step that began; [`Loop::direct`] while nobody is late.
-    #[must_use]
     #[inline(always)]
     pub fn joint(&mut self, joint: usize) -> Loop<'_, R> {
         let first = joint * self.depth;
@@ -181,7 +176,6 @@ impl<R: Real> WantedTorques<R> {
 }
 
 /// Whether `length` numbers are a memory of `width` joints over `steps`, or none.
-#[must_use]
 pub fn fits(length: usize, width: usize, steps: usize) -> bool {
     length == 0 || length == width * steps
 }
@@ -197,7 +191,6 @@ pub struct Loop<'a, R> {
 
 impl<R: Real> Loop<'_, R> {
     /// A loop that acts at once and remembers nothing.
-    #[must_use]
     #[inline(always)]
     pub fn direct() -> Self {
         Self {
@@ -210,7 +203,6 @@ impl<R: Real> Loop<'_, R> {
 
     /// The torque that arrives in a step in which `wanted_nm` is asked for, with a delay of `delay_steps`
     /// steps, N·m.
-    #[must_use]
     #[inline(always)]
     pub fn pass(self, wanted_nm: R, delay_steps: R) -> R {
         let depth = self.values_nm.len();

@@ -58,14 +58,12 @@ pub struct ImplicitTorque<R> {
 
 impl<R: Real> ImplicitTorque<R> {
     /// No torque.
-    #[must_use]
     #[inline(always)]
     pub fn none() -> Self {
         Self::constant(R::zero())
     }
 
     /// The same torque whatever the joint does, N·m.
-    #[must_use]
     #[inline(always)]
     pub fn constant(torque_nm: R) -> Self {
         Self {
@@ -89,7 +87,6 @@ impl<R: Real> ImplicitTorque<R> {
     }
 
     /// `yes` where `mask` is true, `no` elsewhere.
-    #[must_use]
     #[inline(always)]
     pub fn select(mask: R::Mask, yes: Self, no: Self) -> Self {
         Self {
@@ -106,7 +103,6 @@ impl<R: Real> ImplicitTorque<R> {
 
     /// What it came to after the joint moved by `moved_rad` and reached `qd_radps`, without the inertia's
     /// part, N·m.
-    #[must_use]
     #[inline(always)]
     pub fn after(&self, moved_rad: R, qd_radps: R) -> R {
         self.now_nm - self.stiffness_nm_per_rad * moved_rad - self.damping_nms_per_rad * qd_radps

@@ -12,7 +12,6 @@ use crate::params::backlash_joints;
 
 impl ServoDrive<f64> {
     /// Servo `a` (policy order) of a lane with parameters `params`, for physics steps of `dt_s`.
-    #[must_use]
     pub fn new(model: &RobotModel, params: &LaneParams, a: usize, dt_s: f64) -> Self {
         let servo = model.servo(a);
         let e = &params.joints[a];
@@ -86,7 +85,6 @@ impl ServoDrive<f64> {
 
     /// Rotor inertia that the engine adds to the joint, kg·m²: none where the rotor is a body of its own
     /// ([`super::gear`]).
-    #[must_use]
     pub fn armature_kgm2(&self) -> f64 {
         self.rotor_kgm2 * (1.0 - self.gear_is_soft)
     }
@@ -94,7 +92,6 @@ impl ServoDrive<f64> {
 
 impl JointPassive<f64> {
     /// All hinges of a lane with parameters `params`, model order. `[J]`
-    #[must_use]
     pub fn all(model: &RobotModel, params: &LaneParams) -> Vec<Self> {
         let wide = |x: f32| f64::from(x);
         let mut hinges = params.hinges.iter();
@@ -144,7 +141,6 @@ impl JointPassive<f64> {
 
 impl Supply<f64> {
     /// The supply of a lane with parameters `params`, for physics steps of `dt_s`.
-    #[must_use]
     pub fn new(params: &LaneParams, dt_s: f64) -> Self {
         Self {
             open_v: f64::from(params.supply_v),
@@ -156,7 +152,6 @@ impl Supply<f64> {
 
 /// How many steps a lane with parameters `params` has to remember of what its loops asked for, the present
 /// one among them; 0 where none of them is late.
-#[must_use]
 pub fn loop_memory_steps(params: &LaneParams, dt_s: f64) -> usize {
     let most = (params.joints.iter())
         .map(|j| loop_delay::steps(j.loop_delay_s, dt_s))

@@ -14,7 +14,6 @@ pub struct StopAt<'a, R> {
 }
 
 /// Joint spring and end stops at position `q_rad`, velocity `qd_radps`.
-#[must_use]
 #[inline(always)]
 pub fn spring_and_stops<R: Real>(
     p: &JointPassive<R>,
@@ -58,7 +57,6 @@ fn stops<R: Real>(
 /// How the joint would have accelerated without its stops in a step that began at `q_rad`, `qd_radps` and
 /// went with `qdd_radps2` to `qd_after_radps`, rad/s²: the stop's torque is taken off, over the inertia that
 /// its law reckons with.
-#[must_use]
 #[inline(always)]
 pub fn free_radps2<R: Real>(
     p: &JointPassive<R>,

@@ -34,7 +34,6 @@ const BACK_DRIVE_FADE_RADPS: f64 = 0.1;
 
 /// The error that the controller acts on: nothing within ± the dead band, beyond it what is over (steady, so
 /// that nothing chatters at the edge) and, where there is a jump, its share of the band.
-#[must_use]
 #[inline(always)]
 pub fn dead_band<R: Real>(p: &ServoDrive<R>, error_rad: R) -> R {
     let within = error_rad.clamp(-p.dead_band_rad, p.dead_band_rad);
@@ -44,7 +43,6 @@ pub fn dead_band<R: Real>(p: &ServoDrive<R>, error_rad: R) -> R {
 
 /// Factor on Kp: 1 while the joint moves towards its target or rests, `ratio` while the load drives it away
 /// from it.
-#[must_use]
 #[inline(always)]
 pub fn back_drive_factor<R: Real>(ratio: R, error_rad: R, qd_radps: R) -> R {
     let away = -(qd_radps * error_rad.signum0());
@@ -54,7 +52,6 @@ pub fn back_drive_factor<R: Real>(ratio: R, error_rad: R, qd_radps: R) -> R {
 
 /// Largest torque in the direction of motion at `speed_radps` (≥ 0), N·m. Negative beyond the no-load speed,
 /// never below −τ_brake_max. `per_rho`: nominal over present winding resistance.
-#[must_use]
 #[inline(always)]
 pub fn driving_limit_nm<R: Real>(p: &ServoDrive<R>, bus: &Bus<R>, per_rho: R, speed_radps: R) -> R {
     let over = speed_radps - p.flat_speed_per_volt * bus.volt_v;
@@ -63,7 +60,6 @@ pub fn driving_limit_nm<R: Real>(p: &ServoDrive<R>, bus: &Bus<R>, per_rho: R, sp
 }
 
 /// Clamps a wanted torque to what the motor can give at motor speed `speed_radps`, N·m.
-#[must_use]
 #[inline(always)]
 pub fn clamp_nm<R: Real>(
     p: &ServoDrive<R>,
@@ -92,7 +88,6 @@ pub fn clamp_nm<R: Real>(
 /// Clamps a torque to what the current limits allow at motor speed `speed_radps`, N·m. At rest nothing
 /// brakes: what is allowed against the motion comes with the speed, without which a load between the two
 /// limits would be held by chattering between them.
-#[must_use]
 #[inline(always)]
 pub fn limit_current_nm<R: Real>(p: &ServoDrive<R>, torque_nm: R, speed_radps: R) -> R {
     let against = -(speed_radps * torque_nm.signum0());
@@ -102,14 +97,12 @@ pub fn limit_current_nm<R: Real>(p: &ServoDrive<R>, torque_nm: R, speed_radps: R
 }
 
 /// What a motor gives that would give `torque_nm` if its torque were in proportion to its current, N·m.
-#[must_use]
 #[inline(always)]
 pub fn saturated_nm<R: Real>(p: &ServoDrive<R>, torque_nm: R) -> R {
     torque_nm / (R::one() + p.torque_saturation_per_nm * torque_nm.abs())
 }
 
 /// The inverse of [`saturated_nm`], N·m.
-#[must_use]
 #[inline(always)]
 pub fn unsaturated_nm<R: Real>(p: &ServoDrive<R>, given_nm: R) -> R {
     /// Part of the torque that is left at least: beyond it no finite current gives more.
@@ -120,7 +113,6 @@ pub fn unsaturated_nm<R: Real>(p: &ServoDrive<R>, given_nm: R) -> R {
 
 /// Magnitude of the motor current behind a motor torque, A: beyond the dead band in proportion to the torque;
 /// no torque, no current.
-#[must_use]
 #[inline(always)]
 pub fn current_a<R: Real>(p: &ServoDrive<R>, torque_nm: R) -> R {
     let size = torque_nm.abs();

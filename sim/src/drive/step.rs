@@ -25,7 +25,6 @@ pub struct Step<R> {
 
 impl<R: Real> Step<R> {
     /// A step of `dt_s`.
-    #[must_use]
     pub fn new(dt_s: f64) -> Self {
         Self {
             dt_s: R::splat(dt_s),
@@ -61,7 +60,6 @@ per_lane! {
 impl JointMemory<f64> {
     /// A joint that has been moving at `qd_radps` with the command `command_rad` for long: nothing on its
     /// way, gear centred, cold.
-    #[must_use]
     pub fn rest(command_rad: f64, qd_radps: f64) -> Self {
         Self {
             filtered_rad: command_rad,
@@ -91,7 +89,6 @@ pub struct Driven<R> {
 
 /// The torque on an actuated joint at position `q_rad`, velocity `qd_radps` for the step that now begins;
 /// `command_rad` is what arrives at the servo, `on_its_way` what its loop asked for before.
-#[must_use]
 #[inline(always)]
 pub fn start<R: Real>(
     f: DriveFeatures,
@@ -212,7 +209,6 @@ pub fn finish<R: Real>(
 
 /// The passive torque of a hinge without a servo, and its bristle's next deflection by
 /// [`friction::drag_bristle`].
-#[must_use]
 #[inline(always)]
 pub fn hinge_torque<R: Real>(
     hinge: &JointPassive<R>,

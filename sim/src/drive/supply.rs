@@ -34,7 +34,6 @@ pub struct Bus<R> {
 
 impl<R: Real> Bus<R> {
     /// A bus at `volt_v` (> 0).
-    #[must_use]
     #[inline(always)]
     pub fn at(volt_v: R) -> Self {
         Self {
@@ -45,7 +44,6 @@ impl<R: Real> Bus<R> {
 }
 
 /// Bus voltage after a step in which the motors together drew `current_a` (Σ|i|), V.
-#[must_use]
 #[inline(always)]
 pub fn settle_v<R: Real>(p: &Supply<R>, bus_v: R, current_a: R) -> R {
     let settled = (p.open_v - p.resistance_ohm * current_a).max(p.open_v * R::splat(LEAST_SHARE));

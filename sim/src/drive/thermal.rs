@@ -7,7 +7,6 @@ use super::{ServoDrive, filter};
 use crate::real::Real;
 
 /// Rise of the winding's temperature after a step at `current_a`, K.
-#[must_use]
 #[inline(always)]
 pub fn warm_k<R: Real>(p: &ServoDrive<R>, rise_k: R, current_a: R) -> R {
     filter::low_pass(
@@ -18,7 +17,6 @@ pub fn warm_k<R: Real>(p: &ServoDrive<R>, rise_k: R, current_a: R) -> R {
 }
 
 /// Nominal over present winding resistance at a rise of `rise_k`.
-#[must_use]
 #[inline(always)]
 pub fn per_rho<R: Real>(p: &ServoDrive<R>, rise_k: R) -> R {
     R::one() / (p.winding_scale * (R::one() + p.resistance_per_k * rise_k))

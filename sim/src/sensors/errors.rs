@@ -21,7 +21,6 @@ pub struct EncoderErrors {
 
 impl EncoderErrors {
     /// Reading for a true position, rad.
-    #[must_use]
     pub fn read_rad(&self, servo: &ServoParams, true_rad: f32) -> f32 {
         // sixteen sines per reading would be a fiftieth of an environment's step
         let swing = if self.eccentricity_rad == 0.0 {
@@ -59,7 +58,6 @@ pub struct ImuMounting {
 
 impl ImuMounting {
     /// A vector in the model's IMU axes as seen along the sensor's own.
-    #[must_use]
     pub fn turned(&self, v: [f32; 3]) -> [f32; 3] {
         let turn = Rotation3::new(Vector3::from(self.tilt_rad.map(f64::from)));
         let seen = turn.inverse() * Vector3::from(v.map(f64::from));
@@ -67,13 +65,11 @@ impl ImuMounting {
     }
 
     /// What the gyroscope's axes get of a rate, rad/s.
-    #[must_use]
     pub fn gyro_radps(&self, true_radps: [f32; 3]) -> [f32; 3] {
         scaled(self.turned(true_radps), self.gyro_gain)
     }
 
     /// What the accelerometer's axes get of a specific force, m/s².
-    #[must_use]
     pub fn acc_mps2(&self, true_mps2: [f32; 3]) -> [f32; 3] {
         scaled(self.turned(true_mps2), self.acc_gain)
     }
@@ -87,7 +83,6 @@ fn scaled(v: [f32; 3], gain: [f32; 3]) -> [f32; 3] {
 /// to its step.
 ///
 /// No torque reads as no current, although anything inside the dead band would give none.
-#[must_use]
 pub fn current_a(servo: &ServoParams, torque_nm: f32) -> f32 {
     if torque_nm == 0.0 {
         return 0.0;

@@ -21,7 +21,6 @@ pub struct Lag {
 
 impl Lag {
     /// Time constant `time_s` (0: none), sampled every `period_s`. For a corner frequency f, τ = 1/(2πf).
-    #[must_use]
     pub fn new(time_s: f64, period_s: f64) -> Self {
         Self {
             share: lag_share(time_s, period_s) as f32,
@@ -52,7 +51,6 @@ pub struct Delay {
 
 impl Delay {
     /// A delay of `delay_s`, cut at [`MAX_SENSOR_DELAY_S`], of samples taken every `period_s`.
-    #[must_use]
     pub fn new(delay_s: f64, period_s: f64) -> Self {
         let samples = delay_s.clamp(0.0, MAX_SENSOR_DELAY_S) / period_s;
         let whole = (samples + 1e-9).floor(); // 0.06/0.02 must be 3

@@ -20,7 +20,6 @@ pub use errors::{CurrentErrors, EncoderErrors, ImuMounting, current_a};
 pub use lag::{Delay, Lag};
 
 /// Position as a servo reports it: the true one plus its mounting offset, rounded to encoder counts, rad.
-#[must_use]
 pub fn encoder_pos_rad(servo: &ServoParams, true_rad: f32, offset_rad: f32) -> f32 {
     let errors = EncoderErrors {
         offset_rad,
@@ -30,7 +29,6 @@ pub fn encoder_pos_rad(servo: &ServoParams, true_rad: f32, offset_rad: f32) -> f
 }
 
 /// Velocity as a servo reports it, rounded to its step, rad/s.
-#[must_use]
 pub fn encoder_vel_radps(servo: &ServoParams, true_radps: f32) -> f32 {
     quantise(true_radps, servo.velocity_lsb_radps)
 }
@@ -46,7 +44,6 @@ pub struct ImuBias {
 
 impl ImuBias {
     /// Normal offsets with the standard deviations of `imu`.
-    #[must_use]
     pub fn draw(imu: &ImuParams, stream: &mut Stream) -> Self {
         let mut axes = |std: f64| [(); 3].map(|()| std as f32 * stream.normal());
         Self {
@@ -57,7 +54,6 @@ impl ImuBias {
 }
 
 /// Gyroscope reading, IMU frame, rad/s.
-#[must_use]
 pub fn gyro_radps(
     imu: &ImuParams,
     bias: &ImuBias,
@@ -70,7 +66,6 @@ pub fn gyro_radps(
 }
 
 /// Accelerometer reading (specific force), IMU frame, m/s².
-#[must_use]
 pub fn acc_mps2(
     imu: &ImuParams,
     bias: &ImuBias,

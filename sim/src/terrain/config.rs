@@ -100,7 +100,6 @@ settings! {
 
 impl TerrainConfig {
     /// The defaults with another kind.
-    #[must_use]
     pub fn of(kind: TerrainKind) -> Self {
         Self {
             kind,

@@ -36,37 +36,31 @@ impl HeightGrid {
     }
 
     /// Grid points along one edge.
-    #[must_use]
     pub fn points(&self) -> usize {
         self.points
     }
 
     /// Distance of grid points, m.
-    #[must_use]
     pub fn cell_m(&self) -> f64 {
         self.cell_m
     }
 
     /// Edge length, m.
-    #[must_use]
     pub fn size_m(&self) -> f64 {
         self.cell_m * (self.points - 1) as f64
     }
 
     /// All heights, `[points (y), points (x)]`, m.
-    #[must_use]
     pub fn heights_m(&self) -> &[f32] {
         &self.heights_m
     }
 
     /// Friction factor of each cell, by its corner with the smallest x and y, `[points (y), points (x)]`.
-    #[must_use]
     pub fn friction(&self) -> &[f32] {
         &self.friction
     }
 
     /// Height at grid point `(ix, iy)`, m.
-    #[must_use]
     pub fn at(&self, ix: usize, iy: usize) -> f32 {
         self.heights_m[iy * self.points + ix]
     }

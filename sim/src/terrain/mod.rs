@@ -28,7 +28,6 @@ pub struct Terrain {
 
 impl Terrain {
     /// The dry plane z = 0, without end.
-    #[must_use]
     pub fn flat() -> Self {
         Self {
             grid: None,
@@ -49,20 +48,17 @@ impl Terrain {
     }
 
     /// The height field; `None` on the plane without end.
-    #[must_use]
     pub fn grid(&self) -> Option<&HeightGrid> {
         self.grid.as_ref()
     }
 
     /// Height of the water's surface, world, m; `None`: dry. Below it is water wherever the ground is lower,
     /// without end.
-    #[must_use]
     pub fn water_level_m(&self) -> Option<f32> {
         self.water_level_m
     }
 
     /// Height of the ground at `(x, y)`, world, m.
-    #[must_use]
     pub fn height_m(&self, x_m: f32, y_m: f32) -> f32 {
         match &self.grid {
             None => 0.0,
@@ -73,7 +69,6 @@ impl Terrain {
     }
 
     /// Unit normal of the facet at `(x, y)`, world.
-    #[must_use]
     pub fn normal(&self, x_m: f32, y_m: f32) -> [f32; 3] {
         let slope = self
             .grid
@@ -89,7 +84,6 @@ impl Terrain {
     }
 
     /// Factor on the robot's friction coefficients at `(x, y)`; 1 but on slippery patches.
-    #[must_use]
     pub fn friction_factor(&self, x_m: f32, y_m: f32) -> f32 {
         self.grid
             .as_ref()
@@ -97,7 +91,6 @@ impl Terrain {
     }
 
     /// Whether any place has another friction factor than 1.
-    #[must_use]
     pub fn has_patches(&self) -> bool {
         self.grid
             .as_ref()
@@ -106,7 +99,6 @@ impl Terrain {
 
     /// A number that differs between terrains (FNV-1a over everything): snapshots keep it, to be restored on
     /// the same ground only.
-    #[must_use]
     pub fn fingerprint(&self) -> u64 {
         const PRIME: u64 = 0x0000_0100_0000_01b3;
         let mut hash = 0xcbf2_9ce4_8422_2325_u64;

@@ -4,8 +4,6 @@
 //! What a file system promises, and no more: bytes are on the disk once the file was synced, names once their
 //! folder was. Before that each of them may be there or not, in any combination; bytes may be there by half.
 
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
-
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io;

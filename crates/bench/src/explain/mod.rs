@@ -113,13 +113,11 @@ impl Outcome {
     }
 
     /// The mistake was named as the cause, first.
-    #[must_use]
     pub fn first(&self) -> bool {
         self.causes > 0 && self.rank() == Some(0)
     }
 
     /// A cause was named, and it was not the mistake.
-    #[must_use]
     pub fn wrong(&self) -> bool {
         self.causes > 0 && self.rank().is_none_or(|rank| rank >= self.causes)
     }

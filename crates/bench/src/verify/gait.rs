@@ -34,7 +34,6 @@ impl Gait {
     };
 
     /// Gait number `index` of `seed`.
-    #[must_use]
     pub fn random(seed: u64, index: u64) -> Self {
         let key = Key {
             episode: index,
@@ -53,7 +52,6 @@ impl Gait {
     }
 
     /// Position commands, a row per control period of 20 ms.
-    #[must_use]
     pub fn rows(&self, model: &RobotModel, periods: usize) -> Vec<Vec<f32>> {
         let row = |k: usize| {
             let mut row = vec![0.0; model.actuated().len()];

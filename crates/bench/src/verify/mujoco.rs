@@ -40,7 +40,6 @@ pub struct Mujoco {
 
 impl Mujoco {
     /// Starts the Python that `CAUDATA_MUJOCO_PYTHON` names.
-    #[must_use]
     pub fn start() -> Presence {
         let started = caudata_sim::mujoco::version()
             .and_then(|version| Python::start(SCRIPT).map(|python| Self { python, version }));

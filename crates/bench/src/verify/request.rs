@@ -34,7 +34,6 @@ impl RobotRequest {
     }
 
     /// A request for `task`: `options` are MuJoCo's, `more` the task's own keys.
-    #[must_use]
     pub fn task(&self, task: &str, model: &RobotModel, options: Value, more: Value) -> Value {
         let joints: Map<String, Value> = model
             .joints()

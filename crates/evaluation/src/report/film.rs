@@ -30,7 +30,6 @@ pub struct FilmData {
 
 impl FilmData {
     /// Packs the film of an outcome; `None` where there is none.
-    #[must_use]
     pub fn of(outcome: &Outcome) -> Option<Self> {
         let film = outcome.film.as_ref().filter(|f| !f.poses.is_empty())?;
         let frames = &film.trace.frames;
@@ -50,7 +49,6 @@ impl FilmData {
     }
 
     /// Frames.
-    #[must_use]
     pub fn frames(&self) -> usize {
         self.pose.rows
     }
@@ -58,7 +56,6 @@ impl FilmData {
 
 /// Commanded vx, vy, yaw rate; achieved; centre of mass (3); heading; power; height of each foot; force on each
 /// foot; trunk and tail force.
-#[must_use]
 pub fn motion_row(frame: &crate::Frame) -> Vec<f32> {
     let mut row = frame.command.to_vec();
     row.extend(frame.velocity_mps);
@@ -73,7 +70,6 @@ pub fn motion_row(frame: &crate::Frame) -> Vec<f32> {
 }
 
 /// Base position (3) and quaternion (4), then all joints.
-#[must_use]
 pub fn pose_row(pose: &crate::RobotPose) -> Vec<f32> {
     let mut row = pose.base_pos_m.to_vec();
     row.extend(pose.base_quat_wxyz);
@@ -101,7 +97,6 @@ struct Curve {
 
 impl Curves {
     /// `None` without tracks.
-    #[must_use]
     pub fn of(tracks: &[Track], period_s: f64) -> Option<Self> {
         let longest = tracks.iter().map(|t| t.rows.len()).max().unwrap_or(0);
         if longest == 0 {
@@ -137,7 +132,6 @@ impl Curves {
 
 /// Commanded and achieved velocity per command, mean over its episodes after settling, where there are
 /// several.
-#[must_use]
 pub fn grid(tracks: &[Track], commands: usize, period_s: f64, settle_s: f64) -> Vec<[f32; 6]> {
     if commands < 2 {
         return Vec::new();

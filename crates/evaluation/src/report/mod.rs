@@ -178,7 +178,6 @@ fn paper_row(row: &(&'static str, &str, f64), result: &SuiteResult) -> PaperRow 
 
 /// Puts style, script, title and data into a frame. `<` never appears in the data as itself: a name in it
 /// cannot close the element it is in.
-#[must_use]
 pub fn fill(frame: &str, style: &str, script: &str, title: &str, data: &str) -> String {
     let escaped = data.replace('<', "\\u003c");
     let plain = title

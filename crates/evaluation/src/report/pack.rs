@@ -22,7 +22,6 @@ pub struct Packed {
 impl Packed {
     /// Packs rows of one length. What is not finite counts as the column's least value: a page must not break
     /// on a broken robot.
-    #[must_use]
     pub fn of(rows: &[Vec<f32>]) -> Self {
         let columns = rows.first().map_or(0, Vec::len);
         let column = |c: usize| {
@@ -56,7 +55,6 @@ impl Packed {
 }
 
 /// Base64 with padding (RFC 4648, section 4).
-#[must_use]
 pub fn base64(bytes: &[u8]) -> String {
     const ALPHABET: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);

@@ -66,7 +66,6 @@ struct FootScene {
 impl RobotScene {
     /// The shapes that are to be looked at: shells (they collide with nothing) and feet; a link without
     /// shells shows all it has.
-    #[must_use]
     pub fn of(model: &RobotModel) -> Self {
         let links = model.links().iter().enumerate();
         Self {
@@ -153,7 +152,6 @@ struct GridScene {
 
 impl GroundScene {
     /// The ground within [`MARGIN_M`] of a way through these world points, m; all of it for none.
-    #[must_use]
     pub fn around(terrain: &Terrain, way_m: &[[f32; 3]]) -> Self {
         Self {
             water_m: terrain.water_level_m(),

@@ -72,7 +72,6 @@ impl Width {
     pub const ALL: [Self; 4] = [Self::One, Self::Four, Self::Eight, Self::Sixteen];
 
     /// Number of lanes.
-    #[must_use]
     pub fn lanes(self) -> usize {
         match self {
             Self::One => 1,
@@ -83,13 +82,11 @@ impl Width {
     }
 
     /// The width with that many lanes.
-    #[must_use]
     pub fn of(lanes: u32) -> Option<Self> {
         Self::ALL.into_iter().find(|w| w.lanes() == lanes as usize)
     }
 
     /// Whether this processor has the instructions.
-    #[must_use]
     pub fn is_available(self) -> bool {
         match self {
             Self::One => true,
@@ -116,7 +113,6 @@ impl Width {
     }
 
     /// The widest one this processor has.
-    #[must_use]
     pub fn best() -> Self {
         Self::ALL
             .into_iter()

@@ -53,13 +53,11 @@ pub struct Column {
 
 impl Column {
     /// How many rows it has.
-    #[must_use]
     pub fn rows(&self) -> usize {
         self.ends.len()
     }
 
     /// The numbers of a row; none where nothing is stored, and beyond the last.
-    #[must_use]
     pub fn row(&self, row: usize) -> &[f64] {
         let begin = row
             .checked_sub(1)

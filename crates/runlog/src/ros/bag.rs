@@ -53,7 +53,6 @@ pub fn files(path: &Path) -> Result<Vec<PathBuf>, LogError> {
 }
 
 /// Whether a file is called as recordings are.
-#[must_use]
 pub fn is_recording(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let name = name.trim_end_matches(".zstd");

@@ -79,7 +79,6 @@ impl Default for Writer {
 
 impl Writer {
     /// The bytes.
-    #[must_use]
     pub fn finish(self) -> Vec<u8> {
         self.bytes
     }

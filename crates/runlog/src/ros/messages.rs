@@ -20,7 +20,6 @@ macro_rules! whole {
             }
 
             /// Writes the CDR form.
-            #[must_use]
             pub fn encode(&self) -> Vec<u8> {
                 let mut w = Writer::default();
                 self.write(&mut w);
@@ -406,7 +405,6 @@ float64 z
 
 /// The definition of a message type with everything that it holds (encoding `ros2msg`); `None` for types that
 /// are not written here.
-#[must_use]
 pub fn schema(type_name: &str) -> Option<String> {
     let (fields, held): (&str, &[&str]) = match type_name {
         JointState::TYPE => (

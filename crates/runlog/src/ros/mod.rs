@@ -46,7 +46,6 @@ fn signal_of_topic(topic: &str) -> Option<Signal> {
 }
 
 /// Direction of gravity in a frame that stands in the world as `q` (world_from_frame, w, x, y, z).
-#[must_use]
 pub fn gravity_of([w, x, y, z]: [f64; 4]) -> [f64; 3] {
     // the third row of the rotation matrix, turned round: Rᵀ·(0, 0, −1)
     [

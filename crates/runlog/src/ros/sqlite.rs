@@ -231,7 +231,6 @@ impl<F: Read + Seek> Database<F> {
 
 impl Row {
     /// A text; `bytes` are those of the whole row.
-    #[must_use]
     pub fn text<'a>(&self, column: usize, bytes: &'a [u8]) -> Option<&'a str> {
         match self.values.get(column)? {
             Value::Bytes(place) => std::str::from_utf8(bytes.get(place.clone())?).ok(),

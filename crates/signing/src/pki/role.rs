@@ -28,13 +28,11 @@ named! {
 
 impl Role {
     /// Whether others connect to it, so that its certificate must name its hosts.
-    #[must_use]
     pub fn listens(self) -> bool {
         matches!(self, Self::Learner | Self::Server | Self::Router)
     }
 
     /// Whether it connects to others.
-    #[must_use]
     pub fn connects(self) -> bool {
         !matches!(self, Self::Server)
     }

@@ -72,7 +72,6 @@ pub struct Run {
 
 impl Run {
     /// Errors are added as squares, each scenario counts alike.
-    #[must_use]
     pub fn of(scenarios: &[ScenarioResult]) -> Self {
         let mean = |value: &dyn Fn(&ScenarioResult) -> f64| {
             scenarios.iter().map(value).sum::<f64>() / scenarios.len().max(1) as f64

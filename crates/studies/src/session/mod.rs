@@ -154,7 +154,6 @@ pub struct Session {
 
 impl Session {
     /// Its rounds.
-    #[must_use]
     pub fn table(&self) -> Table {
         let head = [
             "round",

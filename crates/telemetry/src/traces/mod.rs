@@ -8,7 +8,6 @@
 //!
 //! *Invariant:* nothing waits for a collector. A queue of [`QUEUE_MAX`] spans stands between; what does not
 //! fit, and what the collector does not take, is dropped and counted.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod export;
 mod span;

@@ -83,7 +83,6 @@ impl Part {
     }
 
     /// Geometric mean over channels of the root mean square of `after` over that of `before`. `[N]` each.
-    #[must_use]
     pub fn ratio(&self, before: &[f64], after: &[f64]) -> f64 {
         let channels = self.channels();
         let log = |(_, _, pieces): &(Kind, usize, Vec<&Piece>)| {
@@ -169,7 +168,6 @@ impl CaseData {
     }
 
     /// The robot.
-    #[must_use]
     pub fn model(&self) -> &RobotModel {
         self.replayer.model()
     }
@@ -202,13 +200,11 @@ impl CaseData {
     }
 
     /// Effect `id` at each joint by itself, or at each of the places that it has, with nothing of it.
-    #[must_use]
     pub fn each(&self, id: &str) -> Variant {
         effects::find(id).map_or_else(Vec::new, |effect| self.everywhere(effect))
     }
 
     /// Every effect of the catalogue that the runs can show, at every single place, with nothing of it.
-    #[must_use]
     pub fn candidates(&self) -> Variant {
         let all = effects::ALL.iter().flat_map(|e| self.everywhere(e));
         all.filter(|t| (t.effect.unseen)(&self.excitation, &t.place).is_none())

@@ -103,7 +103,6 @@ pub struct BaselineSummary {
 }
 
 /// Sums up `(answer, outcomes)` per baseline.
-#[must_use]
 pub fn summaries(all: &[(Answer, Vec<BaselineOutcome>)]) -> Vec<BaselineSummary> {
     NAMES
         .iter()

@@ -12,7 +12,6 @@ pub use outside::OUTSIDE;
 pub use row::{Hidden, Scope, TrueParameter, World};
 
 /// The row of an id, in the catalogue or outside it.
-#[must_use]
 pub fn find(id: &str) -> Option<&'static Hidden> {
     CATALOGUE.iter().chain(OUTSIDE).find(|h| h.id == id)
 }

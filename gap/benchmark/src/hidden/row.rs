@@ -101,7 +101,6 @@ const EQUIVALENT_BESIDE: &[(&str, &str, &[&str])] = &[
 impl Hidden {
     /// Ids that the same data fit exactly as well where one of those is named too that they come with, on a
     /// rig with `joints` joints where the effects `hidden` are hidden: (id, named too).
-    #[must_use]
     pub fn same_beside(&self, joints: usize, hidden: &[&str]) -> Vec<(&'static str, &'static str)> {
         let rows = EQUIVALENT_BESIDE.iter();
         let here = |(id, _, beside): &&(&str, &str, &[&str])| {
@@ -121,7 +120,6 @@ impl Hidden {
     }
 
     /// What a perfect diagnosis of `world` would report.
-    #[must_use]
     pub fn truth(&self, world: &World, model: &RobotModel, a: usize) -> Vec<TrueParameter> {
         let measured = self.truth.iter().flatten().map(|m| {
             let mut names = m.names;

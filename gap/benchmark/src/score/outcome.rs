@@ -94,7 +94,6 @@ pub struct Outcome {
 }
 
 /// Judges a case. `joint_links`: for each joint name, the link that it carries.
-#[must_use]
 pub fn judge(answer: &Answer, given: &Given, joint_links: &[(String, String)]) -> Outcome {
     let empty = Vec::new();
     let causes = given.report.as_ref().map_or(&empty, |r| &r.causes);

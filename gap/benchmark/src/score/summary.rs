@@ -111,7 +111,6 @@ pub struct Summary {
 
 impl Summary {
     /// Summarises all outcomes.
-    #[must_use]
     pub fn of(all: &[Outcome]) -> Self {
         let block = |b: Block| move |o: &Outcome| o.block == b;
         let named = |o: &Outcome| !o.given.is_empty();
@@ -192,7 +191,6 @@ impl Summary {
     }
 
     /// Rows for people: measure, what it came to, what is owed.
-    #[must_use]
     pub fn rows(&self) -> Vec<Row> {
         let percent = |x: f64| format!("{:.1} %", 100.0 * x);
         let mut rows = vec![
@@ -314,7 +312,6 @@ impl Summary {
 
 /// Median error on held-out runs after over before, singles of d ≥ 3; a diagnosis that changes nothing counts
 /// as 1.
-#[must_use]
 pub fn median_gain(all: &[Outcome]) -> f64 {
     let large =
         |o: &&Outcome| o.block == Block::Single && o.truth.first().is_some_and(|t| t.d >= 3.0);

@@ -22,7 +22,6 @@ pub struct Rate {
 
 impl Rate {
     /// `hits` of `of`.
-    #[must_use]
     pub fn new(hits: usize, of: usize) -> Self {
         if of == 0 {
             return Self {

@@ -59,7 +59,6 @@ pub struct Firmware {
 
 impl Firmware {
     /// At rest at `q_rad` with `command_rad`.
-    #[must_use]
     pub fn at_rest(command_rad: f64, read_rad: f64) -> Self {
         Self {
             filtered_rad: command_rad,
@@ -153,7 +152,6 @@ pub struct Flow {
 }
 
 /// Motor current at `volts` and motor speed `w`, A.
-#[must_use]
 pub fn current_a(p: &JointSpec, volts: f64, w_radps: f64, heat_k: f64) -> f64 {
     let resistance = p.resistance_ohm * (1.0 + COPPER_PER_K * heat_k);
     let mut free = (volts - p.ke_vs_per_rad * w_radps) / resistance;
@@ -170,7 +168,6 @@ pub fn current_a(p: &JointSpec, volts: f64, w_radps: f64, heat_k: f64) -> f64 {
 }
 
 /// Bound of the dry friction at speed `v`, N·m.
-#[must_use]
 pub fn friction_bound_nm(
     p: &JointSpec,
     v_radps: f64,
@@ -208,7 +205,6 @@ pub fn friction_bound_nm(
 
 /// LuGre friction: torque against the motion (N·m) and the bristle's rate (rad/s) at speed `v` and deflection
 /// `z`.
-#[must_use]
 pub fn lugre(p: &JointSpec, bound_nm: f64, v_radps: f64, z_rad: f64, step_s: f64) -> (f64, f64) {
     let stiffness = p.coulomb_nm.max(1e-5) / p.presliding_rad;
     if bound_nm <= FRICTIONLESS_NM {
@@ -234,7 +230,6 @@ fn touch(k: f64, depth: f64, rate: f64) -> f64 {
 }
 
 /// Torque between rotor and link, positive on the link, N·m.
-#[must_use]
 pub fn gear_nm(p: &JointSpec, lead_rad: f64, lead_radps: f64) -> f64 {
     let k = if p.gear_nm_per_rad > 0.0 {
         p.gear_nm_per_rad
@@ -250,7 +245,6 @@ pub fn gear_nm(p: &JointSpec, lead_rad: f64, lead_radps: f64) -> f64 {
 }
 
 /// Everything on joint and servo at one instant. `load_nm`: estimate of the torque that the gear passes on.
-#[must_use]
 pub fn flow(
     p: &JointSpec,
     q: f64,

@@ -57,7 +57,6 @@ pub struct Session {
 
 impl Session {
     /// A careful lab's robot in one run of a given day.
-    #[must_use]
     pub fn of_the_day(
         model: &RobotModel,
         lane: &LaneParams,
@@ -115,7 +114,6 @@ impl Session {
 }
 
 /// Columns of a log.
-#[must_use]
 pub fn signals(model: &RobotModel, channels: Channels) -> Vec<Signal> {
     let names = model.actuated_names();
     let each = |make: fn(String) -> Signal| {

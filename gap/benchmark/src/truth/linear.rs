@@ -8,19 +8,16 @@ pub type M3 = [[f64; 3]; 3];
 pub use caudata_model::pose::{add, cross, dot, norm, sub};
 
 /// `s·a`.
-#[must_use]
 pub fn scale(a: V3, s: f64) -> V3 {
     a.map(|x| x * s)
 }
 
 /// `m·v`.
-#[must_use]
 pub fn mul(m: &M3, v: V3) -> V3 {
     [dot(m[0], v), dot(m[1], v), dot(m[2], v)]
 }
 
 /// `a + b`.
-#[must_use]
 pub fn add3(a: &M3, b: &M3) -> M3 {
     let mut out = *a;
     for r in 0..3 {
@@ -32,7 +29,6 @@ pub fn add3(a: &M3, b: &M3) -> M3 {
 }
 
 /// Inertia of a point mass `m` at `r`: m·(r²·1 − r rᵀ).
-#[must_use]
 pub fn point_inertia(m: f64, r: V3) -> M3 {
     let rr = dot(r, r);
     let mut out = [[0.0; 3]; 3];
@@ -46,7 +42,6 @@ pub fn point_inertia(m: f64, r: V3) -> M3 {
 }
 
 /// `r·m·rᵀ`.
-#[must_use]
 pub fn turn(r: &M3, m: &M3) -> M3 {
     let mut out = [[0.0; 3]; 3];
     for i in 0..3 {
@@ -65,7 +60,6 @@ pub fn turn(r: &M3, m: &M3) -> M3 {
 /// `b` becomes `x`.
 ///
 /// Returns whether `a` was positive definite; if not, `b` is not to be used.
-#[must_use]
 pub fn solve_spd(a: &mut [f64], b: &mut [f64]) -> bool {
     let n = b.len();
     for j in 0..n {

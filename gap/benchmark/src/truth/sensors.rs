@@ -58,7 +58,6 @@ pub struct Sensing {
 
 impl Sensing {
     /// A careful lab.
-    #[must_use]
     pub fn careful(servos: usize) -> Self {
         Self {
             servos: vec![
@@ -84,7 +83,6 @@ impl Sensing {
     }
 
     /// Columns of the log.
-    #[must_use]
     pub fn signals(&self, model: &RobotModel) -> Vec<Signal> {
         let names = model.actuated_names();
         let each = |make: fn(String) -> Signal| {
@@ -110,7 +108,6 @@ impl Sensing {
 }
 
 /// When rows are taken: every 1/`rate_hz` with jitter, s.
-#[must_use]
 pub fn row_times_s(
     duration_s: f64,
     rate_hz: f64,
@@ -131,7 +128,6 @@ pub fn row_times_s(
 pub type Row = (f64, Vec<Option<f64>>);
 
 /// The rows of a log; columns as [`Sensing::signals`].
-#[must_use]
 pub fn record(
     model: &RobotModel,
     spec: &Spec,

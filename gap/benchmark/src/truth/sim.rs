@@ -92,7 +92,6 @@ struct Passive {
 
 impl<'a> Sim<'a> {
     /// `model` as `spec` has it.
-    #[must_use]
     pub fn new(model: &RobotModel, spec: &'a Spec) -> Self {
         let tree = Tree::new(model, &spec.links, spec.gravity_mps2);
         let mut servo = Vec::new();
@@ -354,7 +353,6 @@ impl Dense {
 }
 
 /// Value of a dense channel at time `t`, between samples in proportion; the ends hold.
-#[must_use]
 pub fn at(channel: &[f64], t_s: f64) -> f64 {
     let x = (t_s / SAMPLE_S).max(0.0);
     let k = x.floor() as usize;

@@ -219,13 +219,11 @@ impl JointSpec {
     }
 
     /// Whether rotor and link are two bodies.
-    #[must_use]
     pub fn geared(&self) -> bool {
         self.half_gap_rad > 0.0 || self.gear_nm_per_rad > 0.0
     }
 
     /// What the encoder makes of a position before counting, rad.
-    #[must_use]
     pub fn encode_rad(&self, q_rad: f64) -> f64 {
         let (size, phase) = self.eccentricity;
         (1.0 + self.encoder_gain) * q_rad
@@ -237,7 +235,6 @@ impl JointSpec {
 
 impl Spec {
     /// The robot of the model file.
-    #[must_use]
     pub fn nominal(model: &RobotModel) -> Self {
         Self {
             joints: (0..model.actuated().len())
@@ -257,13 +254,11 @@ impl Spec {
     }
 
     /// The joint's link (policy order): what it carries first.
-    #[must_use]
     pub fn link_of(model: &RobotModel, a: usize) -> usize {
         model.joints()[model.actuated()[a]].child_link
     }
 
     /// Model indices of hinges without a servo.
-    #[must_use]
     pub fn passive(model: &RobotModel) -> Vec<usize> {
         (0..model.joints().len())
             .filter(|&j| !matches!(model.joints()[j].kind, JointKind::Actuated { .. }))

@@ -86,7 +86,6 @@ impl Default for MassChange {
 impl Tree {
     /// The tree of `model` with its base held where the model puts it. Slides are left out (no rig here has
     /// one), as are locked hinges.
-    #[must_use]
     pub fn new(model: &RobotModel, changes: &[MassChange], gravity_mps2: V3) -> Self {
         let mut hinges = Vec::new();
         let mut model_joint = Vec::new();
@@ -124,13 +123,11 @@ impl Tree {
     }
 
     /// Degrees of freedom.
-    #[must_use]
     pub fn dofs(&self) -> usize {
         self.hinges.len()
     }
 
     /// Model index of each degree of freedom.
-    #[must_use]
     pub fn model_joints(&self) -> &[usize] {
         &self.model_joint
     }
@@ -171,7 +168,6 @@ impl Tree {
     }
 
     /// Position of the link frame of each link after the last [`Self::equations`].
-    #[must_use]
     pub fn links<'a>(&self, s: &'a Scratch) -> &'a [pose::Pose] {
         &s.rotation
     }
