@@ -1,6 +1,6 @@
 """Draws the pictures of the README again, with the programs that are built (`make media`).
 
-The live page is drawn in a browser without a window; where there is none, that picture stays as it is.
+Pages are drawn in a browser without a window; where there is none, those pictures stay as they are.
 """
 
 import base64
@@ -26,24 +26,35 @@ DRAWN = {
     "walk.gif": "--policy policies/flat.onnx --view side --distance 1.7",
     "walk-above.gif": "--policy policies/flat.onnx --view top --distance 1.9",
     "swim.gif": "--policy policies/amphibious.onnx --terrain shore --place 2.6,0 --distance 2",
+    "quadruped.gif": "--robot robots/quadruped.robot.toml --policy policies/quadruped.onnx --command 0.6,0,0"
+                     " --view side --distance 1.6",
+    "biped.gif": "--robot robots/biped.robot.toml --policy policies/biped.onnx --command 0.15,0,0 --view side"
+                 " --distance 1",
     "rough.png": "--policy policies/rough.onnx --terrain rough_hard --settle-s 6 --width 480",
 }
 ANIMATED = "--width 320 --fps 10 --seconds 2.4 --settle-s 3"
+
+
+# A servo that swings a weight, with friction that its robot file does not have, and what is recorded of it.
+RIG = "robots/xl330_pendulum.robot.toml"
+HIDDEN = "lane.joint_friction_nm=0.03"
+TRIALS = ["steps_medium", "chirp_medium", "triangle_creep", "multisine"]
 
 
 class Browser:
     """A page in a browser, over its debugging pipe (descriptors 3 and 4)."""
 
     def __init__(self, program, width, height):
-        self.home = tempfile.TemporaryDirectory()
+        self.home = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         command = [program, "--headless", "--no-sandbox", "--disable-dev-shm-usage", "--use-gl=angle",
                    "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--remote-debugging-pipe",
                    f"--window-size={width},{height}", f"--user-data-dir={self.home.name}", "about:blank"]
         shell = ["sh", "-c", 'exec "$@" 3<&0 4>&1 1>/dev/null 2>/dev/null', "sh", *command]
         self.process = subprocess.Popen(shell, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         self.session, self.calls = None, 0
-        target = self.call("Target.createTarget", url="about:blank", width=width, height=height)["targetId"]
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
         self.session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
 
     def call(self, method, **parameters):
         self.calls += 1
@@ -61,6 +72,8 @@ class Browser:
                 answer += byte
             answer = json.loads(answer[:-1])
             if answer.get("id") == self.calls:
+                if "error" in answer:
+                    sys.exit(f"media: {method}: {answer['error']}")
                 return answer.get("result", {})
 
     def value(self, expression):
@@ -85,11 +98,34 @@ def draw(name, flags):
     subprocess.run([CAUDATA, "sim", "show", "--out", MEDIA / name, *flags.split(), *animated], cwd=ROOT, check=True)
 
 
-def live_page():
-    program = next((found for found in map(shutil.which, BROWSERS) if found), None)
-    if not program:
-        print("media: live.png stays as it is: there is no Chromium here")
-        return
+def caudata(*args):
+    subprocess.run([CAUDATA, *args], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+
+
+def shot(browser, name):
+    picture = browser.call("Page.captureScreenshot", format="png")
+    (MEDIA / name).write_bytes(base64.b64decode(picture["data"]))
+    print(MEDIA / name)
+
+
+def diagnosis(program):
+    """Records the rig, has it diagnosed, and draws the head of the page."""
+    with tempfile.TemporaryDirectory() as work:
+        caudata("gap", "excite", "--robot", RIG, "--out", f"{work}/battery")
+        for trial in TRIALS:
+            caudata("sim", "rollout", "--robot", RIG, "--base", "fixed", "--commands", f"{work}/battery/{trial}.csv",
+                    "--rate-hz", "100", "--set", HIDDEN, "--out", f"{work}/logs/{trial}/log.csv")
+        caudata("gap", "diagnose", "--robot", RIG, "--log", f"{work}/logs", "--out", f"{work}/found")
+        browser = Browser(program, 1000, 900)
+        try:
+            browser.call("Page.navigate", url=f"file://{work}/found/report.html")
+            browser.until("document.querySelector('svg')")
+            shot(browser, "diagnosis.png")
+        finally:
+            browser.end()
+
+
+def live_page(program):
     played = subprocess.Popen([CAUDATA, "play", "policies/flat.onnx"], cwd=ROOT, stdout=subprocess.PIPE, text=True)
     browser = Browser(program, 1000, 735)
     try:
@@ -98,9 +134,7 @@ def live_page():
         browser.until("caudata.live && caudata.live.film")
         browser.value("caudata.live.drive.go([0.3, 0, 0.2])")
         browser.until("caudata.live.film.frames > 550 && caudata.live.drawn > 20")
-        shot = browser.call("Page.captureScreenshot", format="png")
-        (MEDIA / "live.png").write_bytes(base64.b64decode(shot["data"]))
-        print(MEDIA / "live.png")
+        shot(browser, "live.png")
     finally:
         browser.end()
         played.send_signal(signal.SIGINT)
@@ -110,7 +144,12 @@ def live_page():
 def main():
     for name, flags in DRAWN.items():
         draw(name, flags)
-    live_page()
+    program = next((found for found in map(shutil.which, BROWSERS) if found), None)
+    if program:
+        diagnosis(program)
+        live_page(program)
+    else:
+        print("media: the pictures of pages stay as they are: there is no Chromium here")
     for path in sorted(MEDIA.iterdir()):
         print(f"{os.path.getsize(path) / 1000:8.0f} kB  {path.relative_to(ROOT)}")
 

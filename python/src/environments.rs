@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use caudata_config::{Config, Source, robot_assignment, set_home};
+use caudata_config::{Config, Source, robot_assignment};
+use caudata_durable::set_home;
 use caudata_env::{EpisodeStats, StepOutput, VecEnv};
 use caudata_model::RobotModel;
 use caudata_task::reward::TERMS;

@@ -1,16 +1,19 @@
 //! `caudata config`: the configuration in effect.
 
-use caudata_config::{ConfigArgs, PRESETS};
+use caudata_config::{Config, ConfigArgs, PRESETS};
+use caudata_sim::Terrain;
+use caudata_task::{Critic, Mirror, PolicyContract};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::{Args, Subcommand};
 
+use crate::commands::robot;
 use crate::say;
 
 #[derive(Debug, Subcommand)]
 pub enum ConfigCommand {
     /// Print every key with its value in effect, as TOML
     Show(ShowArgs),
-    /// Check a configuration and say nothing more than that it is good
+    /// Check a configuration against its robot, as a training would, and say only that it is good
     Check(ConfigArgs),
     /// List the presets
     Presets,
@@ -30,6 +33,7 @@ pub fn run(command: &ConfigCommand) -> Result<(), Failure> {
         ConfigCommand::Show(args) => show(args),
         ConfigCommand::Check(args) => {
             let config = args.load().or_exit(ExitCode::BadConfig)?;
+            fits(&config)?;
             say::line(format!("good; hash {}", config.hash_hex()));
             Ok(())
         }
@@ -41,6 +45,18 @@ pub fn run(command: &ConfigCommand) -> Result<(), Failure> {
             Ok(())
         }
     }
+}
+
+/// Refuses what only shows with the robot at hand, as a training would.
+fn fits(config: &Config) -> Result<(), Failure> {
+    let model = robot::load(&config.robot)?;
+    let contract = PolicyContract::new(&model, &config.task).or_exit(ExitCode::BadConfig)?;
+    Critic::new(&config.task.critic, contract.names()).or_exit(ExitCode::BadConfig)?;
+    if config.learner.network.symmetric {
+        Mirror::new(&model, &contract.observation).or_exit(ExitCode::BadConfig)?;
+    }
+    Terrain::generate(&config.terrain, config.run.seed).or_exit(ExitCode::BadConfig)?;
+    Ok(())
 }
 
 fn show(args: &ShowArgs) -> Result<(), Failure> {

@@ -56,7 +56,10 @@ fn tell(report: &Report) {
         Verdict::WalksWhenTrainedAgain => {
             "trained again as it is, from another seed, it walks: train it again, or longer"
         }
-        Verdict::Suspected => "nothing shown in this time (--budget); suspects:",
+        Verdict::Suspected if report.causes.is_empty() => {
+            "nothing was shown in this time (--budget); suspects:"
+        }
+        Verdict::Suspected => "nothing was shown in this time (--budget); most suspect:",
         Verdict::Unexplained => NONE,
     });
     report.causes.iter().for_each(show);

@@ -104,6 +104,11 @@ fn extension(path: &Path) -> &str {
 /// The rows of whatever is given, and its circumstances where they are known.
 fn read(path: &Path) -> Result<(Option<LogMeta>, Table), Failure> {
     if path.is_dir() {
+        if path.join("run_id.txt").is_file() {
+            let message = format!("{} is the folder of a training", path.display());
+            let hint = format!("its robot's log is {}", path.join("robot").display());
+            return Err(Failure::message(ExitCode::NoInput, message).hint(hint));
+        }
         let log = RunLog::read(path).map_err(|error| wrong(error, path))?;
         return Ok((Some(log.meta), log.table));
     }

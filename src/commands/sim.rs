@@ -127,7 +127,7 @@ mod tests {
         refused(dir, good, ExitCode::BadInput, &["c.csv:2"]);
         std::fs::write(dir.join("c.csv"), "t,cmd.FL_hip\n0.0,0.1\n").unwrap();
         let with = |flags: &str| format!("{good} {flags}");
-        refused(dir, &with("--rate-hz 333"), ExitCode::BadConfig, &["333"]);
+        refused(dir, &with("--rate-hz 999"), ExitCode::BadConfig, &["999"]);
         refused(dir, &with("--duration-s -1"), ExitCode::BadConfig, &["-1"]);
         refused(
             dir,
@@ -143,8 +143,8 @@ mod tests {
         );
         // No folder is made for what is refused, and none can be made inside a file.
         let elsewhere = good.replace("DIR/o.csv", "DIR/new/o.csv");
-        let refused_there = format!("{elsewhere} --rate-hz 333");
-        refused(dir, &refused_there, ExitCode::BadConfig, &["333"]);
+        let refused_there = format!("{elsewhere} --rate-hz 999");
+        refused(dir, &refused_there, ExitCode::BadConfig, &["999"]);
         assert!(!dir.join("new").exists());
         sim(dir, &elsewhere).unwrap();
         assert!(dir.join("new/o.toml").is_file());

@@ -27,6 +27,13 @@ const CONTACT_FORCE_N: f32 = 0.1;
 /// Largest command that is taken for one, rad: ten turns. More is another unit, or nonsense.
 const LARGEST_RAD: f64 = 62.8;
 
+/// Periods and times that differ by this share are the same.
+const ROUNDING: f64 = 1e-6;
+
+/// Commands may come this share faster than control periods on average and count as one in each: stamps start
+/// and end within a period, and a log misses rows.
+const JITTER: f64 = 0.01;
+
 #[derive(Debug, Args)]
 pub struct RolloutArgs {
     /// Robot file
@@ -88,7 +95,7 @@ pub fn run(args: &RolloutArgs, stop: &StopFlag) -> Result<(), Failure> {
     }
     config.run.seed = args.seed;
     if let Some(rate_hz) = args.rate_hz {
-        config.engine.substeps = substeps(config.engine.dt_s, rate_hz)?;
+        (config.engine.substeps, config.engine.dt_s) = steps(config.engine.dt_s, rate_hz)?;
     }
     let model = Arc::new(robot::load(&args.robot)?);
     let params = lane_params::changed(&model, &changes)?;
@@ -99,7 +106,7 @@ pub fn run(args: &RolloutArgs, stop: &StopFlag) -> Result<(), Failure> {
     let table = Table::read(&args.commands)
         .or_exit_with(code, || format!("commands {}", args.commands.display()))?;
     check_out(&args.out, &args.commands)?;
-    let commands = Commands::new(&table, &model)?;
+    let mut commands = Commands::new(&table, &model)?;
     commands.fit(config.engine.control_period_s())?;
     let periods = periods(args, &commands, config.engine.control_period_s())?;
     let (seed, robot) = (config.run.seed, Arc::clone(&model));
@@ -149,17 +156,21 @@ fn check_out(out: &Path, commands: &Path) -> Result<(), Failure> {
     ))
 }
 
-/// Physics steps per row.
-fn substeps(dt_s: f64, rate_hz: f64) -> Result<u32, Failure> {
+/// Physics steps per row, and their length, s: the longest that is no longer than `dt_s` and divides a row.
+fn steps(dt_s: f64, rate_hz: f64) -> Result<(u32, f64), Failure> {
     let exact = 1.0 / (rate_hz * dt_s);
-    let whole = exact.round();
-    if rate_hz.is_finite() && whole >= 1.0 && (exact - whole).abs() < 1e-6 * whole {
-        return Ok(whole as u32);
+    if !(1.0 - ROUNDING..=f64::from(u32::MAX)).contains(&exact) {
+        let message = format!(
+            "--rate-hz {rate_hz} is not within 0 and a row per step of engine.dt_s = {dt_s} s"
+        );
+        return Err(Failure::message(ExitCode::BadConfig, message));
     }
-    Err(Failure::message(
-        ExitCode::BadConfig,
-        format!("--rate-hz {rate_hz} does not divide into steps of engine.dt_s = {dt_s} s"),
-    ))
+    let whole = exact.round();
+    if (exact - whole).abs() < ROUNDING * whole {
+        return Ok((whole as u32, dt_s));
+    }
+    let steps = exact.ceil();
+    Ok((steps as u32, 1.0 / (rate_hz * steps)))
 }
 
 /// Control periods to simulate.
@@ -245,8 +256,10 @@ fn terrain_changes(config: &Config) -> Vec<(String, f64)> {
 #[derive(Debug)]
 struct Commands {
     time_s: Vec<f64>,
-    /// One row of 16 per time.
+    /// One row of all actuated joints per time.
     rows: Vec<Vec<f32>>,
+    /// A command counts as reached this long before its time, s. Grid times are sums of periods, so never 0.
+    early_s: f64,
 }
 
 impl Commands {
@@ -294,33 +307,33 @@ impl Commands {
         Ok(Self {
             time_s: table.time_s().to_vec(),
             rows,
+            early_s: 1e-9,
         })
     }
 
-    /// Refuses commands that come faster than the engine takes them: every one but the last of a control
-    /// period would be lost.
-    fn fit(&self, period_s: f64) -> Result<(), Failure> {
-        const ROUNDING: f64 = 1e-6;
-        let fast = |pair: &&[f64]| pair[1] - pair[0] < period_s * (1.0 - ROUNDING);
-        let Some(pair) = self.time_s.windows(2).find(fast) else {
+    /// Refuses commands that come faster than the engine takes them: some of every second would be lost. Those
+    /// that only jitter, as the stamps of a log do, go to the control period that is nearest.
+    fn fit(&mut self, period_s: f64) -> Result<(), Failure> {
+        let close = |pair: &[f64]| pair[1] - pair[0] < period_s * (1.0 - ROUNDING);
+        if !self.time_s.windows(2).any(close) {
             return Ok(());
-        };
-        Err(Failure::message(
-            ExitCode::BadInput,
-            format!(
-                "commands at t = {} s and {} s fall into one control period of {period_s} s; give --rate-hz {:.0} or more",
-                pair[0],
-                pair[1],
-                1.0 / (pair[1] - pair[0])
-            ),
-        ))
+        }
+        let intervals = self.time_s.len() - 1;
+        let mean_s = (self.time_s[intervals] - self.time_s[0]) / intervals as f64;
+        if mean_s < period_s * (1.0 - JITTER) {
+            let message = format!(
+                "a command every {mean_s:.6} s is more than one in a control period of {period_s} s; give --rate-hz {:.0}",
+                (1.0 / mean_s).ceil()
+            );
+            return Err(Failure::message(ExitCode::BadInput, message));
+        }
+        self.early_s = period_s / 2.0;
+        Ok(())
     }
 
     /// What is commanded from `t_s` on.
     fn at(&self, t_s: f64) -> &[f32] {
-        // Grid times are sums of periods; a row at the same time up to rounding counts as reached.
-        const ROUNDING_S: f64 = 1e-9;
-        let reached = self.time_s.partition_point(|&t| t <= t_s + ROUNDING_S);
+        let reached = self.time_s.partition_point(|&t| t <= t_s + self.early_s);
         &self.rows[reached.saturating_sub(1)]
     }
 }
@@ -444,10 +457,32 @@ mod tests {
 
     #[test]
     fn commands_faster_than_the_control_period_are_refused() {
-        let commands = commands("t,cmd.FL_hip\n0,0\n0.01,0.5\n0.02,0\n").unwrap();
+        let mut commands = commands("t,cmd.FL_hip\n0,0\n0.01,0.5\n0.02,0\n").unwrap();
         commands.fit(0.01).unwrap();
         let failure = commands.fit(0.02).unwrap_err();
         assert!(failure.to_string().contains("--rate-hz 100"), "{failure}");
+    }
+
+    #[test]
+    fn stamps_that_jitter_go_to_the_nearest_period() {
+        let csv = "t,cmd.FL_hip\n5.000,0.0\n5.012,0.1\n5.019,0.2\n5.033,0.3\n5.040,0.4\n";
+        let mut commands = commands(csv).unwrap();
+        commands.fit(0.01).unwrap();
+        let hip: Vec<f32> = (0..5)
+            .map(|k| commands.at(5.0 + 0.01 * f64::from(k))[8])
+            .collect();
+        assert_eq!(hip, [0.0, 0.1, 0.2, 0.3, 0.4]);
+    }
+
+    #[test]
+    fn any_rate_divides_into_steps_that_are_no_longer() {
+        assert_eq!(steps(0.002, 50.0).unwrap(), (10, 0.002));
+        let (count, dt_s) = steps(0.002, 200.0).unwrap();
+        assert_eq!(count, 3);
+        assert!((dt_s - 0.005 / 3.0).abs() < 1e-12);
+        for rate_hz in [0.0, -50.0, 501.0, f64::NAN, f64::INFINITY] {
+            assert!(steps(0.002, rate_hz).is_err(), "{rate_hz}");
+        }
     }
 
     #[test]

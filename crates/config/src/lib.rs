@@ -19,8 +19,7 @@ mod sections;
 mod tune;
 mod validate;
 
-use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
+use std::path::PathBuf;
 
 use caudata_declare::settings;
 use caudata_sim::{EngineConfig, TerrainConfig};
@@ -116,7 +115,7 @@ impl Config {
     /// The robot file. A relative path is looked for in the current directory and then in the folders above
     /// this executable, so that a checkout's `target/release/caudata` finds `robots/` from anywhere.
     pub fn robot_path(&self) -> PathBuf {
-        shipped(&self.robot)
+        caudata_durable::shipped(&self.robot)
     }
 
     /// Identifier of the run when it is not made up for each start: `cluster.run_id`, else `run.name`.
@@ -131,39 +130,11 @@ impl Config {
     pub fn warm_start_path(&self) -> Option<PathBuf> {
         let policy = &self.learner.warm_start.policy;
         let given = !policy.as_os_str().is_empty();
-        given.then(|| shipped(policy))
+        given.then(|| caudata_durable::shipped(policy))
     }
 
     /// Every key with its value in effect, in the order of the file: `("learner.ppo.gamma", "0.97")`.
     pub fn entries(&self) -> Vec<(String, String)> {
         keys::entries(&keys::table_of(self))
     }
-}
-
-/// Where files that came with the program are, in a process whose executable does not lie beside them.
-static HOME: OnceLock<PathBuf> = OnceLock::new();
-
-/// Makes [`shipped`] look below `home` instead of above this executable, for a library that another program
-/// loads. Only the first call counts.
-pub fn set_home(home: &Path) {
-    let _ = HOME.set(home.to_owned());
-}
-
-/// A file that came with the program (`robots/…`, `policies/…`): a relative path is looked for in the current
-/// directory and then in the folders above this executable. What is not found stays as it is.
-pub fn shipped(path: &Path) -> PathBuf {
-    match HOME.get() {
-        Some(home) => find_upwards(path, home),
-        None => find_upwards(path, &std::env::current_exe().unwrap_or_default()),
-    }
-}
-
-fn find_upwards(path: &Path, from: &Path) -> PathBuf {
-    if path.is_absolute() || path.exists() {
-        return path.to_owned();
-    }
-    from.ancestors()
-        .map(|folder| folder.join(path))
-        .find(|candidate| candidate.exists())
-        .unwrap_or_else(|| path.to_owned())
 }

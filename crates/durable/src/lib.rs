@@ -7,6 +7,7 @@
 mod bounded;
 mod disk;
 mod owner;
+mod shipped;
 
 use std::fs;
 use std::io;
@@ -15,6 +16,7 @@ use std::path::{Path, PathBuf};
 pub use bounded::{read_at_most, read_text_at_most};
 pub use disk::{Disk, Folder, OsDisk, WriteFault};
 pub use owner::{Owner, OwnerError};
+pub use shipped::{set_home, shipped, shipped_flag};
 
 /// Why a durable write failed. The file's earlier content, if any, is untouched.
 #[derive(Debug, thiserror::Error)]

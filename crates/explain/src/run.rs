@@ -56,8 +56,12 @@ impl Run {
     /// # Errors
     /// Exit codes 64 to 66 where a file of it is missing or wrong.
     pub fn read(folder: &Path) -> Result<Self, Failure> {
-        let config = Config::load(&Source::file(&folder.join("config.toml")));
-        let config = config.or_exit(ExitCode::BadConfig)?;
+        let config = folder.join("config.toml");
+        if !config.is_file() {
+            let message = format!("{} is no run folder", folder.display());
+            return Err(Failure::message(ExitCode::NoInput, message));
+        }
+        let config = Config::load(&Source::file(&config)).or_exit(ExitCode::BadConfig)?;
         let changes = Changes::of_run(folder, &config).or_exit(ExitCode::BadInput)?;
         let config = changes.at(&config, u64::MAX).or_exit(ExitCode::BadInput)?;
         let robot = config.robot_path();

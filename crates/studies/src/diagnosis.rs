@@ -233,7 +233,7 @@ pub fn log_folders(given: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
 /// # Errors
 /// When one cannot be read.
 pub fn robot_files(path: &Path) -> Result<(Vec<u8>, String, Vec<u8>), Failure> {
-    let path = &caudata_config::shipped(path);
+    let path = &caudata_durable::shipped(path);
     let robot_toml = files::read(path)?;
     let mjcf_name = caudata_gap::mjcf_name(&String::from_utf8_lossy(&robot_toml))
         .or_exit(ExitCode::BadInput)?;

@@ -2,8 +2,7 @@
 
 use std::path::Path;
 
-use caudata_config::shipped;
-use caudata_durable::DurableError;
+use caudata_durable::{DurableError, shipped};
 use caudata_model::{ModelError, RobotModel};
 use caudata_policy::PolicyFile;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
@@ -57,6 +56,14 @@ pub fn robot(path: &Path) -> Result<RobotModel, Failure> {
 /// Exit code 66 where it cannot be read, 65 where it is wrong.
 pub fn policy(path: &Path) -> Result<PolicyFile, Failure> {
     let shown = || format!("policy {}", path.display());
+    if path.is_dir() {
+        let message = format!("{} is a folder", path.display());
+        let hint = format!(
+            "the policy of a training is {}",
+            path.join("policy.onnx").display()
+        );
+        return Err(Failure::message(ExitCode::NoInput, message).hint(hint));
+    }
     let bytes =
         caudata_durable::read_at_most(&shipped(path), caudata_policy::MAX_FILE_BYTES as u64)
             .or_exit_with(ExitCode::NoInput, || format!("cannot read {}", shown()))?;
@@ -72,6 +79,30 @@ pub fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Result<(), Failure> {
         Failure::new(ExitCode::of_io(&error, true), error)
             .context(format!("cannot write {}", path.display()))
     })
+}
+
+/// Refuses what [`write`] could not write later, and leaves what is there as it is.
+///
+/// # Errors
+/// As [`write`].
+pub fn writable(path: &Path) -> Result<(), Failure> {
+    let new = !path.exists();
+    let opened = std::fs::OpenOptions::new()
+        .append(true)
+        .create(true)
+        .open(path);
+    opened
+        .and_then(|_| {
+            if new {
+                std::fs::remove_file(path)
+            } else {
+                Ok(())
+            }
+        })
+        .map_err(|error| {
+            Failure::new(ExitCode::of_io(&error, true), error)
+                .context(format!("cannot write {}", path.display()))
+        })
 }
 
 /// Writes a file whole: one that is there is complete.

@@ -1,4 +1,4 @@
-//! Why a process cannot serve its metrics.
+//! Why a process cannot serve over HTTP what it measures, or a page.
 
 use std::io;
 use std::net::SocketAddr;
@@ -7,10 +7,12 @@ use std::net::SocketAddr;
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
     /// Another process listens there.
-    #[error("metrics address {0} is in use")]
+    #[error(
+        "{0} is in use by another process; give another address, or port 0 for any that is free"
+    )]
     InUse(SocketAddr),
     /// The system refuses the address or the thread.
-    #[error("cannot serve metrics on {addr}: {source}")]
+    #[error("cannot listen on {addr}: {source}")]
     Io {
         /// The address asked for.
         addr: SocketAddr,

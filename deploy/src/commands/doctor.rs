@@ -16,6 +16,7 @@ use crate::commands::say::{say, say_json};
 use crate::commands::source::{PortArgs, load_model};
 use crate::hardware::inspect::{self, Check, Inspection, Mark};
 use crate::hardware::{open_bus, open_imu, read_wiring};
+use caudata_durable::shipped_flag;
 
 /// Round trips that are timed.
 const TIMED_TICKS: u32 = 50;
@@ -30,14 +31,16 @@ pub struct DoctorArgs {
     #[arg(
         long,
         value_name = "FILE.robot.toml",
-        default_value = "robots/polymander.robot.toml"
+        default_value = "robots/polymander.robot.toml",
+        value_parser = shipped_flag
     )]
     robot: PathBuf,
     /// Wiring file
     #[arg(
         long,
         value_name = "FILE.wiring.toml",
-        default_value = "robots/polymander.wiring.toml"
+        default_value = "robots/polymander.wiring.toml",
+        value_parser = shipped_flag
     )]
     wiring: PathBuf,
     #[command(flatten)]

@@ -11,6 +11,7 @@ use crate::bus::BusError;
 use crate::commands::say::say;
 use crate::commands::source::PortArgs;
 use crate::hardware::open_bus_anyway;
+use caudata_durable::shipped_flag;
 
 #[derive(Debug, clap::Args)]
 pub struct LimpArgs {
@@ -18,7 +19,8 @@ pub struct LimpArgs {
     #[arg(
         long,
         value_name = "FILE.wiring.toml",
-        default_value = "robots/polymander.wiring.toml"
+        default_value = "robots/polymander.wiring.toml",
+        value_parser = shipped_flag
     )]
     wiring: PathBuf,
     #[command(flatten)]

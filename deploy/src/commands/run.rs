@@ -27,7 +27,7 @@ pub struct RunArgs {
     pub(super) source: SourceArgs,
     /// Policy that came with the program, an ONNX file: runs where nothing else may, a lost state included.
     /// It needs no signature
-    #[arg(long, value_name = "FILE.onnx")]
+    #[arg(long, value_name = "FILE.onnx", value_parser = caudata_durable::shipped_flag)]
     pub(super) factory: Option<PathBuf>,
     /// Folder for what `agent` and `rt` tell each other, this user's alone; `run` in the state folder when
     /// absent

@@ -18,6 +18,7 @@ use crate::metrics::AgentMetrics;
 use crate::probe::{CHILD_DEADLINE, ProbeProgram};
 use crate::reporter::{ReportTo, Reporter};
 use crate::store::{PolicyStore, check_without_trust};
+use caudata_durable::shipped_flag;
 
 /// Where policies come from and where they are kept.
 #[derive(Clone, Debug, clap::Args)]
@@ -26,7 +27,8 @@ pub struct SourceArgs {
     #[arg(
         long,
         value_name = "FILE.robot.toml",
-        default_value = "robots/polymander.robot.toml"
+        default_value = "robots/polymander.robot.toml",
+        value_parser = shipped_flag
     )]
     pub robot: PathBuf,
     /// Policy server

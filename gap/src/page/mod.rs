@@ -16,12 +16,18 @@ use crate::report::{Report, Verdict};
 /// The page of a diagnosis of `robot`. `plots`: what there is to draw beyond the report itself.
 pub fn render(robot: &str, report: &Report, plots: Option<&Plots>) -> String {
     let (word, class) = sections::verdict(report.verdict);
+    // the headline is one sentence; what else there is to say is text
+    let (headline, more) = match report.summary.split_once(". ") {
+        Some((headline, more)) => (format!("{headline}."), more),
+        None => (report.summary.clone(), ""),
+    };
     let mut body = String::new();
     let _ = write!(
         body,
-        "<p class=\"top\">Diagnosis of <b>{}</b></p><h1><span class=\"badge {class}\">{word}</span><br>{}</h1>",
+        "<p class=\"top\">Diagnosis of <b>{}</b></p><h1><span class=\"badge {class}\">{word}</span><br>{}</h1><p>{}</p>",
         escape(robot),
-        escape(&report.summary)
+        escape(&headline),
+        escape(more)
     );
     body.push_str(&sections::tiles(report));
     if !report.data_faults.is_empty() {

@@ -104,6 +104,10 @@ pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
         caudata_sim::mujoco::version()
             .map_err(|why| Failure::message(ExitCode::Unavailable, format!("no MuJoCo: {why}")))?;
     }
+    if let Some(path) = &args.report {
+        // before the work, not after it
+        files::writable(path)?;
+    }
     let evaluation = Evaluation {
         config: &config,
         model: &model,

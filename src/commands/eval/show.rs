@@ -162,8 +162,8 @@ fn body(r: &ScenarioResult) {
     if let (Some(gates), Some(walks)) = (&r.gates, r.walks()) {
         let verdict = match (walks, gates.missed()) {
             (true, _) => "walks: every gate is met".to_owned(),
-            (false, missed) if missed.is_empty() => "does not walk: it falls too often".to_owned(),
-            (false, missed) => format!("does not walk: {}", missed.join("; ")),
+            (false, missed) if missed.is_empty() => "misses a gate: it falls too often".to_owned(),
+            (false, missed) => format!("misses gates: {}", missed.join("; ")),
         };
         say::line(format!("  {verdict}"));
     }

@@ -332,6 +332,78 @@ fn a_full_disk_ends_the_run_and_keeps_what_was_saved() {
 }
 
 #[test]
+fn a_folder_in_the_place_of_what_is_in_it_is_refused_with_where_that_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    fs::create_dir(&run).unwrap();
+    fs::write(run.join("run_id.txt"), "a").unwrap();
+    let (run, out) = (run.to_str().unwrap(), folder.path().join("o.csv"));
+    for (args, words, hint) in [
+        (vec!["explain", run], "no run folder", None),
+        (
+            vec!["eval", "--policy", run],
+            "is a folder",
+            Some("policy.onnx"),
+        ),
+        (
+            vec!["log", "convert", run, "--out", out.to_str().unwrap()],
+            "a training",
+            Some("run/robot"),
+        ),
+    ] {
+        let done = finish(command("caudata", &args).unwrap()).unwrap();
+        refused(&done, 66, &[words]);
+        if let Some(hint) = hint {
+            assert!(done.stderr.contains(hint), "{}", done.stderr);
+        }
+    }
+}
+
+#[test]
+fn an_evaluation_that_could_not_write_its_page_does_not_begin() {
+    let args = [
+        "eval",
+        "--policy",
+        "policies/flat.onnx",
+        "--report",
+        "/proc/none/page.html",
+    ];
+    let done = finish(command("caudata", &args).unwrap()).unwrap();
+    refused(&done, 73, &["/proc/none/page.html"]);
+    assert_eq!(done.stdout, "");
+}
+
+#[test]
+fn what_config_check_calls_good_a_training_takes() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("mine.toml");
+    fs::write(
+        &file,
+        "[task.observation]\nterm = [{ name = \"gravity\" }]\n",
+    )
+    .unwrap();
+    let check = |more: &[&str]| {
+        let mut args = vec!["config", "check", "--preset", "quick", "--config"];
+        args.push(file.to_str().unwrap());
+        args.extend(more);
+        finish(command("caudata", &args).unwrap()).unwrap()
+    };
+    refused(&check(&[]), 64, &["learner.network.symmetric = false"]);
+    let good = check(&["--set", "learner.network.symmetric=false"]);
+    assert_eq!(good.code, Some(0), "{}", good.stderr);
+}
+
+#[test]
+fn the_robots_program_finds_the_robots_that_came_with_it_from_anywhere() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut doctor = command("caudata-robot", &["doctor", "--servo-port", "/dev/none"]).unwrap();
+    doctor.current_dir(folder.path());
+    let done = finish(doctor).unwrap();
+    assert!(done.stderr.contains("/dev/none"), "{}", done.stderr);
+    assert!(!done.stderr.contains("robot.toml"), "{}", done.stderr);
+}
+
+#[test]
 fn every_binary_explains_itself_and_refuses_unknown_flags() {
     for name in [
         "caudata",
