@@ -11,30 +11,60 @@ use serde::{Deserialize, Serialize};
 
 use crate::trial::Trial;
 
-/// Fastens weights to links: mass, centre and inertia of each link with what it carries. A link's inertia has
-/// one factor, so that what weights add to it is spread over its axes as the link's own is.
+/// Where the joint that carries link `l` has its anchor, in the link's frame, m; its origin without one.
+pub(crate) fn anchor_m(model: &RobotModel, l: usize) -> [f64; 3] {
+    let joint = model.links()[l].joints.last();
+    joint.map_or([0.0; 3], |&j| model.joints()[j].anchor_m)
+}
+
+/// From the joint of link `l` to its centre of mass: the direction in the link's frame, and how far, m (a
+/// millimetre at least).
+pub(crate) fn lever(model: &RobotModel, l: usize) -> ([f64; 3], f64) {
+    let (com_m, anchor_m) = (model.links()[l].com_m, anchor_m(model, l));
+    let along = [0, 1, 2].map(|i| com_m[i] - anchor_m[i]);
+    let far_m = along.iter().map(|x| x * x).sum::<f64>().sqrt();
+    (along.map(|x| x / far_m.max(1e-3)), far_m.max(1e-3))
+}
+
+/// Fastens `weights` (mass, kg; place in the link's frame, m) to link `l` as `lane` has it: mass, centre and
+/// inertia. A link's inertia has one factor, so that what weights add to it is spread over its axes as the
+/// link's own is. A weight may be less than nothing, and all of them together not take the link away.
+pub(crate) fn hang(
+    model: &RobotModel,
+    lane: &mut LaneParams,
+    l: usize,
+    weights: &[(f64, [f64; 3])],
+) {
+    let link = &model.links()[l];
+    let factor = |x: f32| f64::from(x);
+    let bare_kg = link.mass_kg * factor(lane.link_mass_scale[l]);
+    let mass_kg = bare_kg + weights.iter().map(|w| w.0).sum::<f64>();
+    if mass_kg == bare_kg || mass_kg < 0.01 * bare_kg {
+        return;
+    }
+    let own_m = [0, 1, 2].map(|i| link.com_m[i] + factor(lane.com_offset_m[l][i]));
+    let parts = || weights.iter().copied().chain([(bare_kg, own_m)]);
+    let com_m = [0, 1, 2].map(|i| parts().map(|(m, at)| m * at[i]).sum::<f64>() / mass_kg);
+    let squared = |at: [f64; 3]| (0..3).map(|i| (at[i] - com_m[i]).powi(2)).sum::<f64>();
+    // traces: a point at distance d adds 2·m·d² to that of an inertia
+    let trace: f64 = (0..3).map(|i| link.inertia_kgm2[i][i]).sum();
+    let bare = trace * factor(lane.link_mass_scale[l]) * factor(lane.link_inertia_scale[l]);
+    let moved: f64 = parts().map(|(m, at)| 2.0 * m * squared(at)).sum();
+    lane.link_mass_scale[l] = (mass_kg / link.mass_kg) as f32;
+    lane.link_inertia_scale[l] = ((bare + moved).max(0.05 * bare) * link.mass_kg
+        / (trace * mass_kg))
+        .clamp(0.01, 100.0) as f32;
+    for (i, offset) in lane.com_offset_m[l].iter_mut().enumerate() {
+        *offset = (com_m[i] - link.com_m[i]) as f32;
+    }
+}
+
+/// Fastens the weights that a run notes to their links.
 fn carry(model: &RobotModel, payload: &[Payload], lane: &mut LaneParams) {
     for (l, link) in model.links().iter().enumerate() {
-        let own: Vec<&Payload> = payload.iter().filter(|p| p.link == link.name).collect();
-        let mass_kg = link.mass_kg + own.iter().map(|p| p.mass_kg).sum::<f64>();
-        if own.is_empty() || mass_kg <= link.mass_kg {
-            continue;
-        }
-        let parts = || {
-            let weights = own.iter().map(|p| (p.mass_kg, p.at_m));
-            weights.chain([(link.mass_kg, link.com_m)])
-        };
-        let com_m = [0, 1, 2].map(|i| parts().map(|(m, at)| m * at[i]).sum::<f64>() / mass_kg);
-        let squared = |at: [f64; 3]| (0..3).map(|i| (at[i] - com_m[i]).powi(2)).sum::<f64>();
-        // traces: a point at distance d adds 2·m·d² to that of an inertia
-        let bare: f64 = (0..3).map(|i| link.inertia_kgm2[i][i]).sum();
-        let moved: f64 = parts().map(|(m, at)| 2.0 * m * squared(at)).sum();
-        let grows = mass_kg / link.mass_kg;
-        lane.link_mass_scale[l] *= grows as f32;
-        lane.link_inertia_scale[l] *= ((bare + moved) / (bare * grows)) as f32;
-        for (i, offset) in lane.com_offset_m[l].iter_mut().enumerate() {
-            *offset += (com_m[i] - link.com_m[i]) as f32;
-        }
+        let own = payload.iter().filter(|p| p.link == link.name);
+        let own: Vec<(f64, [f64; 3])> = own.map(|p| (p.mass_kg, p.at_m)).collect();
+        hang(model, lane, l, &own);
     }
 }
 

@@ -122,7 +122,7 @@ const NEEDS: &[Need] = &[
         unless(e.joint(|j| limits.get(j.joint.as_str()).is_some_and(|(low, high)| j.range_rad[1] - j.range_rad[0] > 0.85 * (high - low))), "motion over the whole range")
     }, "sweep_full"),
     (&["left_right_asymmetry"], |e| unless(e.moving_joints() >= 2, "the same motion on both sides"), "mirror"),
-    (&["link_mass", "link_com"], |e| unless(e.total(|j| j.holds as f64) >= 3.0 && e.joint(|j| j.range_rad[1] - j.range_rad[0] > 0.6), "holds in several poses"), "holds"),
+    (&["link_mass", "link_com", "point_mass"], |e| unless(e.total(|j| j.holds as f64) >= 3.0 && e.joint(|j| j.range_rad[1] - j.range_rad[0] > 0.6), "holds in several poses"), "holds"),
     (&["link_inertia", "armature"], |e| unless(e.joint(|j| j.band_hz[1] > 2.5) || e.total(|j| j.fast_s) > 0.3, "fast motion"), "chirp_large"),
     (&["payload"], |e| unless(e.has("cur") || e.has("base.pos") || e.has("imu.acc") || e.total(|j| j.holds as f64) >= 3.0, "holds with current"), "holds"),
     (&["floor_slope"], |e| unless(e.free() && (e.has("imu.acc") || e.has("imu.grav")), "the robot on the ground, with its IMU"), "rest"),

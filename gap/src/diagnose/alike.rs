@@ -20,6 +20,8 @@ const WIDER: &[(&str, &str)] = &[
     ("load_dependent_friction", "load_stiction"),
     ("coulomb_friction", "stribeck_friction"),
     ("link_mass", "payload"),
+    ("link_mass", "point_mass"),
+    ("link_com", "point_mass"),
 ];
 
 /// Whether the effect `one` is a special case of `other`.

@@ -2,9 +2,11 @@
 //! whatever the runs that were fitted support, named or not.
 
 use super::fits::penalised;
-use super::gates;
+use super::gates::{self, Worth};
 use super::joints::{Angles, mean_abs};
 use super::levels::NOTHING_LEFT;
+use super::naming::Named;
+use super::search::Found;
 use super::state::{Context, State};
 use super::tracking::Tracking;
 use crate::effects::Layer;
@@ -17,6 +19,11 @@ use crate::report::{Carried, Cause};
 const SUPPORTED: f64 = 0.95;
 /// What a model that was built joint by joint must leave of the error of angles that the others leave.
 const BUILT: f64 = 0.95;
+
+/// What a model must leave of the misfit of held-out runs to be nearer to them than the robot as given.
+const HELD_OUT: f64 = 0.98;
+/// Why a model is refused at last.
+pub const NO_NEARER: &str = "held-out runs are no nearer with it than as given";
 
 /// The model of the extended file.
 pub struct Model {
@@ -75,6 +82,32 @@ pub fn choose(
         },
         state: of_search.clone(),
     })
+}
+
+/// The last gate: what is no nearer to held-out runs than the robot as given is not carried, and its causes are
+/// none.
+pub fn refuse(context: &Context, found: &mut Found, named: &mut Vec<Named>, carried: &mut Model) {
+    let base = &found.base;
+    let nearer =
+        |s: &State| s.terms.is_empty() || s.holdout.misfit < HELD_OUT * base.holdout.misfit;
+    let best_is = nearer(&found.best);
+    if !nearer(&carried.state) {
+        let state = if best_is { &found.best } else { base };
+        *carried = Model {
+            state: state.clone(),
+            deviations: Vec::new(),
+        };
+    }
+    if !best_is {
+        let worth = Worth {
+            passed: false,
+            why: NO_NEARER,
+            ..gates::worth(context, base, &found.best, None)
+        };
+        let refused = std::mem::replace(&mut found.best, base.clone());
+        found.refused.insert(0, (refused, worth));
+        named.clear();
+    }
 }
 
 /// Standard deviations of the parameters of `state` by the jackknife over the parts of the runs, SI.

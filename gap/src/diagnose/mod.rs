@@ -118,6 +118,7 @@ pub fn diagnose(
     let terms = found.best.terms.clone();
     let search::Found { base, best, .. } = &mut found;
     context.judge_held_out(&terms, &mut [base, best, &mut carried.state])?;
+    carried::refuse(&context, &mut found, &mut named, &mut carried);
     if let Some(losses) = &context.losses {
         // what was wrong before is said of the robot as its file says
         found.base = context.lossless(losses)?;

@@ -156,8 +156,11 @@ fn simpler(context: &Context, best: &State, named: &Named, rivals: &[&Rival]) ->
         let more = gates::worth(context, &r.state, best, None);
         more.low <= 0.0 || more.fit <= 0.0
     };
+    // a law is never simpler than its special case, whatever else is left free
+    let special = |r: &&&Rival| !wider(own.effect, r.state.terms[r.index].effect);
     let alike = rivals
         .iter()
+        .filter(special)
         .filter(|r| r.in_set && size(&r.state) < size(best) && same(r));
     let first = alike.min_by(|a, b| {
         let by_size = size(&a.state).cmp(&size(&b.state));

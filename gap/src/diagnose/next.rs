@@ -1,24 +1,40 @@
 //! What to record next: the trial of the battery in which what is still possible differs most, by simulating
-//! it; never one that is in the logs, never for what leaves no trace on this robot.
+//! it; never one that is in the logs, never for what leaves no trace on this robot. Where a weight is in
+//! question, with a known one hung on as well: without one, all torques less and all weights more are alike.
 
-use super::naming::Named;
+use caudata_model::RobotModel;
+use caudata_runlog::Payload;
+
+use super::gates::Worth;
+use super::naming::{Named, Rival};
 use super::request::Request;
 use super::search::Found;
-use super::state::Context;
-use crate::effects::Effect;
+use super::state::{Context, State};
+use crate::effects::{Domain, Effect, Layer};
 use crate::error::GapError;
 use crate::excitation::Excitation;
 use crate::excite::{self, DEFAULT_RATE_HZ};
+use crate::plant::{anchor_m, lever};
 use crate::prospects::as_run;
 use crate::replay::{Data, SegmentOptions, Term, Variant};
 use crate::report::{Cause, LocalGap, NextExperiment, Verdict};
-use crate::trial::Kind;
+use crate::trial::{Kind, Run};
 
 /// Longest trial that is proposed, s: longer ones are for what takes as long to build up.
 const LONGEST_S: f64 = 60.0;
 /// Root mean square difference of a joint's angle that tells two models apart, rad: several counts of an
 /// encoder, and more than repeats of a careful lab differ by.
 const TELLS_RAD: f64 = 0.003;
+/// A known weight is worth its trouble where it tells so many times as much as the same motions without.
+const WORTH_A_WEIGHT: f64 = 2.0;
+/// A known weight, as a share of the link that it hangs on, …
+const OF_LINK: f64 = 0.5;
+/// … which may take this share of the joint's torque, …
+const OF_TORQUE: f64 = 0.25;
+/// … and is so far from the joint as the link's centre of mass, times this.
+const BEYOND_CENTRE: f64 = 1.3;
+/// m/s².
+const GRAVITY: f64 = 9.81;
 
 /// The trial that tells most, if any is needed and any tells something.
 ///
@@ -31,8 +47,11 @@ pub fn next(
     causes: &[Cause],
     (found, named): (&Found, &[Named]),
     local: &[LocalGap],
+    unfinished: bool,
 ) -> Result<Option<NextExperiment>, GapError> {
     match verdict {
+        // it asks for time, and not for motion
+        _ if unfinished => Ok(None),
         Verdict::NoGap | Verdict::Explained | Verdict::DataFault => Ok(None),
         Verdict::Ambiguous => {
             // names first, places after them
@@ -46,7 +65,7 @@ pub fn next(
             if let Some(gap) = local.first().filter(|_| causes.is_empty()) {
                 return Ok(Some(again(request, gap)));
             }
-            in_the_dark(context, request, verdict, found)
+            in_the_dark(context, request, verdict, found, named)
         }
     }
 }
@@ -100,49 +119,84 @@ fn between_names(
     });
     let Some(rival) = rival else { return Ok(None) };
     let pair = [found.best.terms.clone(), rival.state.terms.clone()];
-    let best = most_telling(context, request, &pair, |_| true)?;
+    let bare = most_telling(context, request, &pair, |_| true, None)?;
     let mut separates = vec![open.effect.clone()];
     separates.extend(open.alternatives.iter().cloned());
-    Ok(best.map(|(trial, apart_rad)| NextExperiment {
+    let told = |trial: String, with: String, apart_rad: f64| NextExperiment {
         trial,
         joints: open.location.clone(),
         reason: format!(
-            "{} and {} explain these runs alike; in this trial they would differ by {:.1} mrad",
+            "{} and {} explain these runs alike; {with}in this trial they would differ by {:.1} mrad",
             open.effect,
             open.alternatives.join(", "),
             1e3 * apart_rad
         ),
-        separates,
-    }))
+        separates: separates.clone(),
+    };
+    if let Some(weight) = known_weight(context.replayer.model(), &pair) {
+        let weighted = most_telling(context, request, &pair, |_| true, Some(&weight))?;
+        let least_rad = WORTH_A_WEIGHT * bare.as_ref().map_or(0.0, |b| b.1);
+        if let Some((trial, apart_rad)) = weighted.filter(|w| w.1 > least_rad) {
+            let [x, y, z] = weight.at_m;
+            let with = format!(
+                "weigh `{0}`, or hang a known weight on it ({1:.0} g at [{x:.3}, {y:.3}, {z:.3}] m of its frame, say so in the map or log.toml: [[payload]]), and ",
+                weight.link,
+                1e3 * weight.mass_kg
+            );
+            return Ok(Some(told(trial, with, apart_rad)));
+        }
+    }
+    Ok(bare.map(|(trial, apart_rad)| told(trial, String::new(), apart_rad)))
 }
 
-/// A trial for what the runs leave in the dark and what would show on this robot: first what some gate
-/// refused, then what nothing excited.
-fn in_the_dark(
+/// The weight to hang on the link of which two models say what it weighs otherwise, if they do.
+fn known_weight(model: &RobotModel, pair: &[Variant; 2]) -> Option<Payload> {
+    let weighs = |t: &&Term| t.effect.layer == Layer::Inertia && t.place.domain == Domain::Links;
+    let not_in = |t: &&Term, other: &Variant| !other.iter().any(|o| o.effect == t.effect);
+    let of = |a: usize| {
+        pair[a]
+            .iter()
+            .filter(weighs)
+            .find(|t| not_in(t, &pair[1 - a]))
+    };
+    let l = *of(0).or_else(|| of(1))?.place.items.first()?;
+    let link = &model.links()[l];
+    let joint = *link.joints.last()?;
+    let servo = model.servo(model.actuated().iter().position(|&j| j == joint)?);
+    let (direction, far_m) = lever(model, l);
+    let far_m = BEYOND_CENTRE * far_m;
+    let most_kg = OF_TORQUE * servo.tau_max_nm / (GRAVITY * far_m);
+    let mass_kg = 0.01
+        * (100.0 * most_kg.min(OF_LINK * link.mass_kg))
+            .round()
+            .max(1.0);
+    let anchor_m = anchor_m(model, l);
+    Some(Payload {
+        link: link.name.clone(),
+        mass_kg,
+        at_m: [0, 1, 2].map(|i| anchor_m[i] + far_m * direction[i]),
+    })
+}
+
+/// A trial for what the runs leave in the dark and what would show on this robot: what some gate refused, where
+/// the runs cannot decide; what nothing excited; last, what comes nearest to what was found and is not it.
+fn in_the_dark<'a>(
     context: &Context,
     request: &Request,
     verdict: Verdict,
-    found: &Found,
+    found: &'a Found,
+    named: &'a [Named],
 ) -> Result<Option<NextExperiment>, GapError> {
-    let refused = (found.refused.first()).filter(|_| verdict == Verdict::InsufficientData);
-    if let Some((state, worth)) = refused
-        && let Some(term) = state.terms.last()
+    let refused = |(state, worth): &'a (State, Worth)| {
+        let term = state.terms.last()?;
+        let why = format!("{} fits, but {}; in this trial", term.effect.id, worth.why);
+        Some((&state.terms, term, why))
+    };
+    if verdict == Verdict::InsufficientData
+        && let Some((terms, term, why)) = found.refused.first().and_then(refused)
+        && let Some(told) = apart(context, request, found, terms, term, &why)?
     {
-        let pair = [found.best.terms.clone(), state.terms.clone()];
-        let best = most_telling(context, request, &pair, |_| true)?;
-        if let Some((trial, apart_rad)) = best {
-            return Ok(Some(NextExperiment {
-                trial,
-                joints: term.place.names.clone(),
-                reason: format!(
-                    "{} fits, but {}; in this trial it would change angles by {:.1} mrad",
-                    term.effect.id,
-                    worth.why,
-                    1e3 * apart_rad
-                ),
-                separates: vec![term.effect.id.to_owned()],
-            }));
-        }
+        return Ok(Some(told));
     }
     let model = context.replayer.model();
     for &effect in &context.effects {
@@ -170,11 +224,44 @@ fn in_the_dark(
             let seen = || (effect.unseen)(&excited, &place).is_none();
             trial.excites.iter().any(|e| e == effect.id) && seen()
         };
-        if let Some((trial, apart_rad)) = most_telling(context, request, &pair, made_for)? {
+        if let Some((trial, apart_rad)) = most_telling(context, request, &pair, made_for, None)? {
             return Ok(Some(told(effect, why, trial, apart_rad)));
         }
     }
-    Ok(None)
+    let rivals = named.iter().flat_map(|n| &n.rivals);
+    let nearest = rivals.min_by(|a, b| a.short.total_cmp(&b.short));
+    let rival = |r: &'a Rival| {
+        let term = &r.state.terms[r.index];
+        let why = format!(
+            "neither what was found nor {}, which comes nearest to it, explains these runs; in this trial",
+            term.place.label(term.effect.id)
+        );
+        (&r.state.terms, term, why)
+    };
+    let nearest = nearest.map(rival);
+    match nearest.or_else(|| found.refused.iter().find_map(refused)) {
+        Some((terms, term, why)) => apart(context, request, found, terms, term, &why),
+        None => Ok(None),
+    }
+}
+
+/// The trial in which the model `terms`, for the sake of its `term`, differs most from what was found.
+fn apart(
+    context: &Context,
+    request: &Request,
+    found: &Found,
+    terms: &Variant,
+    term: &Term,
+    why: &str,
+) -> Result<Option<NextExperiment>, GapError> {
+    let pair = [found.best.terms.clone(), terms.clone()];
+    let best = most_telling(context, request, &pair, |_| true, None)?;
+    Ok(best.map(|(trial, apart_rad)| NextExperiment {
+        trial,
+        joints: term.place.names.clone(),
+        reason: format!("{why} they would differ by {:.1} mrad", 1e3 * apart_rad),
+        separates: vec![term.effect.id.to_owned()],
+    }))
 }
 
 fn told(effect: &Effect, why: &str, trial: String, apart_rad: f64) -> NextExperiment {
@@ -197,13 +284,15 @@ fn most_telling(
     request: &Request,
     pair: &[Variant; 2],
     among: impl Fn(&excite::Trial) -> bool,
+    weight: Option<&Payload>,
 ) -> Result<Option<(String, f64)>, GapError> {
     let model = context.replayer.model();
     let Ok(battery) = excite::battery(model, None, DEFAULT_RATE_HZ) else {
         return Ok(None);
     };
     let recorded = |trial: &excite::Trial| {
-        (request.runs.iter()).any(|r| {
+        let alike = |r: &&Run| r.log.meta.payload.is_empty() == weight.is_none();
+        (request.runs.iter()).filter(alike).any(|r| {
             excite::names_in(&format!("{} {}", r.name, r.log.meta.notes))
                 == Some(trial.name.as_str())
         })
@@ -211,11 +300,9 @@ fn most_telling(
     let mut best: Option<(String, f64)> = None;
     let can = |t: &&excite::Trial| t.duration_s <= LONGEST_S && !recorded(t);
     for trial in battery.iter().filter(can).filter(|t| among(t)) {
-        let data = Data::new(
-            model,
-            vec![as_run(trial, &[Kind::Position])],
-            SegmentOptions::default(),
-        );
+        let mut run = as_run(trial, &[Kind::Position]);
+        run.meta.payload.extend(weight.cloned());
+        let data = Data::new(model, vec![run], SegmentOptions::default());
         let predictions = context.replayer.predict(&data, pair)?;
         for piece in data.segments.iter().flat_map(|s| &s.pieces) {
             let off = |k: usize| f64::from(predictions[0][k] - predictions[1][k]).powi(2);

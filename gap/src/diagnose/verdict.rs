@@ -123,13 +123,55 @@ fn told_of<'a>(context: &Context, found: &'a Found, named: &[Named]) -> Result<T
         cause(context, best, n, &spread, trust)
     };
     let all = order.iter().zip(&are_leads).map(trusted);
+    let mut all = all.collect::<Result<Vec<_>, _>>()?;
+    for (cause, own) in all.iter_mut().zip(&order) {
+        widen(cause, &best.terms[own.index], best, &order);
+    }
     Ok(Told {
-        all: all.collect::<Result<_, _>>()?,
+        all,
         are_leads,
         doubts,
         spread,
         undenied,
     })
+}
+
+/// A size is known no better than the names beside it: the intervals of `cause`, which is the term `own` of
+/// `best`, hold what it would be with another of its answer set in the place of each other cause.
+fn widen(cause: &mut Cause, own: &Term, best: &State, causes: &[&Named]) {
+    let rivals = causes
+        .iter()
+        .flat_map(|n| n.rivals.iter().map(move |r| (n, r)));
+    for (named, rival) in rivals.filter(|(_, r)| r.in_set) {
+        let (instead, of) = (&rival.state.terms[rival.index], &best.terms[named.index]);
+        let same = |t: &&Term| t.effect == own.effect && t.place == own.place;
+        let other = rival.state.terms.iter().find(same);
+        let Some(other) = other.filter(|_| of != own && !wider(of.effect, instead.effect)) else {
+            continue;
+        };
+        for (spec, &value) in own.effect.parameters.iter().zip(&other.values) {
+            let Some(p) = cause.parameters.get_mut(spec.name) else {
+                continue;
+            };
+            if (p.ci_low..=p.ci_high).contains(&value) {
+                continue;
+            }
+            let instead = instead.place.label(instead.effect.id);
+            let of = of.place.label(of.effect.id);
+            let unit = format!(" {}", spec.unit);
+            cause.evidence.push(format!(
+                "with {instead} instead of {of} its {} would be {}{}",
+                spec.name,
+                words::rounded(value),
+                unit.trim_end()
+            ));
+            let moved = value - p.value;
+            (p.ci_low, p.ci_high) = (
+                p.ci_low.min(p.ci_low + moved),
+                p.ci_high.max(p.ci_high + moved),
+            );
+        }
+    }
 }
 
 /// Draws the conclusion.
@@ -200,6 +242,7 @@ pub fn conclude(
                 &causes,
                 (found, named),
                 &local,
+                evidence.unfinished,
             )?,
             local_gaps: local,
             detection_floor: floors(context, &found.first, best.misfit()),

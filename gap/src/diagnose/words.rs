@@ -1,5 +1,6 @@
 //! A verdict in words.
 
+use super::carried::NO_NEARER;
 use super::doubt::Doubts;
 use super::levels::NOTHING_LEFT;
 use super::naming::{Named, Rival};
@@ -71,6 +72,13 @@ pub fn summary(
             names(leads)
         ));
     }
+    if let Some((state, _)) = found.refused.first().filter(|(_, w)| w.why == NO_NEARER) {
+        let (before, after) = (found.base.holdout.misfit, state.holdout.misfit);
+        text.push_str(&format!(
+            " Fitted to the other runs, {} does not bring held-out runs nearer ({before:.2} floors as given, {after:.2} with it): it is no finding, and the robot is taken as given.",
+            state.label()
+        ));
+    }
     if context.losses.is_some() {
         text.push_str(" Lost frames show in what repeats differ by, not in their mean.");
     }
@@ -87,14 +95,17 @@ pub fn first(verdict: Verdict, errors: &[PositionError], unfinished: bool) -> St
     let mut text = String::new();
     if unfinished {
         text.push_str(
-            "Unfinished: time ended before everything was tried, and this is the best so far. ",
+            "Unfinished: time ended before everything was tried, and this is the best so far. Give it more time (--budget) before you record anything. ",
         );
     }
     let [_, standard @ .., extended] = errors else {
         return text;
     };
     let best = (standard.iter()).min_by(|a, b| a.mean_rad.total_cmp(&b.mean_rad));
-    if let Some(best) = best.filter(|b| b.mean_rad < extended.mean_rad)
+    let better = |b: &&PositionError| {
+        b.mean_rad < extended.mean_rad && rounded(b.mean_rad) != rounded(extended.mean_rad)
+    };
+    if let Some(best) = best.filter(better)
         && verdict != Verdict::NoGap
     {
         text.push_str(&format!(
@@ -126,7 +137,7 @@ pub fn last(model: &[Carried], local: &[LocalGap]) -> String {
 }
 
 /// To two digits.
-fn rounded(x: f64) -> String {
+pub fn rounded(x: f64) -> String {
     let digits = (1.0 - x.abs().max(1e-9).log10().floor()).clamp(0.0, 6.0) as usize;
     format!("{x:.digits$}")
 }
@@ -152,10 +163,6 @@ fn headline(
     let (before, after) = (base.holdout.misfit, best.holdout.misfit);
     let fall = if best.terms.is_empty() {
         format!("held-out misfit is {after:.2} floors, and was {before:.2}")
-    } else if after > before {
-        format!(
-            "but held-out misfit rises from {before:.2} to {after:.2} floors: keep the robot as given"
-        )
     } else {
         format!("held-out misfit falls from {before:.2} to {after:.2} floors")
     };

@@ -4,7 +4,7 @@ use caudata_model::RobotModel;
 
 use crate::excitation::Excitation;
 use crate::place::{Domain, Place, places};
-use crate::plant::Plant;
+use crate::plant::{Plant, lever};
 
 /// Where in the chain an effect acts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -59,6 +59,10 @@ pub enum Reference {
     Armature,
     /// The position gain, N·m/rad.
     Gain,
+    /// Mass of the link, kg.
+    Mass,
+    /// From the link's joint to its centre of mass, m.
+    Lever,
 }
 
 /// One parameter of an effect.
@@ -199,6 +203,9 @@ fn reference(model: &RobotModel, place: &Place, reference: Reference) -> f64 {
     let mean = |f: &dyn Fn(usize) -> f64| {
         joints.iter().map(|&a| f(a)).sum::<f64>() / joints.len().max(1) as f64
     };
+    let of_links = |f: &dyn Fn(usize) -> f64| {
+        place.items.iter().map(|&l| f(l)).sum::<f64>() / place.items.len().max(1) as f64
+    };
     match reference {
         Reference::One => 1.0,
         Reference::Torque => mean(&|a| model.servo(a).tau_max_nm),
@@ -208,6 +215,8 @@ fn reference(model: &RobotModel, place: &Place, reference: Reference) -> f64 {
             mean(&|a| model.joints()[model.actuated()[a]].armature_kgm2.max(1e-4))
         }
         Reference::Gain => mean(&|a| model.kp_nm_per_rad(a)).max(1e-6),
+        Reference::Mass => of_links(&|l| model.links()[l].mass_kg),
+        Reference::Lever => of_links(&|l| lever(model, l).1),
     }
 }
 

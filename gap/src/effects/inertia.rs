@@ -1,8 +1,9 @@
 //! Masses (I1 to I6).
 
-use super::effect::Reference::{Armature, One};
+use super::effect::Reference::{Armature, Lever, Mass, One};
 use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
 use crate::place::Domain;
+use crate::plant::{anchor_m, hang, lever};
 
 const OF_MASSES: Effect = Effect {
     layer: Layer::Inertia,
@@ -15,7 +16,7 @@ pub static LINK_MASS: Effect = Effect {
     parameters: &[parameter("scale", "", 1.0, (0.2, 4.0), 0.03, One)],
     grid: &one(&[0.7, 0.9, 1.1, 1.3, 1.7]),
     apply: |plant, place, v| place.each(|l| plant.lane.link_mass_scale[l] *= v[0] as f32),
-    look_alikes: "link_com payload torque_constant armature encoder_gain parallel_spring",
+    look_alikes: "link_com point_mass payload torque_constant armature encoder_gain parallel_spring",
     trial: "hold_poses",
     signature: "gravity and inertia of the link grow together",
     ..OF_MASSES
@@ -43,9 +44,31 @@ pub static LINK_COM: Effect = Effect {
             }
         }
     },
-    look_alikes: "link_mass armature encoder_offset parallel_spring link_inertia payload",
+    look_alikes: "link_mass point_mass armature encoder_offset parallel_spring link_inertia payload",
     trial: "hold_poses",
     signature: "gravity changes with the lever, inertia with its square; the weight stays",
+    ..OF_MASSES
+};
+
+pub static POINT_MASS: Effect = Effect {
+    id: "point_mass",
+    parameters: &[
+        // less than nothing: what the robot file has there and the robot does not
+        parameter("extra_kg", "kg", 0.0, (-0.8, 6.0), 0.03, Mass),
+        parameter("lever_m", "m", 1.0, (0.3, 4.0), 0.1, Lever),
+    ],
+    grid: &[&[0.3, 0.6], &[0.3, 1.3], &[0.3, 2.0]],
+    apply: |plant, place, v| {
+        for &l in &place.items {
+            let (direction, _) = lever(&plant.model, l);
+            let anchor_m = anchor_m(&plant.model, l);
+            let at_m = [0, 1, 2].map(|i| anchor_m[i] + v[1] * direction[i]);
+            hang(&plant.model, &mut plant.lane, l, &[(v[0], at_m)]);
+        }
+    },
+    look_alikes: "torque_constant link_mass link_com link_inertia armature payload",
+    trial: "hold_poses",
+    signature: "gravity grows with its lever, inertia with the square of it; so they do, nearly alike, where every torque is less",
     ..OF_MASSES
 };
 
@@ -54,7 +77,7 @@ pub static LINK_INERTIA: Effect = Effect {
     parameters: &[parameter("scale", "", 1.0, (0.05, 20.0), 0.1, One)],
     grid: &one(&[0.4, 1.7, 3.0, 6.0, 12.0]),
     apply: |plant, place, v| place.each(|l| plant.lane.link_inertia_scale[l] *= v[0] as f32),
-    look_alikes: "armature link_com link_mass",
+    look_alikes: "armature link_com link_mass point_mass",
     unseen: needs_motion,
     trial: "fast_chirp",
     signature: "shows in fast motion only; no gravity",

@@ -72,6 +72,7 @@ pub static ALL: &[&Effect] = &[
     &structure::HARD_STOP,
     &inertia::LINK_MASS,
     &inertia::LINK_COM,
+    &inertia::POINT_MASS,
     &inertia::LINK_INERTIA,
     &inertia::ARMATURE,
     &inertia::PAYLOAD,

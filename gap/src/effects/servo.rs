@@ -84,7 +84,7 @@ pub static TORQUE_CONSTANT: Effect = Effect {
             joint.torque_constant_nm_per_a *= s;
         }
     },
-    look_alikes: "winding_resistance kp_error current_bias load_dependent_friction link_mass",
+    look_alikes: "winding_resistance kp_error current_bias load_dependent_friction link_mass point_mass",
     trial: "hold_poses",
     signature: "torque per ampere changes in loaded holds, and the speed without load the other way",
     ..OF_SERVOS
