@@ -118,6 +118,10 @@ pub struct Cause {
     pub evidence: Vec<String>,
     /// Look-alikes that were tried, and why they fell.
     pub rejected: Vec<Rejected>,
+    /// Figures of the robot file that it corrects and that nobody looked up, by their paths: where there are
+    /// any, the confidence is in the file being wrong, and says nothing of the robot.
+    #[serde(default)]
+    pub assumed: Vec<String>,
 }
 
 impl Cause {

@@ -21,10 +21,13 @@ pub fn run(args: &WithJson<diagnosis::Plan>, process: &Process) -> Result<(), Fa
     let report = report?;
     say::either(*json, &report, |report| {
         gap_report::print(report);
-        say::line(format!(
-            "\nreport.html, report.json and extended.robot.toml are in {}",
-            plan.out.display()
-        ));
+        let files = match diagnosis::carries(report) {
+            true => "report.html, report.json and extended.robot.toml are",
+            false => {
+                "take the robot as given: there is no extended file; report.html and report.json are"
+            }
+        };
+        say::line(format!("\n{files} in {}", plan.out.display()));
     })?;
     verdict(&report)
 }
@@ -73,6 +76,7 @@ fn verdict(report: &Report) -> Result<(), Failure> {
             "record the trial {} (`caudata gap excite --trial {}`)",
             next.trial, next.trial
         )),
+        None if report.unfinished => failure.hint("give it more time: --budget 10min"),
         None => failure,
     })
 }

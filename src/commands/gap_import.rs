@@ -72,8 +72,25 @@ pub fn run(args: &ImportArgs) -> Result<(), Failure> {
             ));
         }
         let recordings = import::open(first, format, None).map_err(failure)?;
-        files::write(path, draft::map(&recordings, &robot).map_err(failure)?)?;
+        let drafted = draft::map(&recordings, &robot).map_err(failure)?;
+        files::write(path, &drafted.map)?;
         let path = path.display();
+        if drafted.read.is_empty() {
+            let message = format!(
+                "no column of {} was understood ({}); {path} has an example of what to write",
+                first.display(),
+                drafted.unread.join(", ")
+            );
+            return Err(Failure::message(ExitCode::BadInput, message).hint(format!(
+                "write in {path} what each column is, then give it as --map"
+            )));
+        }
+        if !drafted.unread.is_empty() {
+            tracing::warn!(
+                "not understood, and left out: {}",
+                drafted.unread.join(", ")
+            );
+        }
         say::line(format!(
             "{path} is a guess: check it, then give it as --map {path}"
         ));

@@ -76,6 +76,16 @@ pub fn print(report: &Report) {
             say::line(format!("   {text}"));
         }
     }
+    for c in report.model.iter().filter(|c| !c.named) {
+        let values = c.parameters.iter();
+        let values = values.map(|(name, value)| format!("{name} = {}", short(*value)));
+        say::line(format!(
+            "in the model, its name no finding: {} at {}, {}",
+            c.effect,
+            place(&c.location),
+            values.collect::<Vec<_>>().join(", ")
+        ));
+    }
     if !report.gain.is_empty() {
         say::line("");
         say::table(
@@ -133,11 +143,21 @@ pub fn print(report: &Report) {
 
 fn cause(number: usize, cause: &Cause) {
     say::line(format!(
-        "\n{number}. {} at {}, confidence {:.0} %",
+        "\n{number}. {} at {}, confidence {:.0} %{}",
         cause.effect,
         place(&cause.location),
-        100.0 * cause.confidence
+        100.0 * cause.confidence,
+        match cause.alternatives.is_empty() {
+            true => String::new(),
+            false => format!(" in it or {}", cause.alternatives.join(" or ")),
+        }
     ));
+    if !cause.assumed.is_empty() {
+        let figures = cause.assumed.join(", ");
+        say::line(format!(
+            "   the robot file assumes {figures}: look it up first"
+        ));
+    }
     for (name, p) in &cause.parameters {
         let bound = match p.at_bound {
             true => ", at its bound: no result",

@@ -137,6 +137,7 @@ fn build(
     Ok(RobotModel {
         hash: hash(toml_bytes, mjcf_bytes),
         name: file.name,
+        assumed: file.assumed,
         base,
         gravity_mps2,
         links,

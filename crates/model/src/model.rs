@@ -17,6 +17,7 @@ pub struct RobotModel {
     pub(crate) base: BaseKind,
     pub(crate) gravity_mps2: [f64; 3],
     pub(crate) links: Vec<Link>,
+    pub(crate) assumed: Vec<String>,
     pub(crate) joints: Vec<Joint>,
     pub(crate) sites: Vec<Site>,
     pub(crate) world_geoms: Vec<Geom>,
@@ -83,6 +84,8 @@ readers! {
     sites: &[Site],
     /// Geoms fixed to the world (the MJCF's floor; engines put their own terrain there).
     world_geoms: &[Geom],
+    /// Figures of the robot file that nobody looked up, by their paths (`servo.preset.NAME.qd_max_radps`).
+    assumed: &[String],
     /// Pairs of links that never collide.
     excluded_pairs: &[(usize, usize)],
     ;
@@ -142,6 +145,15 @@ impl RobotModel {
     pub fn servo_name(&self, actuated_index: usize) -> &str {
         let preset = self.servo_of[actuated_index.min(self.servo_of.len() - 1)];
         &self.servo_presets[preset].0
+    }
+
+    /// The path of an actuated joint's servo figure (`qd_max_radps`), if nobody looked that up.
+    #[must_use]
+    pub fn assumed_of_servo(&self, actuated_index: usize, figure: &str) -> Option<&str> {
+        let own = format!(".{}.{figure}", self.servo_name(actuated_index));
+        let mut all = self.assumed.iter();
+        all.find(|path| path.starts_with("servo.") && path.ends_with(&own))
+            .map(String::as_str)
     }
 
     /// Proportional gain of an actuated joint's position loop, N·m/rad (indices as in [`Self::servo`]).

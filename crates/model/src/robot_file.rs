@@ -18,6 +18,9 @@ pub(crate) struct RobotFile {
     pub name: String,
     pub mjcf: String,
     pub base: BaseWord,
+    /// Figures of this file that nobody looked up, by their paths (`servo.preset.NAME.qd_max_radps`).
+    #[serde(default)]
+    pub assumed: Vec<String>,
     pub joints: JointsTable,
     pub pose: PoseTable,
     pub control: ControlTable,
@@ -213,6 +216,7 @@ pub(crate) fn parse(label: &str, text: &str) -> Result<RobotFile, ModelError> {
     })?;
     let checker = Checker { file: label };
     checker.run(&file)?;
+    checker.assumed(&file.assumed, text)?;
     Ok(file)
 }
 
@@ -236,6 +240,20 @@ impl Checker<'_> {
         message: impl Into<String>,
     ) -> Result<T, ModelError> {
         Err(self.error(at, message))
+    }
+
+    /// Each of `paths` leads to a figure of the file, `text`.
+    fn assumed(&self, paths: &[String], text: &str) -> Result<(), ModelError> {
+        // it was read before
+        let file: toml::Value = toml::from_str(text).unwrap_or_else(|_| toml::Table::new().into());
+        for path in paths {
+            let figure = (path.split('.')).try_fold(&file, |table, key| table.get(key));
+            if !figure.is_some_and(|f| f.is_float() || f.is_integer()) {
+                let message = format!("`{path}` is no figure of this file");
+                return self.refuse("assumed", message);
+            }
+        }
+        Ok(())
     }
 
     fn above(&self, at: &str, x: f64) -> Result<(), ModelError> {

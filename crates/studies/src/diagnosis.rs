@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use caudata_gap::check::{check_dirs, run_name};
-use caudata_gap::report::DataFault;
+use caudata_gap::report::{DataFault, Verdict};
 use caudata_gap::{
     Diagnosis, GapError, GoOn, Options, Progress, Report, Request, Role, Run, diagnose as find,
     excite, extension, page,
@@ -161,6 +161,14 @@ fn name_the_trial(robot: &RobotModel, report: &mut Report) {
     }
 }
 
+/// Whether there is an extended robot file. Where a gap has been found and no model that is nearer to held-out
+/// runs than the robot as given, there is none.
+#[must_use]
+pub fn carries(report: &Report) -> bool {
+    let gap = [Verdict::Unexplained, Verdict::InsufficientData];
+    !report.model.is_empty() || !gap.contains(&report.verdict)
+}
+
 /// Each file whole.
 fn write(
     out: &Path,
@@ -173,9 +181,17 @@ fn write(
     write_whole(&out.join(PLOTS), &plots)?;
     let html = page::render(robot.name(), &found.report, Some(&found.plots));
     write_whole(&out.join("report.html"), html.as_bytes())?;
-    write_whole(&out.join(EXTENDED), extended.as_bytes())?;
-    // the extended file names its MJCF, which must lie beside it
-    write_whole(&out.join(mjcf_name), mjcf)?;
+    if carries(&found.report) {
+        write_whole(&out.join(EXTENDED), extended.as_bytes())?;
+        // it names its MJCF, which must lie beside it
+        write_whole(&out.join(mjcf_name), mjcf)?;
+    } else {
+        // that of an earlier diagnosis is none of this one
+        let stale = out.join(EXTENDED);
+        if stale.is_file() {
+            std::fs::remove_file(&stale).or_exit(ExitCode::CannotCreate)?;
+        }
+    }
     write_json(&out.join(REPORT), &found.report)
 }
 

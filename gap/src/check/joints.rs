@@ -249,12 +249,19 @@ fn counts(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
         .fold(f64::INFINITY, f64::min);
     let lsb = run.robot.servo(joint.index).encoder_lsb_rad();
     if known.len() >= 5 && span > 20.0 * lsb && step > 4.0 * lsb {
+        let counts = "encoder_counts_per_turn";
+        let todo = match run.robot.assumed_of_servo(joint.index, counts) {
+            None => format!("where the encoder counts {lsb:.4} rad; log it unrounded"),
+            // nobody knows that the encoder is finer
+            Some(path) => format!(
+                "as of an encoder of {:.0} counts; what the robot file has is assumed: look up {path}",
+                std::f64::consts::TAU / step
+            ),
+        };
         out.push(Finding::note(
             "quantisation",
             format!("pos.{}", joint.name),
-            format!(
-                "comes in steps of {step:.4} rad where the encoder counts {lsb:.4} rad; log it unrounded"
-            ),
+            format!("comes in steps of {step:.4} rad {todo}"),
         ));
     }
 }

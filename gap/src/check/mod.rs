@@ -168,6 +168,7 @@ pub fn check(logs: &[(&str, &RunLog)], robot: &RobotModel) -> Checked {
     }
     faults.sort_by_key(|f| !f.fatal);
     let excitations: Vec<RunExcitation> = checks.iter().map(|c| c.excites.clone()).collect();
+    faults.extend(assumed(robot, &excitations));
     let names = |g: &Vec<usize>| g.iter().map(|&i| runs[i].name.clone()).collect();
     Checked {
         verdict: if faults.iter().any(|f| f.fatal) {
@@ -182,6 +183,35 @@ pub fn check(logs: &[(&str, &RunLog)], robot: &RobotModel) -> Checked {
         cannot_tell: blind(logs, &excitations, robot),
         runs: checks,
     }
+}
+
+/// Kind of a note that something stands on an assumed figure of the robot file.
+pub(crate) const ASSUMED: &str = "assumed";
+
+/// Joints that turn faster than an assumed figure lets them have their torque.
+fn assumed(robot: &RobotModel, runs: &[RunExcitation]) -> Vec<DataFault> {
+    let of = |(a, name): (usize, &&str)| {
+        let own = runs
+            .iter()
+            .flat_map(|r| r.joints.iter().filter(|j| j.joint == **name));
+        let fastest = own.map(|j| j.speed_max_radps).fold(0.0, f64::max);
+        let full = robot.servo(a).qd_tau_max_radps;
+        let path = robot.assumed_of_servo(a, "qd_tau_max_radps")?;
+        (fastest > full).then(|| DataFault {
+            kind: ASSUMED.to_owned(),
+            location: (*name).to_owned(),
+            detail: format!(
+                "turns at {fastest:.0} rad/s, and that its torque falls from {full:.0} rad/s on is assumed: look up {path} and what follows it in the data sheet first"
+            ),
+            fatal: false,
+        })
+    };
+    robot
+        .actuated_names()
+        .iter()
+        .enumerate()
+        .filter_map(of)
+        .collect()
 }
 
 fn fault(run: &str, f: Finding) -> DataFault {

@@ -1,7 +1,12 @@
 //! Which models and effects say the same.
 
-use super::state::{On, State};
+use nalgebra::DVector;
+
+use super::product::{dot, gram, stiffen};
+use super::state::{Context, On, State};
 use crate::effects::Effect;
+use crate::error::GapError;
+use crate::replay::Term;
 
 /// Whether two models predict the same, to a hundredth of what counts.
 pub fn indistinguishable(a: &State, b: &State) -> bool {
@@ -12,6 +17,35 @@ pub fn indistinguishable(a: &State, b: &State) -> bool {
         square / a.residual.len().max(1) as f64
     };
     apart(&a.fit, &b.fit) < SAME
+}
+
+/// Whether `other` beside the effects of `model` would do nothing that other sizes of those do not do as well:
+/// any share of them may be it, however well they fit alone. (All torques less and all weights, inertias and
+/// friction more move a robot alike, and its currents.)
+///
+/// # Errors
+/// As [`crate::replay::Replayer::predict`].
+pub fn trades(context: &Context, model: &State, other: &Term) -> Result<bool, GapError> {
+    const LEFT: f64 = 0.02;
+    let own: usize = model.terms.iter().map(|t| t.values.len()).sum();
+    let mut terms = model.terms.clone();
+    terms.push(Term {
+        values: (other.effect).neutral(context.replayer.model(), &other.place),
+        ..other.clone()
+    });
+    let (columns, _) = context.jacobian(&context.fit, &terms)?;
+    let (own, others) = columns.split_at(own);
+    let mut among = gram(own);
+    stiffen(&mut among, 0.0);
+    let Some(among) = among.cholesky() else {
+        return Ok(false);
+    };
+    let within = |c: &Vec<f32>| {
+        let along = DVector::from_iterator(own.len(), own.iter().map(|o| dot(o, c)));
+        let size = dot(c, c);
+        size > 0.0 && size - along.dot(&among.solve(&along)) < LEFT * size
+    };
+    Ok(others.iter().all(within))
 }
 
 /// Effects that are special cases of others: the wider one says what the narrower one says, and more.

@@ -164,6 +164,7 @@ impl Losses {
                 reason: "shifts every frame of every run alike: repeats would not differ by it"
                     .to_owned(),
             }],
+            assumed: Vec::new(),
         }
     }
 }

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeSet;
 
-use super::alike::{indistinguishable, wider};
+use super::alike::{indistinguishable, trades, wider};
 use super::doubt::{much_is_left, one_place};
 use super::fits::{penalised, single, swapped};
 use super::gates::{self, Worth};
@@ -23,6 +23,9 @@ const MARGIN: f64 = 0.06;
 const MARGIN_OF_REST: f64 = 0.25;
 /// … and this many floors.
 const MARGIN_FLOORS: f64 = 0.06;
+/// A rival that fails to explain this share of what the cause does is none, even if what it does could as well be
+/// done by other sizes of the model's effects ([`trades`]).
+const NEAR: f64 = 0.1;
 /// A cause with less than this probability of its name is none …
 const UNNAMED: f64 = 0.2;
 /// … unless its layer (friction, motor, timing …) has this one.
@@ -402,10 +405,19 @@ fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, Ga
     let margin = MARGIN.min(rest / gain.max(1e-9));
     // places of one effect are one name
     let weight = |short: f64| (-short.max(-margin) / (TEMPERATURE * margin)).exp();
-    let total = weight(0.0) + rivals.iter().map(|r| weight(r.short)).sum::<f64>();
     for r in &mut rivals {
-        r.probability = weight(r.short) / total;
-        r.in_set = r.short < margin;
+        let other = &r.state.terms[r.index];
+        let alike = r.short < margin;
+        let traded = || trades(context, best, other);
+        let may =
+            r.short < NEAR && other.effect != term.effect && !wider(term.effect, other.effect);
+        r.in_set = alike || (may && traded()?);
+        // where sizes trade, the misfit does not tell them apart
+        r.probability = weight(if r.in_set && !alike { 0.0 } else { r.short });
+    }
+    let total = weight(0.0) + rivals.iter().map(|r| r.probability).sum::<f64>();
+    for r in &mut rivals {
+        r.probability /= total;
     }
     Ok(Named {
         index,

@@ -379,6 +379,7 @@ fn cause(
         elsewhere,
         evidence: evidence(context, term, named),
         rejected,
+        assumed: (term.effect).assumed(context.replayer.model(), &term.place),
     })
 }
 
@@ -508,6 +509,7 @@ mod tests {
             elsewhere: Vec::new(),
             evidence: Vec::new(),
             rejected: Vec::new(),
+            assumed: Vec::new(),
         };
         assert!(!cause.is_open());
         cause.elsewhere = vec![vec!["front".to_owned()]];

@@ -62,6 +62,19 @@ pub fn summary(
     found: &Found,
 ) -> String {
     let mut text = headline(verdict, causes, doubts, unexplained, found);
+    let mut assumed: Vec<&str> = causes
+        .iter()
+        .flat_map(|c| &c.assumed)
+        .map(String::as_str)
+        .collect();
+    assumed.sort_unstable();
+    assumed.dedup();
+    if !assumed.is_empty() {
+        text.push_str(&format!(
+            " This answer stands on assumed figures of the robot file ({}): it says that the file is wrong there, and nothing of the robot. Look them up in the data sheet first.",
+            assumed.join(", ")
+        ));
+    }
     if !leads.is_empty() {
         let which = match leads {
             [_] => "which takes less than it leaves: a lead and no finding",

@@ -18,6 +18,7 @@ pub static CONTACT_FRICTION: Effect = Effect {
     hinge: true,
     apply: |plant, place, v| place.each(|f| plant.lane.foot_friction_scale[f] *= v[0] as f32),
     look_alikes: "belly_friction girdle_play torque_limit",
+    corrects: "contact.foot_friction",
     trial: "gait_two_speeds",
     signature: "feet slide: the body is slow although the joints follow",
     ..OF_CONTACT
@@ -33,6 +34,7 @@ pub static BELLY_FRICTION: Effect = Effect {
         plant.lane.body_friction = (plant.lane.body_friction * v[0] as f32).clamp(0.0, 10.0);
     },
     look_alikes: "contact_friction",
+    corrects: "contact.body_friction",
     trial: "low_gait",
     signature: "resistance in low postures only",
     ..OF_CONTACT

@@ -104,6 +104,8 @@ pub struct Effect {
     pub apply: fn(&mut Plant, &Place, &[f64]),
     /// Effects that look like it: ids, with spaces between.
     pub look_alikes: &'static str,
+    /// Figures of the robot file that it scales or adds to: of the servo, or by their paths; with spaces between.
+    pub corrects: &'static str,
     /// Why the runs cannot show it, if so.
     pub unseen: fn(&Excitation, &Place) -> Option<&'static str>,
     /// A trial that shows it.
@@ -134,6 +136,26 @@ impl Effect {
     /// Ids of the effects that look like it.
     pub fn look_alikes(&self) -> impl Iterator<Item = &'static str> + use<> {
         self.look_alikes.split_ascii_whitespace()
+    }
+
+    /// Figures that it corrects at `place` and that nobody looked up, by their paths in the robot file.
+    #[must_use]
+    pub fn assumed(&self, model: &RobotModel, place: &Place) -> Vec<String> {
+        let joints: Vec<usize> = match place.domain {
+            Domain::Joints => place.items.clone(),
+            _ => (0..model.actuated().len()).collect(),
+        };
+        let mut out: Vec<String> = Vec::new();
+        for figure in self.corrects.split_ascii_whitespace() {
+            let by_path = model.assumed().iter().filter(|path| *path == figure);
+            let of_servos = joints
+                .iter()
+                .filter_map(|&a| model.assumed_of_servo(a, figure));
+            out.extend(by_path.cloned().chain(of_servos.map(str::to_owned)));
+        }
+        out.sort();
+        out.dedup();
+        out
     }
 
     /// Value of parameter `index` that is `units` references at `place`.
@@ -250,6 +272,7 @@ pub(super) const PLAIN: Effect = Effect {
     hinge: false,
     apply: |_, _, _| {},
     look_alikes: "",
+    corrects: "",
     unseen: |_, _| None,
     trial: "",
     signature: "",

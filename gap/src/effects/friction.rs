@@ -29,6 +29,7 @@ pub static COULOMB_FRICTION: Effect = Effect {
         }
     },
     look_alikes: "stribeck_friction viscous_friction load_dependent_friction controller_dead_band pre_sliding",
+    corrects: "friction_loss_nm",
     trial: "slow_triangles",
     signature: "a jump of torque at every reversal, the same at any speed and load",
     ..OF_FRICTION
@@ -52,6 +53,7 @@ pub static VISCOUS_FRICTION: Effect = Effect {
         }
     },
     look_alikes: "kd_error load_dependent_friction coulomb_friction torque_constant command_low_pass",
+    corrects: "damping_nm_s_per_rad",
     trial: "chirp",
     signature: "torque grows in proportion to speed, with the servo off as well",
     ..OF_FRICTION

@@ -24,6 +24,7 @@ pub static GEAR_BACKLASH: Effect = Effect {
         }
     },
     look_alikes: "gear_compliance controller_dead_band pre_sliding servo_loop_delay",
+    corrects: "gear_backlash_rad",
     trial: "micro_reversals",
     signature: "free travel without torque, of the same width at any load; current reverses before the joint does",
     ..OF_GEARS

@@ -103,6 +103,7 @@ pub static ARMATURE: Effect = Effect {
         }
     },
     look_alikes: "link_inertia link_com link_mass added_mass",
+    corrects: "armature_kgm2",
     unseen: needs_motion,
     trial: "fast_chirp",
     signature: "inertia of the joint alone: no gravity, nothing passed on to neighbours",

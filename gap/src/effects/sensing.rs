@@ -27,10 +27,10 @@ pub static ENCODER_OFFSET: Effect = Effect {
 
 pub static ENCODER_GAIN: Effect = Effect {
     id: "encoder_gain",
-    parameters: &[parameter("gain", "", 0.0, (-0.35, 0.35), 0.005, One)],
-    grid: &one(&[-0.15, -0.05, -0.02, 0.02, 0.05, 0.15]),
+    parameters: &[parameter("gain", "", 0.0, (-0.12, 0.12), 0.005, One)],
+    grid: &one(&[-0.1, -0.05, -0.02, 0.02, 0.05, 0.1]),
     apply: |plant, place, v| place.each(|a| plant.sensing.encoders[a].gain += v[0] as f32),
-    look_alikes: "link_mass link_com viscous_friction torque_constant",
+    look_alikes: "link_mass link_com point_mass viscous_friction torque_constant",
     unseen: needs_motion,
     trial: "hold_poses",
     signature: "grows with the angle; shows against motion capture, only weakly against current",
@@ -69,6 +69,7 @@ pub static CURRENT_BIAS: Effect = Effect {
         }
     },
     look_alikes: "torque_constant",
+    corrects: "torque_per_current_nm_per_a current_dead_band_a",
     unseen: |e, _| (!e.has(Kind::Current)).then_some("no currents were recorded"),
     trial: "hold_poses",
     signature: "only the current reading is off; the motion is as simulated",

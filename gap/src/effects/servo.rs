@@ -16,6 +16,7 @@ pub static KP_ERROR: Effect = Effect {
     grid: &one(&[0.5, 0.75, 0.9, 1.1, 1.3, 1.7]),
     apply: |plant, place, v| place.each(|a| plant.lane.kp_nm_per_rad[a] *= v[0] as f32),
     look_alikes: "kd_error winding_resistance torque_constant controller_dead_band stale_gains",
+    corrects: "control.kp_nm_per_rad",
     trial: "hold_poses",
     signature: "the droop under load changes; nothing in time touches it",
     ..OF_SERVOS
@@ -42,6 +43,7 @@ pub static KD_ERROR: Effect = Effect {
         }
     },
     look_alikes: "viscous_friction kp_error command_low_pass servo_loop_delay torque_constant supply_level",
+    corrects: "control.kd_nm_s_per_rad kd_min_nm_s_per_rad",
     unseen: needs_motion,
     trial: "steps",
     signature: "overshoot changes and the droop does not; friction adds current at constant speed instead",
@@ -85,6 +87,7 @@ pub static TORQUE_CONSTANT: Effect = Effect {
         }
     },
     look_alikes: "winding_resistance kp_error current_bias load_dependent_friction link_mass point_mass",
+    corrects: "tau_max_nm torque_per_current_nm_per_a qd_max_radps",
     trial: "hold_poses",
     signature: "torque per ampere changes in loaded holds, and the speed without load the other way",
     ..OF_SERVOS
@@ -96,6 +99,7 @@ pub static WINDING_RESISTANCE: Effect = Effect {
     grid: &one(&[0.6, 0.8, 0.9, 1.1, 1.3, 1.7]),
     apply: |plant, place, v| place.each(|a| plant.lane.joints[a].winding_scale *= v[0] as f32),
     look_alikes: "torque_saturation kp_error torque_constant load_dependent_friction supply_level stale_gains",
+    corrects: "qd_tau_max_radps qd_max_radps",
     trial: "stalls",
     signature: "more droop at stall with the same current per torque; the speed without load is as it was",
     ..OF_SERVOS
@@ -148,6 +152,7 @@ pub static TORQUE_LIMIT: Effect = Effect {
         }
     },
     look_alikes: "voltage_limit supply_level profile_limit thermal_derating",
+    corrects: "tau_max_nm tau_brake_max_nm",
     unseen: |e, place| {
         (e.most_torque_share(place) < 0.1).then_some("the servo never works hard in these runs")
     },
@@ -170,6 +175,7 @@ pub static TORQUE_SATURATION: Effect = Effect {
         }
     },
     look_alikes: "winding_resistance torque_constant torque_limit load_dependent_friction supply_sag voltage_limit",
+    corrects: "tau_max_nm",
     unseen: |e, place| {
         (e.most_torque_share(place) < 0.2).then_some("the servo never works hard in these runs")
     },
@@ -190,6 +196,7 @@ pub static VOLTAGE_LIMIT: Effect = Effect {
         }
     },
     look_alikes: "supply_level torque_limit profile_limit supply_sag",
+    corrects: "qd_tau_max_radps qd_max_radps tau_qd_max_nm",
     unseen: needs_motion,
     trial: "large_steps",
     signature: "torque is cut along a line that falls with speed",
@@ -262,6 +269,7 @@ pub static BRAKING_ASYMMETRY: Effect = Effect {
         }
     },
     look_alikes: "drive_asymmetry torque_limit viscous_friction",
+    corrects: "tau_brake_max_nm back_drive_kp_ratio",
     unseen: needs_motion,
     trial: "fast_reversals",
     signature: "only where torque is against the motion",
@@ -280,6 +288,7 @@ pub static STALE_GAINS: Effect = Effect {
         }
     },
     look_alikes: "kp_error winding_resistance",
+    corrects: "control.kp_nm_per_rad control.kd_nm_s_per_rad",
     trial: "steps",
     signature: "both gains by one factor, as of another register",
     ..OF_SERVOS

@@ -17,6 +17,7 @@ pub static SUPPLY_SAG: Effect = Effect {
     grid: &one(&[0.2, 0.5, 1.0, 2.0]),
     apply: |plant, _, v| plant.lane.supply_resistance_ohm += v[0] as f32,
     look_alikes: "supply_level voltage_limit",
+    corrects: "qd_tau_max_radps qd_max_radps tau_qd_max_nm",
     trial: "all_joints_probe",
     signature: "all joints lose speed when any of them works; follows the total current within milliseconds",
     ..OF_THE_SUPPLY
@@ -39,6 +40,7 @@ pub static SUPPLY_LEVEL: Effect = Effect {
         }
     },
     look_alikes: "voltage_limit supply_sag profile_limit",
+    corrects: "supply.default_v reference_supply_v qd_tau_max_radps qd_max_radps tau_qd_max_nm",
     trial: "large_steps",
     signature: "as a voltage limit, the same in all joints and at any load; the logged voltage shows it",
     ..OF_THE_SUPPLY

@@ -2,8 +2,10 @@
 //!
 //! What the form of the recording tells of a column counts ([`Hint`]). Else words of its name say what it is (`goal`,
 //! `present position`, `vel`), brackets or the last word say its unit; where none does, the size of the numbers
-//! does. What nobody can know (where zero is) is said as a comment.
+//! does. A column whose name says nothing is known by its unit, and an angle by the numbers: of two of a joint that
+//! are alike the one that comes later follows the other. What nobody can know (where zero is) is said as a comment.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -16,12 +18,39 @@ use super::sheet::{Clock, Hint, Joint, Recording, Sheet};
 /// Words that tell a kind of signal, the first that fits; a command is one of the words in [`COMMANDS`] with any
 /// of them or none.
 const KIND_WORDS: &[(&str, &[&str])] = &[
-    ("vel", &["vel", "velocity", "speed", "qd", "dq", "omega"]),
-    ("cur", &["cur", "current", "currents", "amps", "i"]),
-    ("tau", &["tau", "torque", "torques", "effort"]),
+    (
+        "vel",
+        &[
+            "vel",
+            "velocity",
+            "speed",
+            "qd",
+            "dq",
+            "omega",
+            "drehzahl",
+            "vitesse",
+            "velocidad",
+        ],
+    ),
+    (
+        "cur",
+        &[
+            "cur",
+            "current",
+            "currents",
+            "amps",
+            "i",
+            "strom",
+            "courant",
+            "corriente",
+        ],
+    ),
+    ("tau", &["tau", "torque", "torques", "effort", "drehmoment"]),
     (
         "volt",
-        &["volt", "volts", "voltage", "supply", "vbat", "vin"],
+        &[
+            "volt", "volts", "voltage", "supply", "vbat", "vin", "spannung",
+        ],
     ),
     ("temp", &["temp", "temperature"]),
     ("pwm", &["pwm", "duty"]),
@@ -39,6 +68,10 @@ const KIND_WORDS: &[(&str, &[&str])] = &[
             "actual",
             "measured",
             "theta",
+            "ist",
+            "winkel",
+            "mesure",
+            "medida",
         ],
     ),
 ];
@@ -53,8 +86,21 @@ const COMMANDS: &[&str] = &[
     "setpoint",
     "reference",
     "ref",
+    "soll",
+    "consigne",
+    "consigna",
 ];
-const CLOCKS: &[&str] = &["t", "time", "timestamp", "stamp", "clock", "seconds"];
+const CLOCKS: &[&str] = &[
+    "t",
+    "time",
+    "timestamp",
+    "stamp",
+    "clock",
+    "seconds",
+    "zeit",
+    "temps",
+    "tiempo",
+];
 /// Last words of a header that are units, and what a map calls them.
 const UNIT_WORDS: &[(&str, &str)] = &[
     ("rad", "rad"),
@@ -93,13 +139,24 @@ const MOST_PERCENT: f64 = 100.5;
 /// Numbers up to this are radians.
 const MOST_RAD: f64 = 7.0;
 
-/// A map for `recordings`, which are of one form, of `robot`; with comments.
+/// A map, and how far it goes.
+#[derive(Debug, Clone, Default)]
+pub struct Drafted {
+    /// The map, with comments.
+    pub map: String,
+    /// Signals that have a column.
+    pub read: Vec<String>,
+    /// Columns that were not understood.
+    pub unread: Vec<String>,
+}
+
+/// A map for `recordings`, which are of one form, of `robot`.
 ///
 /// # Errors
 /// [`ImportError`] where there is none, or no column of it can be the time.
-pub fn map(recordings: &[Recording], robot: &RobotModel) -> Result<String, ImportError> {
+pub fn map(recordings: &[Recording], robot: &RobotModel) -> Result<Drafted, ImportError> {
     let Some(first) = recordings.first() else {
-        return Ok(String::new());
+        return Ok(Drafted::default());
     };
     let clock = match &first.clock {
         Some(clock) => clock.clone(),
@@ -115,6 +172,8 @@ pub fn map(recordings: &[Recording], robot: &RobotModel) -> Result<String, Impor
         angles: None,
         offsets_rad: vec![None; robot.actuated().len()],
         read: Vec::new(),
+        unread: Vec::new(),
+        by_numbers: BTreeMap::new(),
         out: format!("# Guessed from {}; check every line.\n", first.file),
     };
     for note in &first.notes {
@@ -133,6 +192,7 @@ pub fn map(recordings: &[Recording], robot: &RobotModel) -> Result<String, Impor
         let _ = writeln!(draft.out, "# {}", clock.remark);
     }
     for (number, sheet) in first.sheets.iter().enumerate() {
+        draft.by_numbers = by_numbers(sheet.as_ref(), robot, &clock.column);
         let columns = sheet.header().into_iter();
         let clocks = ["stamp", "received"];
         let is_clock = |c: &str| c == clock.column || first.clock.is_some() && clocks.contains(&c);
@@ -147,11 +207,116 @@ pub fn map(recordings: &[Recording], robot: &RobotModel) -> Result<String, Impor
         if !draft.read.iter().any(|name| name.starts_with(kind)) {
             let _ = writeln!(
                 draft.out,
-                "\n# Nothing was taken for {what} ({kind}.<joint>): a diagnosis needs them."
+                "\n# Nothing was taken for {what} ({kind}.<joint>): a diagnosis needs them. For instance:\n\
+                 # [[signal]]\n# signal = \"{kind}.{}\"\n# column = \"the column's name\"\n# unit = \"deg\"",
+                robot.actuated_names().first().unwrap_or(&"joint")
             );
         }
     }
-    Ok(draft.out)
+    Ok(Drafted {
+        map: draft.out,
+        read: draft.read,
+        unread: draft.unread,
+    })
+}
+
+/// Most rows by which a reading may come after its command.
+const MOST_LAG: usize = 40;
+/// A reading differs from the command that it follows by no more than this share of its variance.
+const FOLLOWS: f64 = 0.3;
+/// Fewest rows that tell which of two columns follows the other.
+const FEWEST_ROWS: usize = 50;
+
+/// What columns without a word that says so are: by their unit, or, of angles, by which follows which.
+fn by_numbers(
+    sheet: &dyn Sheet,
+    robot: &RobotModel,
+    clock: &str,
+) -> BTreeMap<String, &'static str> {
+    let mut out = BTreeMap::new();
+    // angles of each joint that nothing is known of, and its command and reading, if known
+    let mut angles: BTreeMap<usize, Vec<&str>> = BTreeMap::new();
+    let mut known: BTreeMap<(usize, &str), &str> = BTreeMap::new();
+    for column in sheet
+        .header()
+        .into_iter()
+        .filter(|c| *c != clock && sheet.hint(c).is_none())
+    {
+        let words = Words::of(column);
+        let Some(joint) = words.joint(robot) else {
+            continue;
+        };
+        match (words.kind(), words.unit) {
+            (Some(kind), _) => {
+                known.insert((joint, kind), column);
+            }
+            (None, _) if words.has(COMMANDS) => {}
+            (None, Some("A" | "mA")) => {
+                out.insert(column.to_owned(), "cur");
+            }
+            (None, Some("rad/s" | "deg/s" | "rev/min")) => {
+                out.insert(column.to_owned(), "vel");
+            }
+            (None, None | Some("rad" | "deg" | "turn")) => {
+                angles.entry(joint).or_default().push(column);
+            }
+            _ => {}
+        }
+    }
+    for (joint, unknown) in angles {
+        let of = |kind| known.get(&(joint, kind)).copied();
+        let pairs: Vec<(&str, &str)> = match (of("cmd"), of("pos")) {
+            (Some(_), Some(_)) => Vec::new(),
+            (Some(cmd), None) => unknown.iter().map(|c| (cmd, *c)).collect(),
+            (None, Some(pos)) => unknown.iter().map(|c| (*c, pos)).collect(),
+            (None, None) => (unknown.iter())
+                .flat_map(|a| unknown.iter().map(move |b| (*a, *b)))
+                .filter(|(a, b)| a != b)
+                .collect(),
+        };
+        let follows = |(a, b): (&'_ str, &'_ str)| {
+            let left = follows(&sheet.values(a, None).ok()?, &sheet.values(b, None).ok()?)?;
+            Some((left, a.to_owned(), b.to_owned()))
+        };
+        let best = pairs
+            .into_iter()
+            .filter_map(follows)
+            .min_by(|a, b| a.0.total_cmp(&b.0));
+        if let Some((_, command, reading)) = best {
+            for (column, kind) in [(command, "cmd"), (reading, "pos")] {
+                if Words::of(&column).kind().is_none() {
+                    out.insert(column, kind);
+                }
+            }
+        }
+    }
+    out
+}
+
+/// What `reading` differs from `command` by, moved to where they are most alike, as a share of its variance;
+/// `None` where they are not alike, or it does not come later.
+fn follows(command: &[Option<f64>], reading: &[Option<f64>]) -> Option<f64> {
+    let both: Vec<(f64, f64)> = command
+        .iter()
+        .zip(reading)
+        .filter_map(|(a, b)| a.zip(*b))
+        .collect();
+    if both.len() < FEWEST_ROWS {
+        return None;
+    }
+    let n = both.len() as f64;
+    let mean = both.iter().map(|p| p.1).sum::<f64>() / n;
+    let variance = both.iter().map(|p| (p.1 - mean).powi(2)).sum::<f64>() / n;
+    let apart = |lag: usize| {
+        let pairs = both.iter().zip(&both[lag..]);
+        let square: f64 = pairs.map(|((a, _), (_, b))| (a - b).powi(2)).sum();
+        square / (both.len() - lag) as f64
+    };
+    let lags = 0..=MOST_LAG.min(both.len() / 4);
+    let (lag, least) = lags
+        .map(|lag| (lag, apart(lag)))
+        .min_by(|a, b| a.1.total_cmp(&b.1))?;
+    (lag > 0 && variance > 0.0 && least < FOLLOWS * variance).then(|| least / variance)
 }
 
 /// The clock of a recording whose form tells of none.
@@ -186,6 +351,10 @@ struct Draft<'a> {
     offsets_rad: Vec<Option<f64>>,
     /// Signals that have a column.
     read: Vec<String>,
+    /// Columns that were not understood.
+    unread: Vec<String>,
+    /// What columns of the present sheet are by their units and numbers.
+    by_numbers: BTreeMap<String, &'static str>,
     out: String,
 }
 
@@ -247,6 +416,11 @@ impl Draft<'_> {
                     return;
                 }
                 let _ = writeln!(self.out, "\n[[signal]]\nsignal = {}", quoted(&name));
+                if self.by_numbers.contains_key(column) {
+                    self.out.push_str(
+                        "# its name says nothing: guessed by its unit and by what follows what\n",
+                    );
+                }
                 let several = self.recordings.iter().any(|r| r.sheets.len() > 1);
                 if let (true, None, Some(file)) =
                     (several, hint, Path::new(sheet.name()).file_name())
@@ -270,6 +444,7 @@ impl Draft<'_> {
             }
             Err(why) => {
                 let _ = writeln!(self.out, "\n# not read: {}{why}", quoted(column));
+                self.unread.push(column.to_owned());
             }
         }
     }
@@ -284,7 +459,7 @@ impl Draft<'_> {
         let words = Words::of(column);
         let kind = match hint {
             Some(hint) => Some(hint.kind).filter(|kind| !kind.is_empty()),
-            None => words.kind(),
+            None => words.kind().or(self.by_numbers.get(column).copied()),
         };
         let kind = kind.filter(|_| !values.is_empty()).ok_or(String::new())?;
         let joint = match hint.map(|hint| &hint.joint) {
@@ -517,7 +692,7 @@ mod tests {
         std::fs::write(&file, text).unwrap();
         let robot = robot("xl330_pendulum");
         let recordings = open(&file, Format::Csv, None).unwrap();
-        let draft = map(&recordings, &robot).unwrap();
+        let draft = map(&recordings, &robot).unwrap().map;
         assert!(draft.contains("# not read: \"Remark\""), "{draft}");
         let run = apply(
             &recordings[0],
@@ -546,7 +721,7 @@ mod tests {
             1000000,0.1,205.0,2048,1.0,0,0\n1010000,0.1,205.0,2100,1.0,0,0\n";
         std::fs::write(&file, text).unwrap();
         let recordings = open(&file, Format::Csv, None).unwrap();
-        let draft = map(&recordings, &robot("quadruped")).unwrap();
+        let draft = map(&recordings, &robot("quadruped")).unwrap().map;
         for said in [
             "unit = \"us\"",
             "signal = \"cmd.FL_hip\"\ncolumn = \"FL_hip_cmd\"\nunit = \"rad\"",
@@ -560,5 +735,42 @@ mod tests {
             assert!(draft.contains(said), "{said} in {draft}");
         }
         assert!(Map::parse("draft", &draft).is_ok());
+    }
+
+    /// A command in steps of which a reading is what a slow joint makes, and a current; no word is known.
+    #[test]
+    fn what_follows_is_the_reading() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("arm.csv");
+        let mut text = String::from("t;kyynar_a_deg;kyynar_b_deg;kyynar_c_mA\n");
+        let mut reading = 0.0_f64;
+        for k in 0..400 {
+            let command = [0.0, 30.0, -20.0, 10.0][k / 40 % 4];
+            reading += 0.2 * (command - reading);
+            text += &format!(
+                "{};{reading:.3};{command};{:.0}\n",
+                0.01 * k as f64,
+                9.0 * (command - reading)
+            );
+        }
+        std::fs::write(&file, text).unwrap();
+        let recordings = open(&file, Format::Csv, None).unwrap();
+        let drafted = map(&recordings, &robot("xl330_pendulum")).unwrap();
+        assert_eq!(drafted.read, ["pos.swing", "cmd.swing", "cur.swing"]);
+        assert!(drafted.unread.is_empty() && drafted.map.contains("guessed by its unit"));
+        assert!(drafted.map.contains("column = \"kyynar_b_deg\""));
+
+        // two that move at once say nothing, and an example stands in for them
+        std::fs::write(&file, "t;a;b\n0;1;1\n1;2;2\n").unwrap();
+        let recordings = open(&file, Format::Csv, None).unwrap();
+        let drafted = map(&recordings, &robot("xl330_pendulum")).unwrap();
+        assert_eq!(drafted.unread, ["a", "b"]);
+        assert!(drafted.map.contains("# signal = \"cmd.swing\""));
+        assert!(
+            Map::parse("draft", &drafted.map)
+                .unwrap_err()
+                .to_string()
+                .contains("is empty")
+        );
     }
 }

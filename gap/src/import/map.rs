@@ -184,7 +184,10 @@ impl Map {
             wrong(format!("line {line}: {}", e.message().replace('\n', " ")))
         })?;
         if map.signal.is_empty() {
-            return Err(wrong("has no [[signal]]".to_owned()));
+            return Err(wrong(
+                "is empty: it says of no column what it is; write a [[signal]] for the command and one for the angle of each joint"
+                    .to_owned(),
+            ));
         }
         unit(&map.time.unit).map_err(wrong)?;
         for s in &map.signal {

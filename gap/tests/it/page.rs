@@ -77,6 +77,7 @@ fn sample() -> (Report, Plots) {
             reason: "explains 22 % less on held-out runs: the jump does not grow with speed"
                 .to_owned(),
         }],
+        assumed: vec!["servo.preset.xm430.friction_loss_nm".to_owned()],
     };
     let delay = Cause {
         effect: "command_delay".to_owned(),
@@ -88,6 +89,7 @@ fn sample() -> (Report, Plots) {
         elsewhere: vec![vec!["FR_knee".to_owned()]],
         evidence: vec!["Lag is 12 ms at every frequency.".to_owned()],
         rejected: vec![],
+        assumed: vec![],
     };
     let way = Cause {
         effect: "pre_sliding".to_owned(),
@@ -99,6 +101,7 @@ fn sample() -> (Report, Plots) {
         elsewhere: Vec::new(),
         evidence: vec!["takes 39 % off the misfit of held-out runs".to_owned()],
         rejected: vec![],
+        assumed: vec![],
     };
     let gain = |b: f64, a: f64| Gain {
         before: b,

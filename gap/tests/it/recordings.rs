@@ -25,7 +25,9 @@ fn robot(name: &str) -> RobotModel {
 
 fn drafted(path: &Path, robot: &RobotModel) -> String {
     let format = Format::guess(path).unwrap();
-    draft::map(&open(path, format, None).unwrap(), robot).unwrap()
+    draft::map(&open(path, format, None).unwrap(), robot)
+        .unwrap()
+        .map
 }
 
 fn imported(path: &Path, map: &str, robot: &RobotModel) -> Result<Vec<Imported>, String> {

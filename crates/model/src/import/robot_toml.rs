@@ -41,7 +41,8 @@ pub(super) fn write(name: &str, file: &Path, robot: &Robot, notes: &[Remark]) ->
         w,
         "# Made by `caudata robot import` of {source}. SI units and radians.\n\
          #   [mjcf]  as there (MJCF or URDF)\n\
-         #   [ours]  not in there: a placeholder, to be replaced by what the robot has\n#"
+         #   [ours]  not in there: a placeholder, to be replaced by what the robot has. Figures among them stand in\n\
+         #           `assumed` as well: take a name off that list once its figure is the robot's own\n#"
     );
     for note in notes {
         let _ = writeln!(w, "# {note}");
@@ -57,6 +58,12 @@ pub(super) fn write(name: &str, file: &Path, robot: &Robot, notes: &[Remark]) ->
         .iter()
         .filter_map(|a| joints.get(a.joint.as_str()).copied())
         .collect();
+    let (types, of) = drive_types(robot, &driven);
+    let _ = writeln!(w, "assumed = [");
+    for path in assumed(robot, &types) {
+        let _ = writeln!(w, "    \"{path}\",");
+    }
+    let _ = writeln!(w, "]");
     let _ = writeln!(w, "\n[joints]\nactuated = [");
     for joint in &driven {
         let _ = writeln!(w, "    {},", quoted(&joint.name));
@@ -65,7 +72,8 @@ pub(super) fn write(name: &str, file: &Path, robot: &Robot, notes: &[Remark]) ->
     for joint in &driven {
         let _ = writeln!(w, "{} = {:?}", quoted(&joint.name), nominal(robot, joint));
     }
-    drives(w, robot, &driven);
+    gains(w, robot, &driven);
+    drives(w, &driven, &types, &of);
     let feet = feet(robot);
     let foot_friction = feet.first().map_or(0.8, |f| f.friction);
     let _ = writeln!(
@@ -101,8 +109,84 @@ fn joints(robot: &Robot) -> BTreeMap<&str, &Joint> {
     all.map(|j| (j.name.as_str(), j)).collect()
 }
 
-/// Gains and servo types, one type for all drives that are alike.
-fn drives(w: &mut String, robot: &Robot, driven: &[&Joint]) {
+/// Figures of a type of servo that no MJCF says.
+const UNSAID_OF_SERVOS: [&str; 7] = [
+    "qd_tau_max_radps",
+    "tau_qd_max_nm",
+    "reference_supply_v",
+    "encoder_counts_per_turn",
+    "velocity_lsb_radps",
+    "current_lsb_a",
+    "torque_per_current_nm_per_a",
+];
+
+/// Paths of the figures that are placeholders.
+fn assumed(robot: &Robot, types: &[DriveType]) -> Vec<String> {
+    let mut out: Vec<String> = Vec::new();
+    if robot.actuators.iter().any(|a| a.gains.is_none()) {
+        out.extend(["kp_nm_per_rad", "kd_nm_s_per_rad"].map(|key| format!("control.{key}")));
+    }
+    for (k, drive) in types.iter().enumerate() {
+        let guessed = [
+            (drive.torque_guessed, "tau_max_nm"),
+            (drive.torque_guessed, "tau_brake_max_nm"),
+            (drive.speed_guessed, "qd_max_radps"),
+            (drive.rotor_guessed, "armature_kgm2"),
+        ];
+        let guessed = guessed.into_iter().filter(|g| g.0).map(|g| g.1);
+        let all = guessed.chain(UNSAID_OF_SERVOS);
+        out.extend(all.map(|key| format!("servo.preset.drive_{k}.{key}")));
+    }
+    let supply = [
+        "default_v",
+        "bench_v",
+        "battery_full_v",
+        "battery_nominal_v",
+    ];
+    out.extend(supply.map(|key| format!("supply.{key}")));
+    out.push("contact.body_friction".to_owned());
+    out
+}
+
+/// A type of servo, as far as the MJCF tells one from another.
+#[derive(PartialEq)]
+struct DriveType {
+    torque_nm: f64,
+    speed_radps: f64,
+    armature_kgm2: f64,
+    damping: f64,
+    friction_nm: f64,
+    torque_guessed: bool,
+    speed_guessed: bool,
+    rotor_guessed: bool,
+}
+
+/// One type for all drives that are alike, and which each drive is.
+fn drive_types(robot: &Robot, driven: &[&Joint]) -> (Vec<DriveType>, Vec<usize>) {
+    let mut types: Vec<DriveType> = Vec::new();
+    let mut of = Vec::new();
+    for (joint, drive) in driven.iter().zip(&robot.actuators) {
+        let own = DriveType {
+            torque_nm: drive.force_limit.unwrap_or(UNSAID_TORQUE_NM),
+            speed_radps: drive.speed_limit.unwrap_or(UNSAID_SPEED_RADPS),
+            armature_kgm2: joint.armature,
+            damping: joint.damping,
+            friction_nm: joint.friction_loss,
+            torque_guessed: drive.force_limit.is_none(),
+            speed_guessed: drive.speed_limit.is_none(),
+            rotor_guessed: joint.armature > 0.0 && joint.element.get("armature").is_none(),
+        };
+        let known = types.iter().position(|t| *t == own);
+        of.push(known.unwrap_or_else(|| {
+            types.push(own);
+            types.len() - 1
+        }));
+    }
+    (types, of)
+}
+
+/// Gains.
+fn gains(w: &mut String, robot: &Robot, driven: &[&Joint]) {
     let gains: Vec<(f64, f64)> = robot.actuators.iter().map(gains_of).collect();
     let common = gains.first().copied().unwrap_or_default();
     let source = if robot.actuators.iter().all(|a| a.gains.is_some()) {
@@ -124,40 +208,32 @@ fn drives(w: &mut String, robot: &Robot, driven: &[&Joint]) {
             kd.max(0.0)
         );
     }
-    let mut types: Vec<([f64; 5], [&str; 2])> = Vec::new();
-    let mut of = Vec::new();
-    for (joint, drive) in driven.iter().zip(&robot.actuators) {
-        let torque = drive.force_limit.unwrap_or(UNSAID_TORQUE_NM);
-        let speed = drive.speed_limit.unwrap_or(UNSAID_SPEED_RADPS);
-        let own = [
-            torque,
-            speed,
-            joint.armature,
-            joint.damping,
-            joint.friction_loss,
-        ];
-        let mark = |ours: bool| if ours { "[ours]" } else { "[mjcf]" };
-        let guessed = joint.armature > 0.0 && joint.element.get("armature").is_none();
-        let own = (own, [drive.speed_limit.is_none(), guessed].map(mark));
-        let known = types.iter().position(|t| *t == own);
-        of.push(known.unwrap_or_else(|| {
-            types.push(own);
-            types.len() - 1
-        }));
-    }
+}
+
+/// Servo types, and which joint has which.
+fn drives(w: &mut String, driven: &[&Joint], types: &[DriveType], of: &[usize]) {
     let _ = writeln!(w, "\n[servo]\ndefault = \"drive_0\"\n[servo.joint]");
-    for (joint, k) in driven.iter().zip(&of).filter(|(_, k)| **k > 0) {
+    for (joint, k) in driven.iter().zip(of).filter(|(_, k)| **k > 0) {
         let _ = writeln!(w, "{} = \"drive_{k}\"", quoted(&joint.name));
     }
-    for (k, ([torque, speed, armature, damping, friction], [of_speed, of_rotor])) in
-        types.iter().enumerate()
-    {
-        let full = two_digits(speed * FULL_TORQUE_SHARE);
+    let mark = |ours: bool| if ours { "[ours]" } else { "[mjcf]" };
+    for (k, t) in types.iter().enumerate() {
+        let full = two_digits(t.speed_radps * FULL_TORQUE_SHARE);
+        let (of_torque, of_speed) = (mark(t.torque_guessed), mark(t.speed_guessed));
+        let of_rotor = mark(t.rotor_guessed);
+        let DriveType {
+            torque_nm: torque,
+            speed_radps: speed,
+            armature_kgm2: armature,
+            damping,
+            friction_nm: friction,
+            ..
+        } = t;
         let _ = writeln!(
             w,
-            "\n[servo.preset.drive_{k}]\ntau_max_nm = {torque:?}                # [mjcf], or [ours] where it has no limit\n\
+            "\n[servo.preset.drive_{k}]\ntau_max_nm = {torque:?}                # {of_torque}\n\
              qd_tau_max_radps = {full:?}           # [ours]\nqd_max_radps = {speed:?}               # {of_speed}\ntau_qd_max_nm = 0.0               # [ours]\n\
-             tau_brake_max_nm = {torque:?}\nkd_min_nm_s_per_rad = 0.0\nback_drive_kp_ratio = 1.0\n\
+             tau_brake_max_nm = {torque:?}          # {of_torque}\nkd_min_nm_s_per_rad = 0.0\nback_drive_kp_ratio = 1.0\n\
              friction_loss_nm = {friction:?}          # [mjcf]\ndamping_nm_s_per_rad = {damping:?}      # [mjcf]\narmature_kgm2 = {armature:?}             # {of_rotor}\n\
              reference_supply_v = 24.0         # [ours]\nencoder_counts_per_turn = 16384   # [ours]\nvelocity_lsb_radps = 0.001        # [ours]\n\
              current_lsb_a = 0.01              # [ours]\ntorque_per_current_nm_per_a = 1.0 # [ours]\ncurrent_dead_band_a = 0.0\ngear_backlash_rad = 0.0"
