@@ -5,7 +5,8 @@
 use caudata_model::RobotModel;
 use caudata_runlog::Payload;
 
-use super::gates::Worth;
+use super::gates::{self, Worth};
+use super::levels::NOTHING_LEFT;
 use super::naming::{Named, Rival};
 use super::request::Request;
 use super::search::Found;
@@ -62,7 +63,8 @@ pub fn next(
             }
         }
         Verdict::InsufficientData | Verdict::Unexplained | Verdict::PartlyExplained => {
-            if let Some(gap) = local.first().filter(|_| causes.is_empty()) {
+            let elsewhere = || gates::worst(context, &found.best) >= NOTHING_LEFT;
+            if let Some(gap) = local.first().filter(|_| causes.is_empty() && !elsewhere()) {
                 return Ok(Some(again(request, gap)));
             }
             in_the_dark(context, request, verdict, found, named)

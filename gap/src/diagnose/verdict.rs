@@ -210,7 +210,8 @@ pub fn conclude(
     let listed = carried.listed(&entries);
     let first = words::first(verdict, &position_errors, evidence.unfinished);
     let last = words::last(&listed, &local);
-    let summary = [first, told, last].concat();
+    let assumed = words::assumed(verdict, &request.data_faults);
+    let summary = [first, told, assumed, last].concat();
     if !matches!(verdict, Verdict::PartlyExplained | Verdict::Unexplained) {
         unexplained.clear();
     }

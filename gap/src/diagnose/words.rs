@@ -7,8 +7,11 @@ use super::naming::{Named, Rival};
 use super::request::Split;
 use super::search::Found;
 use super::state::Context;
+use crate::check::ASSUMED;
 use crate::replay::Term;
-use crate::report::{Carried, Cause, DoubtKind, LocalGap, PositionError, Unexplained, Verdict};
+use crate::report::{
+    Carried, Cause, DataFault, DoubtKind, LocalGap, PositionError, Unexplained, Verdict,
+};
 
 /// What speaks for a cause.
 pub fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {
@@ -129,6 +132,16 @@ pub fn first(verdict: Verdict, errors: &[PositionError], unfinished: bool) -> St
         ));
     }
     text
+}
+
+/// What the check says stands on an assumed figure of the robot file; nothing where there is no gap.
+pub fn assumed(verdict: Verdict, faults: &[DataFault]) -> String {
+    let of = |f: &&DataFault| f.kind == ASSUMED && verdict != Verdict::NoGap;
+    let told = faults
+        .iter()
+        .filter(of)
+        .map(|f| format!(" {} {}.", f.location, f.detail));
+    told.collect()
 }
 
 /// What comes last: effects that are in the model without a name, and stretches that are far off.

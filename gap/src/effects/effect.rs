@@ -190,10 +190,14 @@ impl Effect {
     #[must_use]
     pub fn bounds(&self, model: &RobotModel, place: &Place, index: usize) -> (f64, f64) {
         let p = &self.parameters[index];
-        (
-            self.value(model, place, index, p.low),
-            self.value(model, place, index, p.high),
-        )
+        let low = self.value(model, place, index, p.low);
+        // of friction or inertia nobody can take more away than there is
+        let there = match index {
+            0 if model.extension().is_none() => of_joints(model, place, self.corrects),
+            _ => None,
+        };
+        let high = self.value(model, place, index, p.high);
+        (there.map_or(low, |there| low.max(-there)), high)
     }
 
     /// Whether parameter `index` wants to go further than is plausible: its value lies on a bound. Without
@@ -215,6 +219,19 @@ impl Effect {
     pub fn scale(&self, model: &RobotModel, place: &Place, index: usize) -> f64 {
         self.value(model, place, index, self.parameters[index].scale)
     }
+}
+
+/// The greatest value of a joint's `figure` that is never below zero at `place`; `None` of any other figure.
+fn of_joints(model: &RobotModel, place: &Place, figure: &str) -> Option<f64> {
+    let of = |&a: &usize| {
+        let joint = &model.joints()[model.actuated()[a]];
+        match figure {
+            "friction_loss_nm" => Some(joint.friction_loss_nm),
+            "damping_nm_s_per_rad" => Some(joint.damping_nm_s_per_rad),
+            _ => None,
+        }
+    };
+    place.items.iter().filter_map(of).reduce(f64::max)
 }
 
 fn reference(model: &RobotModel, place: &Place, reference: Reference) -> f64 {

@@ -53,6 +53,7 @@ pub fn render(robot: &str, report: &Report, plots: Option<&Plots>) -> String {
         );
         body.push_str(&sections::leads(report));
     }
+    body.push_str(&sections::unnamed(report));
     body.push_str(&sections::next(report));
     if report.verdict != Verdict::DataFault || !report.divergence.is_empty() {
         section(

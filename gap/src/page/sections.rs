@@ -155,6 +155,13 @@ pub fn causes(report: &Report, plots: Option<&Plots>) -> String {
             100.0 * cause.confidence
         );
         out.push_str(&parameters(cause));
+        if !cause.assumed.is_empty() {
+            let _ = write!(
+                out,
+                "<p class=\"warn\">It corrects what the robot file assumes: {}. The confidence is in the file, and says nothing of the robot: look it up in the data sheet first.</p>",
+                escape(&cause.assumed.join(", "))
+            );
+        }
         if !cause.alternatives.is_empty() {
             let names: Vec<String> = cause
                 .alternatives
@@ -242,6 +249,30 @@ pub fn leads(report: &Report) -> String {
         out.push_str("</div>");
     }
     out
+}
+
+/// What the model carries without a name that anybody vouches for.
+pub fn unnamed(report: &Report) -> String {
+    let mut out = String::new();
+    for c in report.model.iter().filter(|c| !c.named) {
+        let values = c
+            .parameters
+            .iter()
+            .map(|(name, v)| format!("{name} = {}", number(*v)));
+        let _ = write!(
+            out,
+            "<tr><td>{}</td><td>{}</td><td>{}</td></tr>",
+            escape(&effect_name(&c.effect)),
+            place(&c.location),
+            escape(&values.collect::<Vec<_>>().join(", "))
+        );
+    }
+    match out.is_empty() {
+        true => out,
+        false => format!(
+            "<details class=\"card\"><summary>What else the extended model carries, whose names are no findings</summary><div class=\"scroll\"><table><tbody>{out}</tbody></table></div></details>"
+        ),
+    }
 }
 
 /// Parameters with their intervals as bars around the value.
