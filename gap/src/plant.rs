@@ -232,5 +232,22 @@ mod tests {
         let want = (bare + 4.0 * link.mass_kg * 0.05 * 0.05) / (2.0 * bare);
         assert!((f64::from(lane.link_inertia_scale[l]) / want - 1.0).abs() < 1e-5);
         assert_eq!(lane.kp_nm_per_rad, [0.5]);
+        // the effect of the catalogue is the same weight
+        let mut plant = Plant::nominal(&model);
+        let (direction, _) = super::lever(&model, l);
+        let (anchor_m, own_m) = (
+            super::anchor_m(&model, l),
+            [0, 1, 2].map(|i| direction[i] * 0.04),
+        );
+        run.meta.payload[0].at_m = [0, 1, 2].map(|i| anchor_m[i] + own_m[i]);
+        let place = crate::place::places(&model, crate::place::Domain::Links).swap_remove(l);
+        let effect = crate::effects::find("point_mass").unwrap();
+        (effect.apply)(&mut plant, &place, &[link.mass_kg, 0.04]);
+        let hung = Plant::in_trial(&model, &run).lane;
+        assert_eq!(plant.lane.com_offset_m, hung.com_offset_m);
+        assert_eq!(plant.lane.link_inertia_scale, hung.link_inertia_scale);
+        // and takes no more of the link away than there is
+        (effect.apply)(&mut plant, &place, &[-3.0 * link.mass_kg, 0.04]);
+        assert_eq!(plant.lane.link_mass_scale, hung.link_mass_scale);
     }
 }

@@ -18,7 +18,7 @@ use crate::report::{Carried, Cause};
 /// What the model before names were sought must leave of the misfit that is left without what got no name.
 const SUPPORTED: f64 = 0.95;
 /// What a model that was built joint by joint must leave of the error of angles that the others leave.
-const BUILT: f64 = 0.95;
+pub const BUILT: f64 = 0.95;
 
 /// What a model must leave of the misfit of held-out runs to be nearer to them than the robot as given.
 const HELD_OUT: f64 = 0.98;

@@ -1,6 +1,6 @@
 //! A verdict in words.
 
-use super::carried::NO_NEARER;
+use super::carried::{BUILT, NO_NEARER};
 use super::doubt::Doubts;
 use super::levels::NOTHING_LEFT;
 use super::naming::{Named, Rival};
@@ -118,9 +118,7 @@ pub fn first(verdict: Verdict, errors: &[PositionError], unfinished: bool) -> St
         return text;
     };
     let best = (standard.iter()).min_by(|a, b| a.mean_rad.total_cmp(&b.mean_rad));
-    let better = |b: &&PositionError| {
-        b.mean_rad < extended.mean_rad && rounded(b.mean_rad) != rounded(extended.mean_rad)
-    };
+    let better = |b: &&PositionError| b.mean_rad < BUILT * extended.mean_rad;
     if let Some(best) = best.filter(better)
         && verdict != Verdict::NoGap
     {

@@ -155,6 +155,49 @@ fn nothing_is_found_where_nothing_is_wrong() {
 }
 
 #[test]
+fn what_held_out_runs_do_not_have_is_no_finding_and_is_not_carried() {
+    let mut asked = request(0, &|_| {});
+    let rubs = |p: &mut LaneParams| p.joint_friction_nm[0] += 0.06;
+    for (kind, of_kind) in asked.runs.chunks_mut(2).enumerate().take(2) {
+        for (repeat, run) in of_kind.iter_mut().enumerate() {
+            run.log = record(kind, repeat as u64, 0, &rubs);
+        }
+    }
+    let d = diagnose(&asked, &mut |_| {}).unwrap();
+    let told = &d.report.summary;
+    assert!(names(&d).is_empty(), "{told}");
+    assert!(d.report.model.is_empty() && d.extension.effect.is_empty());
+    assert_eq!(d.report.verdict, Verdict::InsufficientData, "{told}");
+    assert!(told.contains("held-out runs are no nearer"), "{told}");
+}
+
+#[test]
+fn a_weight_at_the_tip_is_told_with_its_place_where_torque_was_measured() {
+    let model = RobotModel::load(&path("xl330_pendulum.robot.toml")).unwrap();
+    let l = model.joints()[model.actuated()[0]].child_link;
+    let link = &model.links()[l];
+    let far_m = link.com_m.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let (grows, of_link) = (1.4, link.mass_kg);
+    let trace: f64 = (0..3).map(|i| link.inertia_kgm2[i][i]).sum();
+    // 0.4 of the link's mass, half as far again as its centre
+    let (extra_kg, lever_m) = (0.4 * of_link, 1.5 * far_m);
+    let com_m = (far_m + 0.4 * lever_m) / grows;
+    let moved = 2.0 * of_link * ((com_m - far_m).powi(2) + 0.4 * (lever_m - com_m).powi(2));
+    let (_, d) = run(0, &|p| {
+        p.link_mass_scale[l] = grows as f32;
+        p.link_inertia_scale[l] = ((trace + moved) / (trace * grows)) as f32;
+        for (offset, x) in p.com_offset_m[l].iter_mut().zip(link.com_m) {
+            *offset = (x * (com_m / far_m - 1.0)) as f32;
+        }
+    });
+    let first = &d.report.causes[0];
+    assert_eq!(first.effect, "point_mass", "{}", d.report.summary);
+    let off = |name: &str, want: f64| (first.parameters[name].value / want - 1.0).abs();
+    assert!(off("extra_kg", extra_kg) < 0.1, "{:?}", first.parameters);
+    assert!(off("lever_m", lever_m) < 0.1, "{:?}", first.parameters);
+}
+
+#[test]
 fn a_soft_loop_is_named_and_its_score_comes_again_from_the_file() {
     let (request, d) = run(0, &|p| p.kp_nm_per_rad[0] *= 0.75);
     let first = &d.report.causes[0];

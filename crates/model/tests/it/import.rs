@@ -235,6 +235,9 @@ fn a_urdf_arm_by_hand() {
         rotor.ends_with("# [ours]") && !rotor.contains("= 0.0 "),
         "{rotor}"
     );
+    let rotor = "servo.preset.drive_0.armature_kgm2";
+    assert_eq!(m.assumed_of_servo(0, "armature_kgm2"), Some(rotor));
+    assert_eq!(m.assumed_of_servo(0, "qd_max_radps"), None);
 }
 
 #[test]

@@ -127,6 +127,12 @@ fn robot_file_values() {
     );
     check(
         "toml",
+        "[joints]\n",
+        "assumed = [\"servo.preset.xm430_w210.qd_max\"]\n[joints]\n",
+        &["assumed", "`servo.preset.xm430_w210.qd_max` is no figure"],
+    );
+    check(
+        "toml",
         "foot_friction = 0.8",
         "foot_friction = 8.0",
         &["contact.foot_friction"],
