@@ -19,7 +19,6 @@ mod common;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::collections::BTreeSet;
-use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -41,13 +40,12 @@ use caudata_proto::registry::{
 use caudata_proto::rollout::ROLLOUT_PROTOCOL;
 use caudata_proto::wire::registry as wire;
 use caudata_proto::{ActionHistory, DecodeLimits, Envelope, Moments, RolloutChunk, robot_link};
-use caudata_runlog::ros::bag::of_sqlite;
+use caudata_runlog::Table;
 use caudata_runlog::ros::messages::{
     DiagnosticArray, DiagnosticStatus, Header, Imu, JointState, JointTrajectory, NumberArray,
     Odometry, Twist,
 };
 use caudata_runlog::ros::{Compression, parse_mcap, write_mcap};
-use caudata_runlog::{Table, parquet};
 use caudata_signing::{ReleaseKey, Trust};
 use common::policies::standing;
 use prost::Message as _;
@@ -652,39 +650,6 @@ fn boundary_files() {
     });
 }
 
-/// Recordings of other people: the database and the container of a bag, and a table in lists.
-fn recording(name: &str) -> Vec<u8> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../gap/tests/fixtures");
-    std::fs::read(folder.join(name)).unwrap()
-}
-
-#[test]
-fn bag_database() {
-    fuzz(
-        "bag_database",
-        vec![recording("bag.db3")],
-        4 << 20,
-        |bytes| {
-            let (mut messages, mut longest) = (0, 0);
-            let read = of_sqlite(Cursor::new(bytes), &|_| true, &mut |m| {
-                messages += 1;
-                longest = longest.max(m.data.len());
-                // a row may be named by several pages: whoever reads has a limit
-                if messages > 1000 {
-                    Err("many".to_owned())
-                } else {
-                    Ok(())
-                }
-            });
-            assert!(longest <= bytes.len().max(16 << 20));
-            match read {
-                Ok(()) => format!("some {}", messages > 0),
-                Err(error) => error.chars().take(40).collect(),
-            }
-        },
-    );
-}
-
 #[test]
 fn bag_container() {
     let log = Table::parse(
@@ -703,28 +668,6 @@ fn bag_container() {
         160 << 20,
         |bytes| match parse_mcap("a.mcap", bytes) {
             Ok(_) => "taken".into(),
-            Err(error) => error.to_string().chars().take(40).collect(),
-        },
-    );
-}
-
-#[test]
-fn parquet_file() {
-    let log = Table::parse("log.csv", &b"t,pos.a\n0,1\n0.02,\n"[..]).unwrap();
-    let seeds = vec![
-        recording("lerobot/data/chunk-000/file-000.parquet"),
-        log.to_parquet().unwrap(),
-    ];
-    fuzz(
-        "parquet_file",
-        seeds,
-        32 << 20,
-        |bytes| match parquet::read(bytes, &|_| true, 100_000) {
-            Ok(columns) => {
-                let rows: usize = columns.iter().map(parquet::Column::rows).sum();
-                assert!(rows <= 100_000, "reads more than was asked for");
-                format!("{} columns", columns.len())
-            }
             Err(error) => error.to_string().chars().take(40).collect(),
         },
     );

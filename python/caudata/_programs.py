@@ -37,8 +37,12 @@ def program(name: str) -> Path:
 
 
 def environment() -> Dict[str, str]:
-    """The environment that programs run in: it says where ONNX Runtime and, if there is one, libtorch are."""
+    """The environment that programs run in: it says where ONNX Runtime and, if there is one, libtorch are.
+
+    Recordings that Python's libraries read are read by this Python.
+    """
     out = dict(os.environ)
+    out.setdefault("CAUDATA_PYTHON", sys.executable)
     runtime = _onnxruntime()
     if runtime is not None:
         out.setdefault("ORT_DYLIB_PATH", str(runtime))

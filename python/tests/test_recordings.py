@@ -2,8 +2,10 @@
 
 import json
 import os
+import sys
 import tempfile
 import unittest
+from unittest import mock
 
 import caudata
 import numpy as np
@@ -97,6 +99,7 @@ class Recordings(unittest.TestCase):
             {},
             {"compression": "zstd", "use_dictionary": False},
             {"compression": "none", "data_page_version": "2.0"},
+            {"compression": "gzip"},
             {"compression": "snappy", "data_page_version": "2.0", "row_group_size": 30},
         ):
             with self.subTest(**options), tempfile.TemporaryDirectory() as folder:
@@ -106,12 +109,19 @@ class Recordings(unittest.TestCase):
                 self.check(self.imported(folder, dataset), 1e-6)
                 self.assertEqual(len(os.listdir(os.path.join(folder, "logs"))), 2)
 
-    def test_a_packing_that_is_not_read_is_said(self):
+    def test_a_python_that_cannot_read_it_is_said(self):
         with tempfile.TemporaryDirectory() as folder:
             dataset = os.path.join(folder, "dataset")
-            write_dataset(dataset, compression="gzip")
-            with self.assertRaisesRegex(caudata.ProgramError, "codec 2.*Snappy, zstd or nothing"):
-                self.imported(folder, dataset)
+            write_dataset(dataset)
+            bare = os.path.join(folder, "python")
+            with open(bare, "w") as file:
+                # neither packages nor the user's own
+                file.write('#!/bin/sh\nexec %s -S -E "$@"\n' % sys.executable)
+            os.chmod(bare, 0o755)
+            for python, said in ((bare, "pip install"), ("/no/python", "does not start")):
+                with self.subTest(python=python), mock.patch.dict(os.environ, CAUDATA_PYTHON=python):
+                    with self.assertRaisesRegex(caudata.ProgramError, said):
+                        self.imported(folder, dataset)
 
     def test_a_log_as_a_table(self):
         with tempfile.TemporaryDirectory() as folder:

@@ -77,7 +77,7 @@ pub fn run(command: &LogCommand) -> Result<(), Failure> {
         form @ ("csv" | "parquet") => {
             match form {
                 "csv" => csv(&args.out, &table)?,
-                _ => files::write(&args.out, table.to_parquet().or_exit(ExitCode::Internal)?)?,
+                _ => table.to_parquet(&args.out).or_exit(ExitCode::Unavailable)?,
             }
             if let Some(meta) = &meta {
                 let text = meta.to_toml().or_exit(ExitCode::Internal)?;
@@ -114,7 +114,7 @@ fn read(path: &Path) -> Result<(Option<LogMeta>, Table), Failure> {
     }
     let table = match extension(path) {
         "mcap" => parse_mcap(&path.display().to_string(), &files::read(path)?),
-        "parquet" => Table::from_parquet(&path.display().to_string(), &files::read(path)?),
+        "parquet" => Table::from_parquet(path),
         _ => Table::read(path),
     };
     let table = table.map_err(|error| wrong(error, path))?;

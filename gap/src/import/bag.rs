@@ -44,7 +44,7 @@ pub fn open(path: &Path) -> Result<Recording, ImportError> {
     let mut notes = Vec::new();
     let files = files(path)?;
     for file in &files {
-        notes.extend(messages(file, &is_read, &mut |m| bag.take(m))?);
+        notes.extend(messages(file, &READ, &mut |m| bag.take(m))?);
     }
     bag.recording(path, files.len(), notes)
 }
@@ -69,22 +69,20 @@ struct Topic {
     asked: Vec<Asked>,
 }
 
-fn is_read(kind: &str) -> bool {
-    let kinds = [
-        JointState::TYPE,
-        JointTrajectory::TYPE,
-        NumberArray::TYPE,
-        Imu::TYPE,
-        Odometry::TYPE,
-        PoseStamped::TYPE,
-        BatteryState::TYPE,
-    ];
-    kinds.contains(&kind)
-}
+/// The types that are read.
+const READ: [&str; 7] = [
+    JointState::TYPE,
+    JointTrajectory::TYPE,
+    NumberArray::TYPE,
+    Imu::TYPE,
+    Odometry::TYPE,
+    PoseStamped::TYPE,
+    BatteryState::TYPE,
+];
 
 impl Bag {
     fn take(&mut self, message: &Recorded<'_>) -> Result<(), String> {
-        if !is_read(message.kind) {
+        if !READ.contains(&message.kind) {
             match self.others.get_mut(message.topic) {
                 Some((_, count)) => *count += 1,
                 None => {

@@ -69,16 +69,14 @@ pub fn open(path: &Path) -> Result<Vec<Recording>, ImportError> {
     let mut episodes: BTreeMap<i64, Episode> = BTreeMap::new();
     let mut values = 0;
     for file in files_below(&path.join("data"), "parquet", 4)? {
-        let whole = bytes(&file)?;
         let wrong = |message: String| ImportError::Format {
             file: file.display().to_string(),
             message,
         };
-        let wanted = |name: &str| {
-            [EPISODE, FRAME, TIME].contains(&name) || features.iter().any(|f| f.name == name)
-        };
+        let mut wanted = vec![EPISODE, FRAME, TIME];
+        wanted.extend(features.iter().map(|f| f.name.as_str()));
         let left = MAX_VALUES.saturating_sub(values);
-        let columns = parquet::read(&whole, &wanted, left).map_err(|e| wrong(e.to_string()))?;
+        let columns = parquet::read(&file, &wanted, left).map_err(wrong)?;
         values += take(&columns, &features, rate_hz, &mut episodes).map_err(wrong)?;
     }
     if episodes.is_empty() {

@@ -1,20 +1,22 @@
 //! The messages of a recording, whichever of its two forms a bag has: MCAP or SQLite (`.db3`).
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{Cursor, ErrorKind, Read, Seek};
+use std::ffi::OsStr;
+use std::io::{Cursor, ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
 use caudata_durable::read_at_most;
 
 use super::container::{ContainerError, Record, Records};
-use super::sqlite::{Database, Row, SqliteError, Value};
 use crate::error::{LogError, io_error};
+use crate::python::Script;
 
 /// Largest MCAP file that is read, bytes.
 const MAX_MCAP_BYTES: u64 = 1024 * 1024 * 1024;
 /// How zstd's frames begin: a bag whose messages are packed one by one.
 const ZSTD: &[u8] = &[0x28, 0xb5, 0x2f, 0xfd];
+/// Prints the messages of a file of SQLite.
+const READER: &str = include_str!("bag.py");
 /// Largest message of such a bag, unpacked, bytes.
 const MAX_MESSAGE_BYTES: u64 = 16 * 1024 * 1024;
 
@@ -64,11 +66,7 @@ pub fn is_recording(path: &Path) -> bool {
 ///
 /// # Errors
 /// [`LogError`] with file and reason, those of `each` among them.
-pub fn messages(
-    path: &Path,
-    wanted: &dyn Fn(&str) -> bool,
-    each: Each<'_>,
-) -> Result<Vec<String>, LogError> {
+pub fn messages(path: &Path, wanted: &[&str], each: Each<'_>) -> Result<Vec<String>, LogError> {
     let file = path.display().to_string();
     let wrong = |message: String| LogError::Recording {
         file: file.clone(),
@@ -79,17 +77,8 @@ pub fn messages(
         return Err(wrong(hint));
     }
     if path.extension().is_some_and(|x| x == "db3") {
-        let log = path.with_extension("db3-wal");
-        if std::fs::metadata(&log).is_ok_and(|m| m.len() > 0) {
-            let log = log.display();
-            return Err(wrong(format!(
-                "its last messages are still in {log}: `sqlite3 {file} 'PRAGMA wal_checkpoint'` puts them in"
-            )));
-        }
-        let open = File::open(path).map_err(io_error(path))?;
-        return of_sqlite(open, wanted, each)
-            .map(|()| Vec::new())
-            .map_err(wrong);
+        let read = of_sqlite(path, wanted, each);
+        return read.map(|()| Vec::new()).map_err(wrong);
     }
     of_mcap(&read_whole(path)?, each)
         .map_err(wrong)
@@ -152,93 +141,32 @@ pub(super) fn of_mcap(bytes: &[u8], each: Each<'_>) -> Result<Option<String>, St
     Ok(None)
 }
 
-/// What stops the reading of a database.
-enum Stop {
-    File(SqliteError),
-    Told(String),
-}
-
-impl From<SqliteError> for Stop {
-    fn from(error: SqliteError) -> Self {
-        Self::File(error)
-    }
-}
-
-/// The messages of an SQLite file as `rosbag2_storage_sqlite3` lays them out.
-///
-/// # Errors
-/// In words, those of `each` among them.
-pub fn of_sqlite<F: Read + Seek>(
-    file: F,
-    wanted: &dyn Fn(&str) -> bool,
-    each: Each<'_>,
-) -> Result<(), String> {
-    let told = |stop| match stop {
-        Stop::File(error) => SqliteError::to_string(&error),
-        Stop::Told(message) => message,
-    };
-    sqlite(file, wanted, each).map_err(told)
-}
-
-fn sqlite<F: Read + Seek>(
-    file: F,
-    wanted: &dyn Fn(&str) -> bool,
-    each: Each<'_>,
-) -> Result<(), Stop> {
-    let mut database = Database::open(file)?;
-    let tables = database.tables()?;
-    let table = |name: &str, columns: &[&str]| {
-        let found = tables.iter().find(|t| t.name == name);
-        let places = found.and_then(|t| {
-            let place = |c: &&str| t.columns.iter().position(|have| have == c);
-            Some((t, columns.iter().map(place).collect::<Option<Vec<_>>>()?))
-        });
-        let columns = columns.join(", ");
-        places.ok_or(Stop::Told(format!(
-            "is no bag: it has no table `{name}` with columns {columns}"
-        )))
-    };
-    let (topics, of_topic) = table("topics", &["id", "name", "type"])?;
-    let (messages, of_message) = table("messages", &["topic_id", "timestamp", "data"])?;
-    let mut names: BTreeMap<i64, (String, String)> = BTreeMap::new();
-    database.each(topics, &mut |file, row| {
-        let bytes = file.whole(&row)?;
-        let text = |k: usize| row.text(of_topic[k], &bytes).unwrap_or_default().to_owned();
-        let id = match row.values.get(of_topic[0]) {
-            Some(Value::Int(id)) => *id,
-            _ => row.id,
-        };
-        names.insert(id, (text(1), text(2)));
-        Ok::<_, Stop>(names.len() < 100_000)
-    })?;
-    database.each(messages, &mut |file, row: Row| {
-        let value = |k: usize| row.values.get(of_message[k]);
-        let wrong = |what: &str| Stop::Told(format!("message {}: {what}", row.id));
-        let (Some(Value::Int(topic)), Some(Value::Int(received_ns))) = (value(0), value(1)) else {
-            return Err(wrong("has no topic or no time"));
-        };
-        let (topic, kind) = names
-            .get(topic)
-            .ok_or_else(|| wrong("is on a topic that is not listed"))?;
-        let data = match value(2) {
-            Some(Value::Bytes(place)) if wanted(kind) => {
-                let mut bytes = file.whole(&row)?;
-                bytes.truncate(place.end);
-                bytes.split_off(place.start.min(bytes.len()))
-            }
-            _ => Vec::new(),
-        };
-        let data = unpacked(data).map_err(|e| wrong(&e))?;
+/// The messages of an SQLite file as `rosbag2_storage_sqlite3` lays them out, by Python's `sqlite3`.
+fn of_sqlite(path: &Path, wanted: &[&str], each: Each<'_>) -> Result<(), String> {
+    let arguments = std::iter::once(path.as_os_str()).chain(wanted.iter().map(OsStr::new));
+    let mut script = Script::start(READER, &arguments.collect::<Vec<_>>(), &[])?;
+    let mut number = 0usize;
+    while let Some((topic, kind, received_ns, data)) = sqlite_message(&mut script) {
+        number += 1;
         let message = Recorded {
-            topic,
-            kind,
-            received_ns: *received_ns,
-            data,
+            topic: &topic,
+            kind: &kind,
+            received_ns,
+            data: unpacked(data).map_err(|e| format!("message {number}: {e}"))?,
         };
-        let told = |e| Stop::Told(format!("message {} on {topic} ({kind}): {e}", row.id));
-        each(&message).map_err(told)?;
-        Ok(true)
-    })
+        each(&message).map_err(|e| format!("message {number} on {topic} ({kind}): {e}"))?;
+    }
+    script.finish()
+}
+
+/// The next message that the script prints: topic, type, when it was received, bytes.
+fn sqlite_message(script: &mut Script) -> Option<(String, String, i64, Vec<u8>)> {
+    let lengths = [script.take()?, script.take()?].map(u16::from_le_bytes);
+    let length = u32::from_le_bytes(script.take()?) as usize;
+    let received_ns = i64::from_le_bytes(script.take()?);
+    let mut text = |n: u16| String::from_utf8(script.bytes(n.into())?).ok();
+    let (topic, kind) = (text(lengths[0])?, text(lengths[1])?);
+    Some((topic, kind, received_ns, script.bytes(length)?))
 }
 
 /// A message of a bag that packs each by itself.
@@ -263,7 +191,7 @@ mod tests {
 
     type Seen = Vec<(String, i64, usize)>;
 
-    fn all(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Seen, LogError> {
+    fn all(path: &Path, wanted: &[&str]) -> Result<Seen, LogError> {
         let mut seen = Seen::new();
         messages(path, wanted, &mut |m| {
             seen.push((m.topic.to_owned(), m.received_ns, m.data.len()));
@@ -275,7 +203,7 @@ mod tests {
     /// Written by SQLite itself, in pages of 512 bytes: 24 messages, a third of them longer than a page.
     #[test]
     fn a_database_gives_its_messages_in_order() {
-        let seen = all(&fixture(), &|kind| kind == "std_msgs/msg/String").unwrap();
+        let seen = all(&fixture(), &["std_msgs/msg/String"]).unwrap();
         assert_eq!(seen.len(), 24);
         // header of 4, length of 4, 1200 letters, a zero
         let want = (
@@ -294,20 +222,14 @@ mod tests {
         let says = |name: &str, bytes: &[u8], want: &str| {
             let path = dir.path().join(name);
             std::fs::write(&path, bytes).unwrap();
-            let error = all(&path, &|_| true).unwrap_err().to_string();
+            let error = all(&path, &[]).unwrap_err().to_string();
             assert!(error.contains(want) && !error.contains('\n'), "{error}");
         };
         let whole = std::fs::read(fixture()).unwrap();
-        says("a.db3", b"PK", "is not an SQLite file");
-        says(
-            "b.db3",
-            &whole[..4096],
-            "it ends before a page that it names",
-        );
+        says("a.db3", b"PK", "file is not a database");
+        says("b.db3", &whole[..4096], "database disk image is malformed");
         says("c.mcap", b"PK", "is not an MCAP file");
         says("d.db3.zstd", b"", "unpack it first");
-        std::fs::write(dir.path().join("f.db3-wal"), b"x").unwrap();
-        says("f.db3", &whole, "its last messages are still in");
     }
 
     #[test]
@@ -319,17 +241,5 @@ mod tests {
         let files = files(dir.path()).unwrap();
         let names: Vec<_> = files.iter().map(|f| f.file_name().unwrap()).collect();
         assert_eq!(names, ["run_9.db3", "run_10.db3"]);
-    }
-
-    proptest::proptest! {
-        /// A file with any damage is messages or an error, never a panic.
-        #[test]
-        fn no_damage_panics(at in 0usize..14_848, with: u8, cut in 0usize..14_848) {
-            let mut bytes = std::fs::read(fixture()).unwrap();
-            bytes[at] = with;
-            let _ = of_sqlite(Cursor::new(&bytes), &|_| true, &mut |_| Ok(()));
-            bytes.truncate(cut);
-            let _ = of_sqlite(Cursor::new(&bytes), &|_| true, &mut |_| Ok(()));
-        }
     }
 }

@@ -23,7 +23,6 @@ pub mod cdr;
 pub mod container;
 pub mod messages;
 mod read;
-mod sqlite;
 mod write;
 
 pub use mcap::Compression;
