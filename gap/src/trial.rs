@@ -1,5 +1,6 @@
 //! A measured run as diagnosis sees it: commands, switches, and sampled channels with their own stamps.
 
+use caudata_declare::named;
 use caudata_runlog::{BaseHold, LogMeta, RunLog};
 
 /// What a run is used for.
@@ -24,58 +25,42 @@ pub struct Run {
     pub sha256: String,
 }
 
-/// Kind of a measured channel.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Kind {
-    /// Joint position, rad.
-    Position,
-    /// Joint velocity as reported, rad/s.
-    Velocity,
-    /// Motor current, A.
-    Current,
-    /// Motor torque, N·m.
-    Torque,
-    /// Supply voltage, V.
-    Voltage,
-    /// Angular velocity in the IMU frame, rad/s.
-    Gyro,
-    /// Specific force in the IMU frame, m/s².
-    Acceleration,
-    /// Direction of gravity in the IMU frame.
-    Gravity,
-    /// Position of the base, world, m.
-    BasePosition,
-    /// Velocity of the base, world, m/s.
-    BaseVelocity,
-    /// Orientation of the base: roll and pitch by the direction of gravity in it, and yaw. `index` 0, 1, 3:
-    /// x, y, z of gravity in the base; 2: yaw, rad, on past π where the base turns on.
-    BaseAttitude,
-    /// Position of a foot's ball, world, m. `index`: foot·3 + axis.
-    Foot,
+named! {
+    /// Kind of a measured channel.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+    pub enum Kind {
+        /// Joint position, rad.
+        Position = "pos",
+        /// Joint velocity as reported, rad/s.
+        Velocity = "vel",
+        /// Motor current, A.
+        Current = "cur",
+        /// Motor torque, N·m.
+        Torque = "tau",
+        /// Supply voltage, V.
+        Voltage = "volt",
+        /// Angular velocity in the IMU frame, rad/s.
+        Gyro = "imu.gyro",
+        /// Specific force in the IMU frame, m/s².
+        Acceleration = "imu.acc",
+        /// Direction of gravity in the IMU frame.
+        Gravity = "imu.grav",
+        /// Position of the base, world, m.
+        BasePosition = "base.pos",
+        /// Velocity of the base, world, m/s.
+        BaseVelocity = "base.vel",
+        /// Orientation of the base: roll and pitch by the direction of gravity in it, and yaw. `index` 0, 1, 3:
+        /// x, y, z of gravity in the base; 2: yaw, rad, on past π where the base turns on.
+        BaseAttitude = "base.quat",
+        /// Position of a foot's ball, world, m. `index`: foot·3 + axis.
+        Foot = "foot",
+    }
 }
 
 /// Which component of [`Kind::BaseAttitude`] is the yaw.
 pub const YAW: usize = 2;
 
 impl Kind {
-    /// Name in reports.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Position => "pos",
-            Self::Velocity => "vel",
-            Self::Current => "cur",
-            Self::Torque => "tau",
-            Self::Voltage => "volt",
-            Self::Gyro => "imu.gyro",
-            Self::Acceleration => "imu.acc",
-            Self::Gravity => "imu.grav",
-            Self::BasePosition => "base.pos",
-            Self::BaseVelocity => "base.vel",
-            Self::BaseAttitude => "base.quat",
-            Self::Foot => "foot",
-        }
-    }
-
     /// SI unit.
     pub fn unit(self) -> &'static str {
         match self {

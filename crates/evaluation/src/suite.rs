@@ -1,5 +1,6 @@
 //! The lists of scenarios.
 
+use caudata_declare::named;
 use std::f32::consts::PI;
 
 use caudata_sim::{TerrainConfig, TerrainKind};
@@ -37,72 +38,40 @@ pub(crate) const BACK: &str = "back 0.2 m/s";
 /// The command that the paper's figures are for, m/s.
 pub const PAPER_COMMAND_MPS: f32 = 0.3;
 
-/// A named list of scenarios.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Suite {
-    /// Flat ground: forward at 0.3 m/s, standing still, other commands from 0.1 to 0.8 m/s, and backward.
-    Flat,
-    /// The paper's three grades of rough ground at 0.3 m/s.
-    Rough,
-    /// A grid of vx, vy and yaw rate on flat ground.
-    Omni,
-    /// Pushes of 0.5 m/s (in proportion to the speed that the robot is judged at) in random directions,
-    /// every 3 s.
-    Push,
-    /// The worst corners of the randomisation, one by one and all together.
-    Robust,
-    /// From land into water, back onto land, and swimming and turning in deep water.
-    Transition,
-    /// Swimming in deep water: straight ahead, and turning to either side at 0.5 rad/s.
-    Swim,
-    /// One servo without torque, and one that does not turn; another in every episode.
-    Servo,
-    /// Thrown onto flat ground in any attitude: on its feet within 3 s, then walking.
-    Righting,
-    /// Walks at speeds from 0.1 to 0.8 m/s and swimming, beside what is published of salamanders.
-    Animal,
-    /// All that walks: every suite before `transition`.
-    Paper,
-    /// Everything that the project's table of targets asks about, transition included.
-    Acceptance,
+named! {
+    /// A named list of scenarios.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename_all = "lowercase")]
+    pub enum Suite {
+        /// Flat ground: forward at 0.3 m/s, standing still, other commands from 0.1 to 0.8 m/s, and backward.
+        Flat = "flat",
+        /// The paper's three grades of rough ground at 0.3 m/s.
+        Rough = "rough",
+        /// A grid of vx, vy and yaw rate on flat ground.
+        Omni = "omni",
+        /// Pushes of 0.5 m/s (in proportion to the speed that the robot is judged at) in random directions,
+        /// every 3 s.
+        Push = "push",
+        /// The worst corners of the randomisation, one by one and all together.
+        Robust = "robust",
+        /// From land into water, back onto land, and swimming and turning in deep water.
+        Transition = "transition",
+        /// Swimming in deep water: straight ahead, and turning to either side at 0.5 rad/s.
+        Swim = "swim",
+        /// One servo without torque, and one that does not turn; another in every episode.
+        Servo = "servo",
+        /// Thrown onto flat ground in any attitude: on its feet within 3 s, then walking.
+        Righting = "righting",
+        /// Walks at speeds from 0.1 to 0.8 m/s and swimming, beside what is published of salamanders.
+        Animal = "animal",
+        /// All that walks: every suite before `transition`.
+        Paper = "paper",
+        /// Everything that the project's table of targets asks about, transition included.
+        Acceptance = "acceptance",
+    }
 }
 
 impl Suite {
-    /// All suites, in the order of the declaration.
-    pub const ALL: [Self; 12] = [
-        Self::Flat,
-        Self::Rough,
-        Self::Omni,
-        Self::Push,
-        Self::Robust,
-        Self::Transition,
-        Self::Swim,
-        Self::Servo,
-        Self::Righting,
-        Self::Animal,
-        Self::Paper,
-        Self::Acceptance,
-    ];
-
-    /// Its name on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Flat => "flat",
-            Self::Rough => "rough",
-            Self::Omni => "omni",
-            Self::Push => "push",
-            Self::Robust => "robust",
-            Self::Transition => "transition",
-            Self::Swim => "swim",
-            Self::Servo => "servo",
-            Self::Righting => "righting",
-            Self::Animal => "animal",
-            Self::Paper => "paper",
-            Self::Acceptance => "acceptance",
-        }
-    }
-
     /// Its scenarios. `mass_kg`: of the robot, since pushes are given as a change of speed. `speed_mps`: what
     /// it is judged at; all velocities are as many times those named here as it is of the paper's 0.3 m/s.
     pub fn scenarios(self, mass_kg: f64, speed_mps: f32) -> Vec<Scenario> {

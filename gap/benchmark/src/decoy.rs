@@ -4,55 +4,32 @@ use crate::battery::Trial;
 use crate::hidden::World;
 use crate::truth::Touch;
 use crate::truth::sensors::Row;
+use caudata_declare::named;
 
-/// A decoy.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Decoy {
-    /// Another gain, and the log says so.
-    KpDeclared,
-    /// Another supply, and the log says so.
-    SupplyDeclared,
-    /// Somebody touches the robot for a second in one repeat.
-    Touch,
-    /// A position with the sign turned round.
-    Sign,
-    /// Positions in degrees.
-    Unit,
-    /// Two joints' positions exchanged (arms; with one joint the speed's sign).
-    Order,
-    /// Readings that jump ahead by 0.3 s in the middle of the run (stamps of another clock after a hiccup).
-    Stamps,
-    /// A reading that is stuck for the second half.
-    Stuck,
+named! {
+    /// A decoy.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum Decoy {
+        /// Another gain, and the log says so.
+        KpDeclared = "kp_declared",
+        /// Another supply, and the log says so.
+        SupplyDeclared = "supply_declared",
+        /// Somebody touches the robot for a second in one repeat.
+        Touch = "touch",
+        /// A position with the sign turned round.
+        Sign = "sign",
+        /// Positions in degrees.
+        Unit = "unit",
+        /// Two joints' positions exchanged (arms; with one joint the speed's sign).
+        Order = "order",
+        /// Readings that jump ahead by 0.3 s in the middle of the run (stamps of another clock after a hiccup).
+        Stamps = "stamps",
+        /// A reading that is stuck for the second half.
+        Stuck = "stuck",
+    }
 }
 
 impl Decoy {
-    /// All of them.
-    pub const ALL: [Self; 8] = [
-        Self::KpDeclared,
-        Self::SupplyDeclared,
-        Self::Touch,
-        Self::Sign,
-        Self::Unit,
-        Self::Order,
-        Self::Stamps,
-        Self::Stuck,
-    ];
-
-    /// Its name.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::KpDeclared => "kp_declared",
-            Self::SupplyDeclared => "supply_declared",
-            Self::Touch => "touch",
-            Self::Sign => "sign",
-            Self::Unit => "unit",
-            Self::Order => "order",
-            Self::Stamps => "stamps",
-            Self::Stuck => "stuck",
-        }
-    }
-
     /// Whether the data contradict themselves.
     pub fn is_fault(self) -> bool {
         !matches!(self, Self::KpDeclared | Self::SupplyDeclared | Self::Touch)

@@ -1,14 +1,18 @@
 //! The page's curves and bars, from what a diagnosis left in [`Plots`].
 
-use std::fmt::Write;
-
+use super::drawing::Drawing;
 use crate::plots::{Correlation, Horizon, Hypothesis, Overlay, Signature, WaterfallStep};
 use crate::report::Report;
 use caudata_chart::{Axis, Chart, escape, number};
 
 const WIDE: (f64, f64) = (470.0, 240.0);
 
-fn figure(caption: &str, picture: &str) -> String {
+// How texts of pictures look: names of rows, values, figures on axes.
+pub(super) const NAME: &str = r#"class="n""#;
+pub(super) const VALUE: &str = r#"class="v""#;
+pub(super) const TICK: &str = r#"class="t""#;
+
+pub(super) fn figure(caption: &str, picture: &str) -> String {
     format!("<figure class=\"card\"><figcaption>{caption}</figcaption>{picture}</figure>")
 }
 
@@ -164,69 +168,36 @@ pub fn horizon(h: &Horizon) -> String {
 
 /// How the misfit falls from cause to cause.
 pub fn waterfall(steps: &[WaterfallStep]) -> String {
-    let steps: Vec<WaterfallStep> = steps
-        .iter()
-        .filter(|s| s.misfit.is_finite())
-        .cloned()
-        .collect();
+    let steps: Vec<&WaterfallStep> = steps.iter().filter(|s| s.misfit.is_finite()).collect();
     let most = steps.iter().map(|s| s.misfit).fold(1.0, f64::max);
     let (left, row, width) = (230.0, 30.0, 760.0);
     let height = row * steps.len() as f64 + 26.0;
     let scale = |x: f64| left + (x.max(0.0) / most) * (width - left - 70.0);
-    let mut out = format!(
-        r#"<svg viewBox="0 0 {width:.0} {height:.0}" style="max-width:860px" role="img" aria-label="misfit after each cause"><title>Misfit after each cause</title>"#
-    );
+    let about = "misfit after each cause";
+    let mut out = Drawing::new((width, height), 860.0, "Misfit after each cause", about);
     for (i, s) in steps.iter().enumerate() {
         let y = row * i as f64;
-        let before = if i == 0 {
-            s.misfit
-        } else {
-            steps[i - 1].misfit
+        let before = steps[i.saturating_sub(1)].misfit;
+        let look = match s.label.as_str() {
+            "floor" => r#"class="bar-out" rx="2""#,
+            _ if i == 0 => r#"class="bar-before" rx="2""#,
+            _ => r#"class="bar-after" rx="2""#,
         };
-        let class = match s.label.as_str() {
-            "floor" => "bar-out",
-            _ if i == 0 => "bar-before",
-            _ => "bar-after",
-        };
-        let fall = (before - s.misfit).max(0.0);
-        let _ = write!(
-            out,
-            r#"<text class="n" x="{:.1}" y="{:.1}" text-anchor="end">{}</text><rect class="{class}" x="{left:.1}" y="{:.1}" width="{:.1}" height="{:.1}" rx="2"/>"#,
-            left - 8.0,
-            y + 19.0,
-            escape(&s.label),
-            y + 6.0,
-            (scale(s.misfit) - left).max(1.5),
-            row - 11.0
-        );
-        if fall > 0.0 && s.label != "floor" {
-            let _ = write!(
-                out,
-                r#"<rect x="{:.1}" y="{:.1}" width="{:.1}" height="{:.1}" rx="2" style="fill:none;stroke:var(--soft);stroke-dasharray:3 3"/>"#,
-                scale(s.misfit),
-                y + 6.0,
-                scale(before) - scale(s.misfit),
-                row - 11.0
-            );
+        out.text(NAME, "end", (left - 8.0, y + 19.0), &s.label);
+        let (end, thick) = (scale(s.misfit), row - 11.0);
+        out.bar(look, (left, y + 6.0), ((end - left).max(1.5), thick));
+        if before > s.misfit && s.label != "floor" {
+            let look = r#"rx="2" style="fill:none;stroke:var(--soft);stroke-dasharray:3 3""#;
+            out.bar(look, (end, y + 6.0), (scale(before) - end, thick));
         }
-        let _ = write!(
-            out,
-            r#"<text class="v" x="{:.1}" y="{:.1}">{}</text>"#,
-            scale(before.max(s.misfit)) + 6.0,
-            y + 19.0,
-            number(s.misfit)
-        );
+        let behind = scale(before.max(s.misfit)) + 6.0;
+        out.text(VALUE, "start", (behind, y + 19.0), &number(s.misfit));
     }
-    let floor = scale(1.0);
-    let _ = write!(
-        out,
-        r#"<line class="floor" x1="{floor:.1}" x2="{floor:.1}" y1="0" y2="{:.1}"/><text class="t" x="{floor:.1}" y="{:.1}" text-anchor="middle">1 = noise</text></svg>"#,
-        height - 20.0,
-        height - 6.0
-    );
+    out.rule(scale(1.0), height - 20.0);
+    out.text(TICK, "middle", (scale(1.0), height - 6.0), "1 = noise");
     figure(
         "<b>Mean squared error on held-out runs</b>, in units of the noise, after each cause; dashed: what the cause took away",
-        &out,
+        &out.finish(),
     )
 }
 
@@ -236,78 +207,62 @@ pub fn hypotheses(all: &[Hypothesis]) -> String {
     let shown = &all[..all.len().min(MOST)];
     let (left, row, width) = (290.0, 24.0, 860.0);
     let height = row * shown.len() as f64 + 30.0;
-    let (low, high) = shown
+    let shares = shown
         .iter()
-        .flat_map(|h| [h.ci_low, h.ci_high, h.share_holdout])
-        .filter(|x| x.is_finite())
-        .fold((0.0f64, 0.1f64), |(l, h), x| {
-            (l.min(x.max(-1.0)), h.max(x.min(1.0)))
-        });
+        .flat_map(|h| [h.ci_low, h.ci_high, h.share_holdout]);
+    let shares = shares.filter(|x| x.is_finite()).map(|x| x.clamp(-1.0, 1.0));
+    let (low, high) = shares.fold((0.0f64, 0.1f64), |(l, h), x| (l.min(x), h.max(x)));
     let right = width - 120.0;
     let px = |x: f64| left + (x.clamp(low, high) - low) / (high - low) * (right - left);
-    let mut out = format!(
-        r#"<svg viewBox="0 0 {width:.0} {height:.0}" style="max-width:900px" role="img" aria-label="share of the excess error that each hypothesis explains on held-out runs"><title>Hypotheses</title>"#
-    );
+    let about = "share of the excess error that each hypothesis explains on held-out runs";
+    let mut out = Drawing::new((width, height), 900.0, "Hypotheses", about);
     for (i, h) in shown.iter().enumerate() {
         let y = row * i as f64;
-        let place = if h.location.is_empty() {
-            String::new()
-        } else {
-            format!(" @ {}", short_list(&h.location))
+        let place = match h.location.as_slice() {
+            [] => String::new(),
+            some => format!(" @ {}", short_list(some)),
         };
-        let class = if h.in_answer_set {
-            "bar-set"
-        } else {
-            "bar-out"
+        let look = match h.in_answer_set {
+            true => r#"class="bar-set" rx="2""#,
+            false => r#"class="bar-out" rx="2""#,
         };
-        let (zero, end) = (px(0.0), px(h.share_holdout));
-        let _ = write!(
-            out,
-            r#"<text class="n" x="{:.1}" y="{:.1}" text-anchor="end"{}>{}</text><rect class="{class}" x="{:.1}" y="{:.1}" width="{:.1}" height="{:.1}" rx="2"/><path class="whisk" d="M{:.1} {m:.1}H{:.1}M{:.1} {a:.1}v8M{:.1} {a:.1}v8"/><text class="v" x="{:.1}" y="{:.1}">{} %{}</text>"#,
-            left - 8.0,
-            y + 16.0,
-            if h.accepted {
-                " style=\"font-weight:650\""
-            } else {
-                ""
-            },
-            escape(&format!("{}{place}", h.effect)),
-            zero.min(end),
-            y + 5.0,
-            (end - zero).abs().max(1.0),
-            row - 10.0,
-            px(h.ci_low),
-            px(h.ci_high),
-            px(h.ci_low),
-            px(h.ci_high),
-            right + 8.0,
-            y + 16.0,
-            number(100.0 * h.probability),
-            if h.accepted { " ✓" } else { "" },
-            m = y + 12.0,
-            a = y + 8.0,
+        let (name, tick) = match h.accepted {
+            true => (r#"class="n" style="font-weight:650""#, " ✓"),
+            false => (NAME, ""),
+        };
+        out.text(
+            name,
+            "end",
+            (left - 8.0, y + 16.0),
+            &format!("{}{place}", h.effect),
         );
+        let (zero, end) = (px(0.0), px(h.share_holdout));
+        let size = ((end - zero).abs().max(1.0), row - 10.0);
+        out.bar(look, (zero.min(end), y + 5.0), size);
+        let (from, to, middle, top) = (px(h.ci_low), px(h.ci_high), y + 12.0, y + 8.0);
+        let ends = format!("M{from:.1} {top:.1}v8M{to:.1} {top:.1}v8");
+        out.push(&format!(
+            r#"<path class="whisk" d="M{from:.1} {middle:.1}H{to:.1}{ends}"/>"#
+        ));
+        let probability = format!("{} %{tick}", number(100.0 * h.probability));
+        out.text(VALUE, "start", (right + 8.0, y + 16.0), &probability);
     }
-    let zero = px(0.0);
-    let _ = write!(
-        out,
-        r#"<line class="floor" x1="{zero:.1}" x2="{zero:.1}" y1="0" y2="{:.1}"/><text class="t" x="{zero:.1}" y="{:.1}" text-anchor="middle">0</text><text class="t" x="{right:.1}" y="{:.1}" text-anchor="end">{} of the excess error explained on held-out runs</text></svg>"#,
-        height - 26.0,
-        height - 10.0,
-        height - 10.0,
+    out.rule(px(0.0), height - 26.0);
+    out.text(TICK, "middle", (px(0.0), height - 10.0), "0");
+    let most = format!(
+        "{} of the excess error explained on held-out runs",
         number(high)
     );
-    let left_out = all.len() - shown.len();
-    let more = if left_out > 0 {
-        format!(" {left_out} more explain less.")
-    } else {
-        String::new()
+    out.text(TICK, "end", (right, height - 10.0), &most);
+    let more = match all.len() - shown.len() {
+        0 => String::new(),
+        left_out => format!(" {left_out} more explain less."),
     };
     figure(
         &format!(
             "<b>What was tried</b>: share explained with its 95 % interval, and the probability on the right. Coloured: in the answer set; ✓ accepted.{more}"
         ),
-        &out,
+        &out.finish(),
     )
 }
 
@@ -324,52 +279,35 @@ pub fn short_list(names: &[String]) -> String {
 /// Correlation of parameters that were fitted together.
 pub fn correlation(c: &Correlation) -> String {
     let n = c.names.len();
-    let (cell, left) = (
-        26.0,
-        16.0 + 6.6 * c.names.iter().map(|s| s.chars().count()).max().unwrap_or(4) as f64,
-    );
+    let longest = c.names.iter().map(|s| s.chars().count()).max().unwrap_or(4);
+    let (cell, left) = (26.0, 16.0 + 6.6 * longest as f64);
     let (w, h) = (left + cell * n as f64 + 10.0, 8.0 + cell * n as f64 + 22.0);
-    let mut out = format!(
-        r#"<svg viewBox="0 0 {w:.0} {h:.0}" style="max-width:{:.0}px" role="img" aria-label="correlation of fitted parameters"><title>Correlation of fitted parameters</title>"#,
-        1.3 * w
-    );
+    let title = "Correlation of fitted parameters";
+    let mut out = Drawing::new((w, h), 1.3 * w, title, "correlation of fitted parameters");
     for (i, name) in c.names.iter().enumerate() {
         let y = 6.0 + cell * i as f64;
-        let _ = write!(
-            out,
-            r#"<text class="n" x="{:.1}" y="{:.1}" text-anchor="end">{} {}</text>"#,
-            left - 6.0,
-            y + 17.0,
-            escape(name),
-            i + 1
+        out.text(
+            NAME,
+            "end",
+            (left - 6.0, y + 17.0),
+            &format!("{name} {}", i + 1),
         );
-        let _ = write!(
-            out,
-            r#"<text class="t" x="{:.1}" y="{:.1}" text-anchor="middle">{}</text>"#,
-            left + cell * (i as f64 + 0.5),
-            h - 8.0,
-            i + 1
-        );
+        let below = (left + cell * (i as f64 + 0.5), h - 8.0);
+        out.text(TICK, "middle", below, &(i + 1).to_string());
         for (k, r) in c.matrix.get(i).into_iter().flatten().enumerate() {
             let colour = if *r >= 0.0 { "after" } else { "before" };
-            let _ = write!(
-                out,
-                r#"<g><title>{} and {}: {}</title><rect x="{:.1}" y="{:.1}" width="{:.1}" height="{:.1}" rx="3" style="fill:var(--{colour});opacity:{:.2}"/></g>"#,
-                escape(name),
-                escape(c.names.get(k).map_or("", String::as_str)),
-                number(*r),
-                left + cell * k as f64 + 1.0,
-                y + 1.0,
-                cell - 2.0,
-                cell - 2.0,
-                0.06 + 0.9 * r.abs().min(1.0)
-            );
+            let opacity = 0.06 + 0.9 * r.abs().min(1.0);
+            let look = format!(r#"rx="3" style="fill:var(--{colour});opacity:{opacity:.2}""#);
+            let other = c.names.get(k).map_or("", String::as_str);
+            out.told(&format!("{name} and {other}: {}", number(*r)), |out| {
+                let at = (left + cell * k as f64 + 1.0, y + 1.0);
+                out.bar(&look, at, (cell - 2.0, cell - 2.0));
+            });
         }
     }
-    out.push_str("</svg>");
     figure(
         "<b>Parameters that were fitted together</b>: strong colour means that the data hardly tell them apart",
-        &out,
+        &out.finish(),
     )
 }
 
@@ -378,37 +316,35 @@ pub fn gains(report: &Report) -> String {
     let (left, row, width) = (110.0, 46.0, 760.0);
     let height = row * report.gain.len() as f64 + 8.0;
     let right = width - 230.0;
-    let mut out = format!(
-        r#"<svg viewBox="0 0 {width:.0} {height:.0}" style="max-width:820px" role="img" aria-label="error on held-out runs before and after, by signal"><title>Gain on held-out runs</title>"#
-    );
+    let about = "error on held-out runs before and after, by signal";
+    let mut out = Drawing::new((width, height), 820.0, "Gain on held-out runs", about);
     for (i, (signal, g)) in report.gain.iter().enumerate() {
         let y = row * i as f64;
         let most = g.before.max(g.after).max(1e-300);
-        let bar = |x: f64| (x / most * (right - left)).max(1.0);
-        let _ = write!(
-            out,
-            r#"<text class="n" x="{:.1}" y="{:.1}" text-anchor="end">{}</text><rect class="bar-before" x="{left:.1}" y="{:.1}" width="{:.1}" height="14" rx="2"/><rect class="bar-after" x="{left:.1}" y="{:.1}" width="{:.1}" height="14" rx="2"/><text class="v" x="{:.1}" y="{:.1}">{}</text><text class="v" x="{:.1}" y="{:.1}">{} · × {} ({} to {})</text>"#,
-            left - 8.0,
-            y + 24.0,
-            escape(signal),
-            y + 5.0,
-            bar(g.before),
-            y + 21.0,
-            bar(g.after),
-            left + bar(g.before) + 6.0,
-            y + 16.5,
-            number(g.before),
-            left + bar(g.after) + 6.0,
-            y + 32.5,
-            number(g.after),
-            number(g.ratio),
-            number(g.ci_low),
-            number(g.ci_high)
+        let [before, after] = [g.before, g.after].map(|x| (x / most * (right - left)).max(1.0));
+        out.text(NAME, "end", (left - 8.0, y + 24.0), signal);
+        out.bar(
+            r#"class="bar-before" rx="2""#,
+            (left, y + 5.0),
+            (before, 14.0),
         );
+        out.bar(
+            r#"class="bar-after" rx="2""#,
+            (left, y + 21.0),
+            (after, 14.0),
+        );
+        out.text(
+            VALUE,
+            "start",
+            (left + before + 6.0, y + 16.5),
+            &number(g.before),
+        );
+        let [after_is, ratio, low, high] = [g.after, g.ratio, g.ci_low, g.ci_high].map(number);
+        let said = format!("{after_is} · × {ratio} ({low} to {high})");
+        out.text(VALUE, "start", (left + after + 6.0, y + 32.5), &said);
     }
-    out.push_str("</svg>");
     figure(
         "<b>Root mean square error on held-out runs</b>, as given and extended, SI units; × ratio with its 95 % interval",
-        &out,
+        &out.finish(),
     )
 }

@@ -4,8 +4,10 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
+use super::drawing::Drawing;
+use super::figures::{NAME, TICK, VALUE, figure};
 use crate::report::{Divergence, Report};
-use caudata_chart::{escape, number};
+use caudata_chart::number;
 
 /// Ratios to the noise floor at which the colour changes: within the floor, seen, clear, strong, very strong.
 const STEPS: [f64; 5] = [1.2, 2.0, 4.0, 8.0, 16.0];
@@ -22,25 +24,15 @@ pub fn maps(report: &Report) -> String {
     if before.is_empty() {
         return "<p class=\"soft\">No cell could be compared.</p>".to_owned();
     }
-    let mut out = String::from("<div class=\"grid\">");
     let both = !after.is_empty();
-    let title = if both { "As given" } else { "Model as given" };
-    let _ = write!(
-        out,
-        "<figure class=\"card\"><figcaption><b>{title}</b></figcaption>{}</figure>",
-        map(&before, &before, title)
-    );
-    if both {
-        let title = "Extended";
-        let _ = write!(
-            out,
-            "<figure class=\"card\"><figcaption><b>{title}</b></figcaption>{}</figure>",
-            map(&after, &before, title)
-        );
-    }
-    out.push_str("</div>");
-    out.push_str(&legend());
-    out
+    let card = |cells, title| figure(&format!("<b>{title}</b>"), &map(cells, &before, title));
+    let given = if both { "As given" } else { "Model as given" };
+    let extended = match both {
+        true => card(&after, "Extended"),
+        false => String::new(),
+    };
+    let given = card(&before, given);
+    format!("<div class=\"grid\">{given}{extended}</div>{}", legend())
 }
 
 fn cells(all: &[Divergence]) -> Cells<'_> {
@@ -62,76 +54,49 @@ fn order<'a>(names: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
 }
 
 fn map(cells: &Cells<'_>, frame: &Cells<'_>, title: &str) -> String {
-    let rows = {
-        let mut joints: Vec<&str> = Vec::new();
-        for (j, _, _) in frame.keys() {
-            if !joints.contains(j) {
-                joints.push(j);
-            }
+    let mut rows: Vec<&str> = Vec::new();
+    for (joint, _, _) in frame.keys() {
+        if !rows.contains(joint) {
+            rows.push(joint);
         }
-        joints
-    };
+    }
     let signals = order(frame.keys().map(|k| k.1));
-    let columns: Vec<(&str, &str)> = signals
+    let regimes = |s: &str| order(frame.keys().filter(|k| k.1 == s).map(|k| k.2));
+    let columns = signals
         .iter()
-        .flat_map(|s| {
-            let regimes = order(frame.keys().filter(|k| k.1 == *s).map(|k| k.2));
-            regimes.into_iter().map(|r| (*s, r)).collect::<Vec<_>>()
-        })
-        .collect();
-    let left = 12.0
-        + 7.2
-            * rows
-                .iter()
-                .map(|r| r.chars().count().max(5))
-                .max()
-                .unwrap_or(5) as f64;
-    let (w, h) = (
-        left + CELL_W * columns.len() as f64 + 8.0,
-        HEAD + CELL_H * rows.len() as f64 + 4.0,
-    );
+        .flat_map(|s| regimes(s).into_iter().map(|r| (*s, r)));
+    let columns: Vec<(&str, &str)> = columns.collect();
+    let longest = rows.iter().map(|r| r.chars().count().max(5)).max();
+    let left = 12.0 + 7.2 * longest.unwrap_or(5) as f64;
+    let w = left + CELL_W * columns.len() as f64 + 8.0;
+    let h = HEAD + CELL_H * rows.len() as f64 + 4.0;
+    let size = format!("{} rows by {} columns", rows.len(), columns.len());
+    let about = format!("{title}: error over noise floor, {size}");
     // A map of few columns does not grow over the whole card.
-    let mut out = format!(
-        r#"<svg viewBox="0 0 {w:.0} {h:.0}" style="max-width:{:.0}px" role="img" aria-label="{}: error over noise floor, {} rows by {} columns"><title>{}</title>"#,
-        w * 1.35,
-        escape(title),
-        rows.len(),
-        columns.len(),
-        escape(title)
-    );
+    let mut out = Drawing::new((w, h), w * 1.35, title, &about);
     write_head(&mut out, left, &columns);
     for (r, joint) in rows.iter().enumerate() {
         let y = HEAD + CELL_H * r as f64;
         let name = if joint.is_empty() { "robot" } else { joint };
-        let _ = write!(
-            out,
-            r#"<text class="n" x="{:.1}" y="{:.1}" text-anchor="end">{}</text>"#,
-            left - 7.0,
-            y + 15.0,
-            escape(name)
-        );
+        out.text(NAME, "end", (left - 7.0, y + 15.0), name);
         for (c, (signal, regime)) in columns.iter().enumerate() {
-            let x = left + CELL_W * c as f64;
-            let Some(d) = cells.get(&(*joint, *signal, *regime)) else {
-                let _ = write!(
-                    out,
-                    r#"<rect x="{:.1}" y="{:.1}" width="{:.1}" height="{:.1}" rx="3" fill="none" class="g"/>"#,
-                    x + 1.0,
-                    y + 1.0,
-                    CELL_W - 2.0,
-                    CELL_H - 2.0
-                );
-                continue;
-            };
-            write_cell(&mut out, (x, y), name, d);
+            let at = (left + CELL_W * c as f64, y);
+            match cells.get(&(*joint, *signal, *regime)) {
+                Some(d) => write_cell(&mut out, at, name, d),
+                None => write_box(&mut out, at, r#"fill="none" class="g""#),
+            }
         }
     }
-    out.push_str("</svg>");
-    out
+    out.finish()
+}
+
+fn write_box(out: &mut Drawing, (x, y): (f64, f64), look: &str) {
+    let look = format!(r#"rx="3" {look}"#);
+    out.bar(&look, (x + 1.0, y + 1.0), (CELL_W - 2.0, CELL_H - 2.0));
 }
 
 /// Signals, each over its regimes.
-fn write_head(out: &mut String, left: f64, columns: &[(&str, &str)]) {
+fn write_head(out: &mut Drawing, left: f64, columns: &[(&str, &str)]) {
     let mut from = 0;
     while from < columns.len() {
         let to = columns[from..]
@@ -140,29 +105,23 @@ fn write_head(out: &mut String, left: f64, columns: &[(&str, &str)]) {
             .map_or(columns.len(), |n| from + n);
         let x = left + CELL_W * from as f64;
         let width = CELL_W * (to - from) as f64;
-        let _ = write!(
-            out,
-            r#"<text class="n" x="{:.1}" y="13" text-anchor="middle">{}</text><line class="g" x1="{:.1}" x2="{:.1}" y1="18" y2="18"/>"#,
-            x + 0.5 * width,
-            escape(columns[from].0),
-            x + 3.0,
-            x + width - 3.0
-        );
+        let middle = x + 0.5 * width;
+        out.text(NAME, "middle", (middle, 13.0), columns[from].0);
+        let (begin, end) = (x + 3.0, x + width - 3.0);
+        let line = format!(r#"x1="{begin:.1}" x2="{end:.1}" y1="18" y2="18""#);
+        out.push(&format!(r#"<line class="g" {line}/>"#));
         from = to;
     }
     for (c, (_, regime)) in columns.iter().enumerate() {
         let x = left + CELL_W * (c as f64 + 0.5) + 4.0;
-        let _ = write!(
-            out,
-            r#"<text class="t" transform="translate({x:.1} {:.1}) rotate(-55)">{}</text>"#,
-            HEAD - 6.0,
-            escape(regime)
-        );
+        let turn = format!("translate({x:.1} {:.1}) rotate(-55)", HEAD - 6.0);
+        let look = format!(r#"{TICK} transform="{turn}""#);
+        out.text(&look, "start", (0.0, 0.0), regime);
     }
 }
 
 /// What is known of one cell, at its place.
-fn write_cell(out: &mut String, (x, y): (f64, f64), name: &str, d: &Divergence) {
+fn write_cell(out: &mut Drawing, (x, y): (f64, f64), name: &str, d: &Divergence) {
     let level = STEPS.iter().filter(|s| d.ratio >= **s).count();
     let about = format!(
         "{name} {}, {}: {} rms, noise floor {}, ratio {}, p {}",
@@ -173,27 +132,19 @@ fn write_cell(out: &mut String, (x, y): (f64, f64), name: &str, d: &Divergence) 
         number(d.ratio),
         number(d.p)
     );
-    let ink = if level >= 4 {
-        " style=\"fill:var(--bg)\""
-    } else {
-        ""
+    let ink = match level {
+        4.. => r#"class="v" style="fill:var(--bg)""#,
+        _ => VALUE,
     };
-    let _ = write!(
-        out,
-        r#"<g><title>{}</title><rect x="{:.1}" y="{:.1}" width="{:.1}" height="{:.1}" rx="3" style="fill:var(--h{level})"/><text class="v" x="{:.1}" y="{:.1}" text-anchor="middle"{ink}>{}</text></g>"#,
-        escape(&about),
-        x + 1.0,
-        y + 1.0,
-        CELL_W - 2.0,
-        CELL_H - 2.0,
-        x + 0.5 * CELL_W,
-        y + 15.0,
-        number(if d.ratio >= 10.0 {
-            d.ratio.round()
-        } else {
-            (10.0 * d.ratio).round() / 10.0
-        })
-    );
+    let ratio = match d.ratio >= 10.0 {
+        true => d.ratio.round(),
+        false => (10.0 * d.ratio).round() / 10.0,
+    };
+    out.told(&about, |out| {
+        write_box(out, (x, y), &format!(r#"style="fill:var(--h{level})""#));
+        let middle = (x + 0.5 * CELL_W, y + 15.0);
+        out.text(ink, "middle", middle, &number(ratio));
+    });
 }
 
 fn legend() -> String {

@@ -1,6 +1,7 @@
 //! `report.html`: a diagnosis to be looked at. One file, nothing loaded from anywhere; light and dark,
 //! telephone and paper.
 
+mod drawing;
 mod figures;
 mod heat;
 mod sections;

@@ -4,7 +4,10 @@ use std::fmt::Write;
 
 use super::figures;
 use crate::plots::Plots;
-use crate::report::{Cause, Parameter, Report, Verdict};
+use crate::report::{
+    Cause, DataFault, Divergence, Floor, Parameter, PositionError, Rejected, Report, RunUse,
+    Verdict,
+};
 use caudata_chart::{escape, number};
 
 /// The verdict in words, and how it is coloured.
@@ -89,37 +92,26 @@ pub fn tiles(report: &Report) -> String {
         c.rollouts.to_string(),
         format!("simulated runs of {} hypotheses{time}", c.candidates),
     ));
-    let mut out = String::from("<div class=\"tiles\">");
-    for (figure, word) in tiles {
-        let _ = write!(
-            out,
-            "<div class=\"tile\"><b>{}</b><span>{}</span></div>",
-            escape(&figure),
-            escape(&word)
-        );
-    }
-    out.push_str("</div>");
-    out
+    let tile = |(figure, word): &(String, String)| {
+        let (figure, word) = (escape(figure), escape(word));
+        format!("<div class=\"tile\"><b>{figure}</b><span>{word}</span></div>")
+    };
+    let tiles: String = tiles.iter().map(tile).collect();
+    format!("<div class=\"tiles\">{tiles}</div>")
 }
 
 /// Faults of the data.
 pub fn faults(report: &Report) -> String {
-    let mut out = String::from(
-        "<div class=\"card scroll\"><table><thead><tr><th>kind</th><th>where</th><th>what</th></tr></thead><tbody>",
-    );
-    for f in &report.data_faults {
-        let class = if f.fatal { "bad" } else { "warn" };
-        let word = if f.fatal { "" } else { " (note)" };
-        let _ = write!(
-            out,
-            "<tr><td class=\"{class}\"><b>{}</b>{word}</td><td>{}</td><td>{}</td></tr>",
-            escape(&f.kind),
-            escape(&f.location),
-            escape(&f.detail)
-        );
-    }
-    out.push_str("</tbody></table></div>");
-    out
+    let row = |f: &DataFault| {
+        let (class, word) = match f.fatal {
+            true => ("bad", ""),
+            false => ("warn", " (note)"),
+        };
+        let kind = format!("<b class=\"{class}\">{}</b>{word}", escape(&f.kind));
+        vec![kind, escape(&f.location), escape(&f.detail)]
+    };
+    let table = table("kind|where|what", report.data_faults.iter().map(row));
+    format!("<div class=\"card scroll\">{table}</div>")
 }
 
 fn place(location: &[String]) -> String {
@@ -205,27 +197,20 @@ pub fn causes(report: &Report, plots: Option<&Plots>) -> String {
 fn evidence(cause: &Cause) -> String {
     let mut out = String::new();
     if !cause.evidence.is_empty() {
-        out.push_str("<ul>");
-        for e in &cause.evidence {
-            let _ = write!(out, "<li>{}</li>", escape(e));
-        }
-        out.push_str("</ul>");
+        let items = cause
+            .evidence
+            .iter()
+            .map(|e| format!("<li>{}</li>", escape(e)));
+        let _ = write!(out, "<ul>{}</ul>", items.collect::<String>());
     }
     if !cause.rejected.is_empty() {
+        let row = |r: &Rejected| vec![escape(&effect_name(&r.effect)), escape(&r.reason)];
         let _ = write!(
             out,
-            "<details><summary>{} look-alikes tried and rejected</summary><table><tbody>",
-            cause.rejected.len()
+            "<details><summary>{} look-alikes tried and rejected</summary>{}</details>",
+            cause.rejected.len(),
+            table("", cause.rejected.iter().map(row))
         );
-        for r in &cause.rejected {
-            let _ = write!(
-                out,
-                "<tr><td>{}</td><td>{}</td></tr>",
-                escape(&effect_name(&r.effect)),
-                escape(&r.reason)
-            );
-        }
-        out.push_str("</tbody></table></details>");
     }
     out
 }
@@ -277,28 +262,23 @@ pub fn unnamed(report: &Report) -> String {
 
 /// Parameters with their intervals as bars around the value.
 fn parameters(cause: &Cause) -> String {
-    let mut out = String::from(
-        "<div class=\"scroll\"><table><thead><tr><th>parameter</th><th class=\"r\">value</th><th>unit</th><th>95 % interval</th><th></th></tr></thead><tbody>",
-    );
-    for (name, p) in &cause.parameters {
-        let note = if p.at_bound {
-            "<span class=\"warn\">at its bound: no result</span>"
-        } else {
-            ""
+    let row = |(name, p): (&String, &Parameter)| {
+        let note = match p.at_bound {
+            true => "<span class=\"warn\">at its bound: no result</span>",
+            false => "",
         };
-        let _ = write!(
-            out,
-            "<tr><td>{}</td><td class=\"r\"><b>{}</b></td><td>{}</td><td>{} {} to {}</td><td>{note}</td></tr>",
+        let [value, low, high] = [p.value, p.ci_low, p.ci_high].map(number);
+        vec![
             escape(&name.replace('_', " ")),
-            number(p.value),
+            format!("<b>{value}</b>"),
             escape(&p.unit),
-            interval(p),
-            number(p.ci_low),
-            number(p.ci_high)
-        );
-    }
-    out.push_str("</tbody></table></div>");
-    out
+            format!("{} {low} to {high}", interval(p)),
+            note.to_owned(),
+        ]
+    };
+    let head = "parameter|>value|unit|95 % interval|";
+    let table = table(head, cause.parameters.iter().map(row));
+    format!("<div class=\"scroll\">{table}</div>")
 }
 
 /// The interval on a line from zero to a little beyond its far end.
@@ -373,95 +353,69 @@ pub fn next(report: &Report) -> String {
 
 /// Smallest sizes that would have been seen.
 pub fn floors(report: &Report) -> String {
-    let mut out = String::from("<details class=\"card\"");
-    if report.detection_floor.len() <= 14 {
-        out.push_str(" open");
-    }
-    let _ = write!(
-        out,
-        "><summary>{} effects: the smallest size of each that would have been seen in these runs</summary><div class=\"scroll\"><table><thead><tr><th>effect</th><th>where</th><th>parameter</th><th class=\"r\">smallest</th><th>unit</th></tr></thead><tbody>",
-        report.detection_floor.len()
-    );
-    for (id, f) in &report.detection_floor {
+    let row = |(id, f): (&String, &Floor)| {
         let (effect, joint) = id.split_once('@').unwrap_or((id, ""));
-        let value = if f.excited {
-            number(f.value)
-        } else {
-            "not excited".to_owned()
+        let (value, unit) = match f.excited {
+            true => (number(f.value), escape(&f.unit)),
+            false => (
+                "<span class=\"soft\">not excited</span>".to_owned(),
+                String::new(),
+            ),
         };
-        let class = if f.excited { "r" } else { "r soft" };
-        let _ = write!(
-            out,
-            "<tr><td>{}</td><td>{}</td><td>{}</td><td class=\"{class}\">{value}</td><td>{}</td></tr>",
+        let parameter = escape(&f.parameter.replace('_', " "));
+        vec![
             escape(&effect_name(effect)),
             escape(joint),
-            escape(&f.parameter.replace('_', " ")),
-            if f.excited {
-                escape(&f.unit)
-            } else {
-                String::new()
-            }
-        );
-    }
-    out.push_str("</tbody></table></div></details>");
-    out
+            parameter,
+            value,
+            unit,
+        ]
+    };
+    let all = &report.detection_floor;
+    let open = if all.len() <= 14 { " open" } else { "" };
+    let head = "effect|where|parameter|>smallest|unit";
+    format!(
+        "<details class=\"card\"{open}><summary>{} effects: the smallest size of each that would have been seen in these runs</summary><div class=\"scroll\">{}</div></details>",
+        all.len(),
+        table(head, all.iter().map(row))
+    )
 }
 
 /// Runs, and what it took.
 pub fn runs(report: &Report) -> String {
-    let mut out = format!(
-        "<details class=\"card\"><summary>{} runs</summary><div class=\"scroll\"><table><thead><tr><th>run</th><th>role</th><th class=\"r\">s</th><th>SHA-256</th></tr></thead><tbody>",
-        report.runs.len()
-    );
-    for r in &report.runs {
+    let row = |r: &RunUse| {
         let short: String = r.sha256.chars().take(16).collect();
-        let role = if r.role == "holdout" {
-            "held out"
-        } else {
-            r.role.as_str()
+        let role = match r.role.as_str() {
+            "holdout" => "held out",
+            other => other,
         };
-        let _ = write!(
-            out,
-            "<tr><td>{}</td><td>{}</td><td class=\"r\">{}</td><td><code>{}</code></td></tr>",
-            escape(&r.name),
-            escape(role),
-            number(r.duration_s),
-            escape(&short)
-        );
-    }
-    out.push_str("</tbody></table></div></details>");
-    out
+        let short = format!("<code>{}</code>", escape(&short));
+        vec![escape(&r.name), escape(role), number(r.duration_s), short]
+    };
+    format!(
+        "<details class=\"card\"><summary>{} runs</summary><div class=\"scroll\">{}</div></details>",
+        report.runs.len(),
+        table("run|role|>s|SHA-256", report.runs.iter().map(row))
+    )
 }
 
 /// The divergence map as a table, for readers without pictures.
 pub fn cells(report: &Report) -> String {
     const MOST: usize = 40;
-    let mut out = String::from(
-        "<details><summary>The cells as a table</summary><div class=\"card scroll\"><table><thead><tr><th>joint</th><th>signal</th><th>regime</th><th class=\"r\">rms error</th><th class=\"r\">noise floor</th><th class=\"r\">ratio</th><th class=\"r\">extended</th><th class=\"r\">p</th></tr></thead><tbody>",
-    );
-    for d in report.divergence.iter().take(MOST) {
-        let same = |x: &&crate::report::Divergence| {
-            x.joint == d.joint && x.signal == d.signal && x.regime == d.regime
-        };
-        let after = report
-            .divergence_after
-            .iter()
-            .find(same)
-            .map_or("–".to_owned(), |x| number(x.ratio));
-        let _ = write!(
-            out,
-            "<tr><td>{}</td><td>{}</td><td>{}</td><td class=\"r\">{}</td><td class=\"r\">{}</td><td class=\"r\">{}</td><td class=\"r\">{after}</td><td class=\"r\">{}</td></tr>",
-            escape(&d.joint),
-            escape(&d.signal),
-            escape(&d.regime),
-            number(d.rmse),
-            number(d.noise_floor),
-            number(d.ratio),
-            number(d.p)
-        );
-    }
-    out.push_str("</tbody></table></div></details>");
-    out
+    const HEAD: &str = "joint|signal|regime|>rms error|>noise floor|>ratio|>extended|>p";
+    let row = |d: &Divergence| {
+        let same =
+            |x: &&Divergence| x.joint == d.joint && x.signal == d.signal && x.regime == d.regime;
+        let after = report.divergence_after.iter().find(same);
+        let after = after.map_or("–".to_owned(), |x| number(x.ratio));
+        let names = [&d.joint, &d.signal, &d.regime].map(|name| escape(name));
+        let [rmse, floor, ratio, p] = [d.rmse, d.noise_floor, d.ratio, d.p].map(number);
+        [names.to_vec(), vec![rmse, floor, ratio, after, p]].concat()
+    };
+    let table = table(HEAD, report.divergence.iter().take(MOST).map(row));
+    format!(
+        "<details><summary>The cells as a table</summary><div class=\"card scroll\">{table}</div></details>"
+    )
 }
 
 /// Errors of angles: of the robot as given, of standard models, and of the extended one.
@@ -469,30 +423,39 @@ pub fn position_errors(report: &Report) -> String {
     let Some(given) = report.position_errors.first() else {
         return String::new();
     };
-    let mut out = String::from(
-        "<p class=\"soft\">Mean absolute error of the angles over whole held-out runs, rad. Standard models are fitted to the same runs.</p><div class=\"card scroll\"><table><thead><tr><th>model</th><th>all joints</th>",
-    );
-    for joint in given.joints_rad.keys() {
-        let _ = write!(out, "<th>{}</th>", escape(joint));
-    }
-    out.push_str("</tr></thead><tbody>");
-    for e in &report.position_errors {
-        let _ = write!(
-            out,
-            "<tr><td>{}</td><td>{}</td>",
-            escape(&e.model),
-            number(e.mean_rad)
-        );
-        for joint in given.joints_rad.keys() {
-            let error = e
-                .joints_rad
-                .get(joint)
-                .copied()
-                .map_or(String::new(), number);
-            let _ = write!(out, "<td>{error}</td>");
-        }
-        out.push_str("</tr>");
-    }
-    out.push_str("</tbody></table></div>");
-    out
+    let joints: Vec<&String> = given.joints_rad.keys().collect();
+    let names: Vec<String> = joints.iter().map(|j| escape(j)).collect();
+    let head = format!("model|all joints|{}", names.join("|"));
+    let row = |e: &PositionError| {
+        let of = |j: &&String| e.joints_rad.get(*j).copied().map_or(String::new(), number);
+        let own = vec![escape(&e.model), number(e.mean_rad)];
+        own.into_iter().chain(joints.iter().map(of)).collect()
+    };
+    let table = table(&head, report.position_errors.iter().map(row));
+    format!(
+        "<p class=\"soft\">Mean absolute error of the angles over whole held-out runs, rad. Standard models are fitted to the same runs.</p><div class=\"card scroll\">{table}</div>"
+    )
+}
+
+/// A table of cells that are HTML already. `head`: the columns' names between bars, none for a table without; a
+/// name that begins with `>` is of figures.
+fn table(head: &str, rows: impl Iterator<Item = Vec<String>>) -> String {
+    let names: Vec<&str> = head.split('|').collect();
+    let cells = |tag: &str, cells: Vec<String>| {
+        let cells = cells
+            .into_iter()
+            .zip(names.iter().chain(std::iter::repeat(&"")));
+        let cells = cells.map(|(cell, name)| match name.starts_with('>') {
+            true => format!("<{tag} class=\"r\">{cell}</{tag}>"),
+            false => format!("<{tag}>{cell}</{tag}>"),
+        });
+        format!("<tr>{}</tr>", cells.collect::<String>())
+    };
+    let words = names.iter().map(|h| h.trim_start_matches('>').to_owned());
+    let head = match head {
+        "" => String::new(),
+        _ => format!("<thead>{}</thead>", cells("th", words.collect())),
+    };
+    let rows: String = rows.map(|row| cells("td", row)).collect();
+    format!("<table>{head}<tbody>{rows}</tbody></table>")
 }
