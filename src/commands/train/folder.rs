@@ -277,32 +277,13 @@ pub fn newest(out_dir: &Path) -> Option<PathBuf> {
 
 /// `20261121-083312` (UTC): sorts by time and needs no escaping anywhere.
 fn timestamp(now: SystemTime) -> String {
-    let seconds = now
-        .duration_since(UNIX_EPOCH)
-        .unwrap_or(Duration::ZERO)
-        .as_secs();
-    let (year, month, day) = civil_from_days(seconds / 86_400);
-    let (hour, minute, second) = (seconds / 3600 % 24, seconds / 60 % 60, seconds % 60);
-    format!("{year:04}{month:02}{day:02}-{hour:02}{minute:02}{second:02}")
-}
-
-/// Day of the Gregorian calendar, from days since 1970-01-01 (Hinnant, "chrono-compatible low-level date
-/// algorithms", `civil_from_days`).
-fn civil_from_days(days: u64) -> (u64, u64, u64) {
-    let z = days + 719_468;
-    let era = z / 146_097;
-    let day_of_era = z % 146_097;
-    let year_of_era =
-        (day_of_era - day_of_era / 1_460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let shifted_month = (5 * day_of_year + 2) / 153;
-    let day = day_of_year - (153 * shifted_month + 2) / 5 + 1;
-    let month = if shifted_month < 10 {
-        shifted_month + 3
-    } else {
-        shifted_month - 9
-    };
-    (year_of_era + era * 400 + u64::from(month <= 2), month, day)
+    /// The last second whose year has four digits.
+    const LAST: Duration = Duration::from_secs(253_402_300_799);
+    let now = now.clamp(UNIX_EPOCH, UNIX_EPOCH + LAST);
+    // `2026-11-21T08:33:12Z`
+    let time = humantime::format_rfc3339_seconds(now).to_string();
+    let time = time.trim_end_matches('Z').replace(['-', ':'], "");
+    time.replace('T', "-")
 }
 
 #[cfg(test)]
