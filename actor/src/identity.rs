@@ -23,9 +23,6 @@ pub fn clock_incarnation(now: SystemTime) -> u64 {
 }
 
 /// The name of this host, or of this container.
-///
-/// # Errors
-/// What the system says.
 pub fn host_name() -> std::io::Result<String> {
     let name = std::fs::read_to_string("/proc/sys/kernel/hostname")?;
     Ok(name.trim().to_owned())

@@ -67,9 +67,6 @@ impl ActorSettings {
 }
 
 /// The tracer of a process as the configuration has it: off where it names no collector.
-///
-/// # Errors
-/// See [`TraceError`].
 pub fn tracer_of(
     config: &Config,
     service: &'static str,

@@ -316,9 +316,6 @@ impl Keeper {
     }
 
     /// Writes down what the loop learnt. A policy that came with the program has no record.
-    ///
-    /// # Errors
-    /// What the disk says.
     pub fn note(&self, event: PolicyEvent) -> Result<(), DeployError> {
         let attempts = |policy: &PolicyRef| self.store().state().attempts(policy.sha256);
         let factory = |policy: &PolicyRef| policy.stream == FACTORY;

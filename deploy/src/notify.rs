@@ -172,9 +172,6 @@ pub struct Ear(UnixDatagram);
 
 impl Ear {
     /// Listens under `path`; what was there is replaced.
-    ///
-    /// # Errors
-    /// What the system says.
     pub fn open(path: &Path) -> io::Result<Self> {
         bind(path).map(Self)
     }

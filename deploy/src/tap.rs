@@ -103,9 +103,6 @@ impl Tap {
     }
 
     /// The next tick; `None` where none came within `timeout`, or something that is no tick.
-    ///
-    /// # Errors
-    /// What the system says.
     pub fn next(&self, timeout: Duration) -> io::Result<Option<Tick>> {
         self.0.set_read_timeout(Some(timeout))?;
         let mut buffer = [0; TICK_BYTES_MAX];

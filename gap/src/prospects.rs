@@ -110,9 +110,6 @@ impl Weights {
 impl Prospects {
     /// Simulates the trials of the battery for `model` that are `asked` for, each with every effect that is
     /// `wanted`. `sees_base`: whether free runs have the base's motion.
-    ///
-    /// # Errors
-    /// As [`Replayer::predict`].
     pub fn of(
         model: &Arc<RobotModel>,
         asked: impl Fn(&excite::Trial) -> bool,

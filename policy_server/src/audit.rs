@@ -161,9 +161,6 @@ impl AuditLog {
 
     /// Writes the file anew, so that all of it is on the disk for certain: what a failed sync left of it
     /// nobody knows.
-    ///
-    /// # Errors
-    /// What the disk says.
     pub fn write_anew(&self) -> Result<(), StoreError> {
         let path = self.path();
         if !path.exists() {

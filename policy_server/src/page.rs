@@ -35,9 +35,6 @@ th{font-weight:600;white-space:nowrap}td.n{text-align:right;font-variant-numeric
 @media (prefers-color-scheme:dark){.tag{border-color:#5bd;color:#5bd}.bad{color:#f77}.good{color:#6c7}.quiet{color:#999}}";
 
 /// Serves the page until `stop` turns true.
-///
-/// # Errors
-/// What the system says.
 pub async fn serve_page(
     listener: TcpListener,
     store: SharedStore,

@@ -47,9 +47,6 @@ impl Record {
     }
 
     /// Reads a file's content, with the same checks as a manifest from the network.
-    ///
-    /// # Errors
-    /// See [`RecordError`].
     pub fn from_json(bytes: &[u8]) -> Result<Self, RecordError> {
         let Format { format: found } = unseal(bytes)?;
         if found != RECORD_FORMAT {

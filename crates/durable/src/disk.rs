@@ -25,9 +25,6 @@ impl Folder {
 /// What changes a disk. [`OsDisk`] is the real one, that of `tests/rehearsal` writes down what was done.
 pub trait Disk: Debug + Send + Sync {
     /// Makes one folder; one that is there already is fine.
-    ///
-    /// # Errors
-    /// What the system says.
     fn make_folder(&self, path: &Path) -> io::Result<()>;
 
     /// Makes or empties a file, writes `bytes` and waits until they are on the disk. Its name need not be.
@@ -51,33 +48,18 @@ pub trait Disk: Debug + Send + Sync {
 
     /// Opens a folder for [`Disk::sync_folder`]. Done before anything changes: a process that has no file
     /// handle left then fails harmlessly, and does not take that for a disk that lost something.
-    ///
-    /// # Errors
-    /// What the system says.
     fn open_folder(&self, folder: &Path) -> io::Result<Folder>;
 
     /// Waits until the names in a folder are on the disk.
-    ///
-    /// # Errors
-    /// What the system says.
     fn sync_folder(&self, folder: &Folder) -> io::Result<()>;
 
     /// Gives a file another name, in place of what has it.
-    ///
-    /// # Errors
-    /// What the system says.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
 
     /// Gives a file a second name, which must be free.
-    ///
-    /// # Errors
-    /// What the system says.
     fn link(&self, from: &Path, to: &Path) -> io::Result<()>;
 
     /// Takes a name away.
-    ///
-    /// # Errors
-    /// What the system says.
     fn remove(&self, path: &Path) -> io::Result<()>;
 }
 

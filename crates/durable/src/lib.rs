@@ -125,9 +125,6 @@ pub fn create_new_on(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<(), D
 
 /// Makes a folder and syncs the one above it, so that it survives a power cut. One that is there already is
 /// fine.
-///
-/// # Errors
-/// [`DurableError`].
 pub fn make_folder_on(disk: &dyn Disk, path: &Path) -> Result<(), DurableError> {
     if path.is_dir() {
         return Ok(());

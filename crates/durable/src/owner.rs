@@ -44,9 +44,6 @@ impl Drop for Owner {
 impl Owner {
     /// Takes the lock file `path`. While another process holds it `wait` is called, which waits a moment and
     /// answers whether to try again, until `patience` is used up.
-    ///
-    /// # Errors
-    /// [`OwnerError`].
     pub fn take(
         path: &Path,
         patience: Duration,
@@ -63,9 +60,6 @@ impl Owner {
     }
 
     /// Takes the lock file `path`, which is made where it is absent, or refuses at once.
-    ///
-    /// # Errors
-    /// [`OwnerError`].
     pub fn now(path: &Path) -> Result<Self, OwnerError> {
         let failed = |source| OwnerError::Io {
             path: path.to_owned(),

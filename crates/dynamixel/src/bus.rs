@@ -152,9 +152,6 @@ impl<P: Port> Bus<P> {
     }
 
     /// Asks whether servo `id` is there.
-    ///
-    /// # Errors
-    /// [`BusFault`].
     pub fn ping(&mut self, id: u8, deadline: Duration) -> Result<Pong, BusFault> {
         let (error, length) = self.ask(id, Instruction::Ping, &[], 3, deadline)?;
         let &[low, high, firmware] = &self.scratch[..length] else {
@@ -168,9 +165,6 @@ impl<P: Port> Bus<P> {
     }
 
     /// Reads one register, sign by its size. The error byte comes along: it may hold an alert.
-    ///
-    /// # Errors
-    /// [`BusFault`].
     pub fn read(
         &mut self,
         id: u8,
@@ -188,9 +182,6 @@ impl<P: Port> Bus<P> {
     }
 
     /// Reads `out.len()` bytes from `address`.
-    ///
-    /// # Errors
-    /// [`BusFault`].
     pub fn read_block(
         &mut self,
         id: u8,
@@ -207,9 +198,6 @@ impl<P: Port> Bus<P> {
     }
 
     /// Writes one register.
-    ///
-    /// # Errors
-    /// [`BusFault`].
     pub fn write(
         &mut self,
         id: u8,
@@ -226,9 +214,6 @@ impl<P: Port> Bus<P> {
     }
 
     /// Restarts a servo: its torque goes off, and everything that is not kept without power is as new.
-    ///
-    /// # Errors
-    /// [`BusFault`].
     pub fn reboot(&mut self, id: u8, deadline: Duration) -> Result<StatusError, BusFault> {
         let (error, _) = self.ask(id, Instruction::Reboot, &[], 0, deadline)?;
         Ok(error)

@@ -31,9 +31,6 @@ pub trait Port {
     fn receive(&mut self, buffer: &mut [u8], deadline: Instant) -> io::Result<usize>;
 
     /// Throws away what has arrived and was not received.
-    ///
-    /// # Errors
-    /// What the system says.
     fn discard_input(&mut self) -> io::Result<()>;
 
     /// Bits per second from now on.

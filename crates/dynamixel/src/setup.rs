@@ -149,9 +149,6 @@ pub fn move_to_baud<P: Port>(bus: &mut Bus<P>, id: u8, baud: u32) -> Result<(), 
 }
 
 /// What a servo's latched hardware errors are.
-///
-/// # Errors
-/// [`BusFault`].
 pub fn hardware_error<P: Port>(bus: &mut Bus<P>, id: u8) -> Result<HardwareError, BusFault> {
     let deadline = bus.setup_deadline();
     let (bits, _) = persistently(|| bus.read(id, &xm430::HARDWARE_ERROR_STATUS, deadline))?;

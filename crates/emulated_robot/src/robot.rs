@@ -215,9 +215,6 @@ impl EmulatedRobot {
     }
 
     /// Lets one step pass: servos pull towards their goals, sensors show what came of it.
-    ///
-    /// # Errors
-    /// [`EmulationError`].
     pub fn step(&mut self) -> Result<(), EmulationError> {
         let was_on = self.torque.iter().any(|on| *on);
         self.follow_torque()?;

@@ -40,9 +40,6 @@ pub struct Terminals {
 impl Terminals {
     /// Opens both and makes `folder/servos` and `folder/imu` links to them; links that are there already are
     /// replaced. `folder/water` begins with 0.
-    ///
-    /// # Errors
-    /// What the system says.
     pub fn open(folder: &Path) -> std::io::Result<Self> {
         std::fs::create_dir_all(folder)?;
         let terminals = Self {
@@ -72,9 +69,6 @@ impl Terminals {
 }
 
 /// Serves until `stop` says so; `event` hears when the torque goes on (true) and off (false).
-///
-/// # Errors
-/// [`EmulationError`].
 pub fn serve(
     robot: &mut EmulatedRobot,
     terminals: &mut Terminals,

@@ -56,9 +56,6 @@ impl<B: I2c> ImuChip<B> {
     }
 
     /// The newest rates and accelerations.
-    ///
-    /// # Errors
-    /// What the bus says.
     pub fn sample(&mut self) -> io::Result<ImuSample> {
         let mut block = [0; 12];
         self.bus
@@ -75,9 +72,6 @@ impl<B: I2c> ImuChip<B> {
     }
 
     /// The magnetic field in the robot's axes, T; `None` where no magnetometer is wired.
-    ///
-    /// # Errors
-    /// What the bus says.
     pub fn field_t(&mut self) -> io::Result<Option<[f32; 3]>> {
         let Some(address) = self.wiring.magnetometer else {
             return Ok(None);

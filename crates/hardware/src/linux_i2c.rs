@@ -22,9 +22,6 @@ pub struct LinuxI2c {
 
 impl LinuxI2c {
     /// Opens the bus at `path`.
-    ///
-    /// # Errors
-    /// What the system says.
     pub fn open(path: &Path) -> io::Result<Self> {
         let file = OpenOptions::new().read(true).write(true).open(path)?;
         Ok(Self { file, chip: None })

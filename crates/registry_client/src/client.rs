@@ -103,9 +103,6 @@ impl RegistryClient {
     }
 
     /// Publishes one file. Safe to repeat: the same version with the same bytes is stored once.
-    ///
-    /// # Errors
-    /// See [`ClientError`].
     pub async fn publish(
         &mut self,
         manifest: Manifest,
@@ -128,9 +125,6 @@ impl RegistryClient {
     }
 
     /// Manifests of `stream` (`None`: of all), newest first, at most `limit` (0: the server's limit).
-    ///
-    /// # Errors
-    /// See [`ClientError`].
     pub async fn list(
         &mut self,
         stream: Option<&StreamName>,
@@ -219,9 +213,6 @@ impl RegistryClient {
 
     /// Publishes the bytes of an older version again, as `manifest` says
     /// ([`caudata_proto::registry::reverting`]).
-    ///
-    /// # Errors
-    /// See [`ClientError`].
     pub async fn revert(
         &mut self,
         manifest: Manifest,
@@ -237,9 +228,6 @@ impl RegistryClient {
     }
 
     /// Takes a version out of use.
-    ///
-    /// # Errors
-    /// See [`ClientError`].
     pub async fn quarantine(
         &mut self,
         stream: &StreamName,
@@ -261,9 +249,6 @@ impl RegistryClient {
     }
 
     /// Tells what became of a version on a robot.
-    ///
-    /// # Errors
-    /// See [`ClientError`].
     pub async fn report(&mut self, report: RobotReport) -> Result<(), ClientError> {
         let went_well = report.state.went_well();
         let report = wire::RobotReport::from(report);
@@ -279,9 +264,6 @@ impl RegistryClient {
 
     /// Asks where a label leads, bound to `nonce`. The answer is one to this question; the caller checks who
     /// signed it.
-    ///
-    /// # Errors
-    /// See [`ClientError`].
     pub async fn freshness(
         &mut self,
         nonce: [u8; NONCE_BYTES],
@@ -304,9 +286,6 @@ impl RegistryClient {
     }
 
     /// Labels, quarantine and reports of `stream` (`None`: of all).
-    ///
-    /// # Errors
-    /// See [`ClientError`].
     pub async fn overview(&mut self, stream: Option<&StreamName>) -> Result<Overview, ClientError> {
         let call = self.inner.overview(wire::OverviewRequest {
             stream: name(stream),
@@ -322,18 +301,12 @@ impl RegistryClient {
     }
 
     /// Who changed what, newest first; entries before number `before` (0: from the newest on).
-    ///
-    /// # Errors
-    /// See [`ClientError`].
     pub async fn audit(&mut self, limit: u32, before: u64) -> Result<AuditPage, ClientError> {
         let call = self.inner.audit(wire::AuditRequest { limit, before });
         answer("audit", &self.address, call).await
     }
 
     /// Follows changes of `stream` from a generation on (0: a snapshot first).
-    ///
-    /// # Errors
-    /// See [`ClientError`].
     pub async fn watch(
         &mut self,
         stream: Option<&StreamName>,

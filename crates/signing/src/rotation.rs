@@ -79,9 +79,6 @@ impl ReleaseKey {
 
 impl Trust {
     /// The trust file `text`, where it is the next one after this.
-    ///
-    /// # Errors
-    /// [`NoSuccessor`].
     pub fn successor(
         &self,
         text: &str,
@@ -242,9 +239,6 @@ fn signatures_path(file: &Path) -> PathBuf {
 }
 
 /// The signatures over the trust file `file`; none where there is no file of them.
-///
-/// # Errors
-/// [`SigningError`].
 pub fn read_signatures(file: &Path) -> Result<Vec<TrustSignature>, SigningError> {
     let path = signatures_path(file);
     if !is_there(&path)? {

@@ -174,9 +174,6 @@ impl Trust {
     }
 
     /// Whether `answer` was signed by a key that may say so, for exactly this nonce, stream and label.
-    ///
-    /// # Errors
-    /// [`Stale`].
     pub fn check_fresh(
         &self,
         answer: &SignedFreshness,
@@ -197,9 +194,6 @@ impl Trust {
     }
 
     /// Whether enough trusted keys signed `manifest`.
-    ///
-    /// # Errors
-    /// [`Untrusted`].
     pub fn check(&self, manifest: &Manifest) -> Result<(), Untrusted> {
         let bytes = signed_bytes(manifest);
         let signed = |(id, key): &&(String, VerifyingKey)| {

@@ -104,9 +104,6 @@ impl Metrics {
     }
 
     /// Keeps the page in `file`, whole at any time.
-    ///
-    /// # Errors
-    /// What the system says.
     pub fn write_page(&self, file: &Path) -> std::io::Result<()> {
         let new = file.with_extension("new");
         std::fs::write(&new, self.encode())?;

@@ -41,9 +41,6 @@ pub enum ExamineeError {
 
 /// Checks and diagnoses the case in `folder`, as the command line does with a robot file, runs and held-out
 /// runs.
-///
-/// # Errors
-/// [`ExamineeError`].
 pub fn diagnose(folder: &Path, options: Options) -> Result<Report, ExamineeError> {
     let failed = |path: &Path| {
         let path = path.to_owned();
@@ -89,9 +86,6 @@ pub fn diagnose(folder: &Path, options: Options) -> Result<Report, ExamineeError
 }
 
 /// As [`diagnose`], and writes `report.json` into the current folder.
-///
-/// # Errors
-/// [`ExamineeError`].
 pub fn write_report(folder: &Path, options: Options) -> Result<(), ExamineeError> {
     let text = serde_json::to_vec(&diagnose(folder, options)?)?;
     let path = PathBuf::from("report.json");

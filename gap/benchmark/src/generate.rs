@@ -45,9 +45,6 @@ struct Run {
 }
 
 /// Makes a case under `parent/<name>` and returns its answer.
-///
-/// # Errors
-/// [`GenerateError`].
 pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateError> {
     let rig = request.rig;
     let model = &rig.model;

@@ -52,9 +52,6 @@ pub struct Unknown {
 
 impl Null {
     /// Records a healthy `model` twice in each reference trial, in folders of `folder`.
-    ///
-    /// # Errors
-    /// [`GenerateError`].
     pub fn record(
         model: &Arc<RobotModel>,
         seed: u64,
@@ -138,9 +135,6 @@ impl Null {
     }
 
     /// Draws a robot with one effect of at least `least_d`. None where [`DRAWS`] draws gave none.
-    ///
-    /// # Errors
-    /// [`GenerateError`].
     pub fn hide(&self, seed: u64, least_d: f64) -> Result<Option<Unknown>, GenerateError> {
         let model = self.replayer.model();
         let key = Key {

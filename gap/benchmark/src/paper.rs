@@ -76,9 +76,6 @@ pub struct Pictures {
 
 /// Records the trials on a stand beside the logs of the ground in `folder`, of the same robot on the same
 /// day, as long as `go_on` says so, which is asked before each run.
-///
-/// # Errors
-/// [`GenerateError`].
 pub fn on_stand(
     file: LabFile,
     seed: u64,

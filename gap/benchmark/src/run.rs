@@ -60,9 +60,6 @@ pub struct Diagnoser {
 
 /// Makes the cases of `plans` under `root/cases` and seals their answers beside them. Returns (made, left out
 /// because they cannot be as large as asked for, with the reason).
-///
-/// # Errors
-/// [`BenchError`].
 pub fn generate(
     plans: &[Plan],
     root: &Path,
@@ -118,9 +115,6 @@ fn make(index: usize, plan: &Plan, cases: &Path) -> Result<Answer, GenerateError
 }
 
 /// Opens the answers of a set.
-///
-/// # Errors
-/// [`BenchError`].
 pub fn answers(root: &Path, secret: &[u8]) -> Result<Answers, BenchError> {
     let path = root.join(SEALED_NAME);
     let sealed = std::fs::read(&path).map_err(|source| BenchError::Io { path, source })?;
@@ -129,9 +123,6 @@ pub fn answers(root: &Path, secret: &[u8]) -> Result<Answers, BenchError> {
 
 /// Diagnoses every case of a set, `jobs` at a time, and judges it. The examiner opens the answers to learn
 /// which effects a case leaves out of the catalogue; the process that diagnoses never sees them.
-///
-/// # Errors
-/// [`BenchError`].
 pub fn diagnose(
     root: &Path,
     secret: &[u8],

@@ -98,9 +98,6 @@ pub fn true_salamander(file: LabFile, hidden: Hides) -> Result<String, GenerateE
 
 /// Makes a case under `parent/<name>` and returns its answer, as long as `go_on` says so, which is asked
 /// before each run.
-///
-/// # Errors
-/// [`GenerateError`].
 pub fn make(
     plan: &SalamanderPlan,
     parent: &Path,

@@ -30,9 +30,6 @@ pub fn seal(text: &[u8], secret: &[u8]) -> Vec<u8> {
 }
 
 /// Opens what [`seal`] made.
-///
-/// # Errors
-/// [`SealError`].
 pub fn open(sealed: &[u8], secret: &[u8]) -> Result<Vec<u8>, SealError> {
     if sealed.len() < TAG {
         return Err(SealError::Short);

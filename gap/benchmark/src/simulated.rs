@@ -29,9 +29,6 @@ pub struct Robot<'a> {
 
 /// Records a trial of the battery into the log folder `dir`. `run` counts the recordings of the day: each has
 /// its own friction and noise.
-///
-/// # Errors
-/// [`GenerateError`].
 pub fn record(
     robot: &Robot<'_>,
     trial: &excite::Trial,
@@ -54,9 +51,6 @@ pub fn record(
 }
 
 /// The same of any commands, a row each 10 ms.
-///
-/// # Errors
-/// [`GenerateError`].
 pub(crate) fn rows(
     robot: &Robot<'_>,
     rows_rad: &[Vec<f64>],

@@ -45,9 +45,6 @@ pub struct NullView {
 }
 
 /// Runs the null of a lab on its fit trials.
-///
-/// # Errors
-/// [`GenerateError`].
 pub fn null_view(rig: &Rig, trials: &[Trial], seed: u64) -> Result<NullView, GenerateError> {
     let world = lab(&rig.model, seed);
     let servos = rig.model.actuated().len();

@@ -48,9 +48,6 @@ impl Manifest {
     }
 
     /// Reads it back, with the same checks as one from the network.
-    ///
-    /// # Errors
-    /// [`RegistryError`].
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, RegistryError> {
         let decoded = crate::wire::registry::Manifest::decode(bytes);
         decoded.map_err(|_| RegistryError::Encoding)?.try_into()

@@ -22,9 +22,6 @@ pub struct Pty {
 
 impl Pty {
     /// A new one, raw.
-    ///
-    /// # Errors
-    /// What the system says.
     pub fn open() -> io::Result<Self> {
         let near = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY)?;
         grantpt(&near)?;
@@ -53,17 +50,11 @@ impl Pty {
     }
 
     /// The speed that the program at the far end has set.
-    ///
-    /// # Errors
-    /// What the system says.
     pub fn baud(&self) -> io::Result<u32> {
         Ok(tcgetattr(&self.far)?.output_speed())
     }
 
     /// What the program has sent, waiting at most `timeout`; 0 where that is nothing.
-    ///
-    /// # Errors
-    /// What the system says.
     pub fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
         match rustix::io::read(&self.near, &mut *buffer) {
             Err(rustix::io::Errno::AGAIN | rustix::io::Errno::INTR) => {}
@@ -86,9 +77,6 @@ impl Pty {
     }
 
     /// Sends to the program. Bytes that it does not take are lost, as on a wire.
-    ///
-    /// # Errors
-    /// What the system says.
     pub fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         match rustix::io::write(&self.near, bytes) {
             Ok(_) | Err(rustix::io::Errno::AGAIN | rustix::io::Errno::INTR) => Ok(()),

@@ -12,9 +12,6 @@ macro_rules! whole {
             )?
 
             /// Reads the CDR form.
-            ///
-            /// # Errors
-            /// [`CdrError`].
             pub fn decode(bytes: &[u8]) -> Result<Self, CdrError> {
                 Reader::new(bytes)?.get()
             }

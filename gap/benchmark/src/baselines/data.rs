@@ -125,9 +125,6 @@ pub(super) fn square(r: &[f64]) -> f64 {
 
 impl CaseData {
     /// Reads a case folder.
-    ///
-    /// # Errors
-    /// [`DataError`].
     pub fn read(folder: &Path) -> Result<Self, DataError> {
         let mut robot = None;
         let mut runs = Vec::new();

@@ -13,9 +13,6 @@ const POINTS: usize = 16;
 /// Baseline 2: covariance matrix adaptation on delay, armature, viscous and Coulomb friction, and bias
 /// (Hansen, "The CMA evolution strategy: a tutorial", 2016, with its default weights and rates). Names what
 /// moved most, in steps that matter.
-///
-/// # Errors
-/// [`DataError`].
 pub fn evolve(data: &CaseData, generations: usize) -> Result<(Fit, Vec<&'static str>), DataError> {
     // one parameter each
     const LIST: [&str; 5] = [

@@ -90,9 +90,6 @@ fn variance(normal: &[f64], n: usize, i: usize) -> Option<f64> {
 }
 
 /// Damped Gauss–Newton with differences, from `start`.
-///
-/// # Errors
-/// [`DataError`].
 pub fn least_squares(data: &CaseData, start: Variant) -> Result<Fit, DataError> {
     let mut terms = start;
     let scales: Vec<f64> = (slots(&terms).into_iter())
@@ -174,9 +171,6 @@ pub(super) fn named(
 
 /// Baseline 1, as identification tools do: every one of a fixed list is fitted, and every one whose 95 %
 /// interval leaves nothing out is "found". Returns the fit and the names, strongest first.
-///
-/// # Errors
-/// [`DataError`].
 pub fn fit_all(data: &CaseData) -> Result<(Fit, Vec<&'static str>), DataError> {
     const LIST: [&str; 9] = [
         "command_delay",
@@ -227,9 +221,6 @@ fn with_sizes<'a>(
 
 /// The true structure (effects with their joints), fitted: what a perfect name would be worth on held-out
 /// runs. `None` where the catalogue lacks it.
-///
-/// # Errors
-/// [`DataError`].
 pub fn oracle(data: &CaseData, truth: &[(String, String)]) -> Result<Option<Fit>, DataError> {
     let model = data.model();
     let names = model.actuated_names();
@@ -270,9 +261,6 @@ fn best_of(data: &CaseData, starts: Vec<Variant>, most: usize) -> Result<Option<
 }
 
 /// Baseline 3: forward selection by the Bayesian information criterion on fit data.
-///
-/// # Errors
-/// [`DataError`].
 pub fn forward_selection(data: &CaseData) -> Result<(Fit, Vec<&'static str>), DataError> {
     const MOST: usize = 4;
     let candidates = data.candidates();

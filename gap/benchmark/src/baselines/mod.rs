@@ -42,9 +42,6 @@ pub const NAMES: [&str; 5] = [
 ];
 
 /// Every baseline on a case, and the oracle where the truth has a knob.
-///
-/// # Errors
-/// [`DataError`].
 pub fn all(folder: &Path, answer: &Answer) -> Result<Vec<BaselineOutcome>, DataError> {
     let data = CaseData::read(folder)?;
     let mut out = Vec::new();

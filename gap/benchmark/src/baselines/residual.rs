@@ -52,9 +52,6 @@ fn series(part: &Part, s: &Segment, shown: &[f32], kind: Kind, index: usize) -> 
 }
 
 /// Error on held-out runs after over before, geometric mean over channels.
-///
-/// # Errors
-/// [`DataError`].
 pub fn holdout_ratio(data: &CaseData) -> Result<f64, DataError> {
     let nominal = [Variant::new()];
     let shown = |part: &Part| data.replayer.predict(&part.data, &nominal);
