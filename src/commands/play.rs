@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use caudata_config::ConfigArgs;
-use caudata_live::{LivePage, Policy, Show, TakeChange};
+use caudata_live::{LivePage, Policy, Show, Training};
 use caudata_sim::TerrainKind;
 use caudata_studies::{files, flags};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
@@ -51,12 +51,12 @@ pub struct PageArgs {
 }
 
 impl PageArgs {
-    /// Serves a live page; `take` takes changes of a training.
+    /// Serves a live page.
     ///
     /// # Errors
     /// When the address cannot be had.
-    pub fn serve(&self, show: Show, take: Option<TakeChange>) -> Result<LivePage, Failure> {
-        let page = LivePage::start(self.page, show, take).or_exit(ExitCode::OsResource)?;
+    pub fn serve(&self, show: Show, training: Option<Training>) -> Result<LivePage, Failure> {
+        let page = LivePage::start(self.page, show, training).or_exit(ExitCode::OsResource)?;
         if !self.page.ip().is_loopback() {
             tracing::warn!(
                 "the live page is not encrypted: whoever reads the network reads its token"

@@ -223,8 +223,8 @@ impl Run {
     }
 }
 
-/// The runs in a folder, by name: names begin with the time.
-fn within(folder: &Path) -> Result<Vec<Run>, Failure> {
+/// The folders of the runs in a folder, by name: names begin with the time.
+fn dirs(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     let entries = std::fs::read_dir(folder).or_exit_with(ExitCode::NoInput, || {
         format!("cannot read {}", folder.display())
     })?;
@@ -234,6 +234,11 @@ fn within(folder: &Path) -> Result<Vec<Run>, Failure> {
         .filter(|path| path.join("run_id.txt").is_file() && path.join("config.toml").is_file())
         .collect();
     dirs.sort();
+    Ok(dirs)
+}
+
+/// The runs in a folder, in that order.
+fn within(folder: &Path) -> Result<Vec<Run>, Failure> {
     let read = |dir: PathBuf| match Run::read(&dir) {
         Ok(run) => Some(run),
         Err(failure) => {
@@ -241,10 +246,38 @@ fn within(folder: &Path) -> Result<Vec<Run>, Failure> {
             None
         }
     };
-    Ok(dirs.into_iter().filter_map(read).collect())
+    Ok(dirs(folder)?.into_iter().filter_map(read).collect())
 }
 
-fn compare(runs: &[Run], as_json: bool) -> Result<(), Failure> {
+/// The run in a folder beside another one in the folder above it: without a name the names that there are, the
+/// newest first, at most 100; with one, what [`compare`] finds and the other's return by iteration.
+///
+/// # Errors
+/// When a run cannot be read, or there is none of that name.
+pub fn beside(run: &Path, other: Option<&str>) -> Result<Value, Failure> {
+    /// Most points of a curve.
+    const CURVE_POINTS: usize = 512;
+    let run = run.canonicalize().or_exit(ExitCode::NoInput)?;
+    let dirs = dirs(run.parent().unwrap_or(&run))?;
+    let others = dirs.iter().rev().filter(|dir| **dir != run).take(100);
+    let mut others = others.filter_map(|dir| Some((dir.file_name()?.to_str()?, dir)));
+    let Some(other) = other else {
+        return Ok(others.map(|(name, _)| name).collect());
+    };
+    let found = others.find(|(name, _)| *name == other);
+    let (_, dir) = found.ok_or_else(|| {
+        Failure::message(ExitCode::NoInput, format!("there is no run {other} here"))
+    })?;
+    let runs = [Run::read(&run)?, Run::read(dir)?];
+    let mut both = compared(&runs);
+    let iterations = &runs[1].iterations;
+    let every = iterations.len().div_ceil(CURVE_POINTS).max(1);
+    let curve = iterations.iter().step_by(every);
+    both["curve"] = curve.map(|i| json!([i.iteration, i.mean_return])).collect();
+    Ok(both)
+}
+
+fn compared(runs: &[Run]) -> Value {
     let longest = runs
         .iter()
         .filter_map(|run| run.iterations.last())
@@ -257,28 +290,36 @@ fn compare(runs: &[Run], as_json: bool) -> Result<(), Failure> {
         let of = |&at: &u64| runs.iter().map(|run| run.at(at, value)).collect();
         steps.iter().map(of).collect()
     };
-    let returns = curve(|i| i.mean_return);
-    let differing = differing(runs);
-    let found = json!({
+    let settings = differing(runs);
+    json!({
         "runs": runs.iter().map(Run::summary).collect::<Vec<_>>(),
         "gates_missed": runs.iter().map(Run::missed).collect::<Vec<_>>(),
         "env_steps": steps,
-        "episode_return": returns,
-        "settings": differing.iter().map(|(key, values)| json!({ "key": key, "values": values })).collect::<Vec<_>>(),
-    });
-    say::either(as_json, &found, |_| {
+        "episode_return": curve(|i| i.mean_return),
+        "settings": settings.iter().map(|(key, values)| json!({ "key": key, "values": values })).collect::<Vec<_>>(),
+    })
+}
+
+fn compare(runs: &[Run], as_json: bool) -> Result<(), Failure> {
+    say::either(as_json, &compared(runs), |found| {
         let names: Vec<String> = runs.iter().map(Run::name).collect();
         let row = |first: String, cells: Vec<String>| [vec![first], cells].concat();
         let head = |first: &str| row(first.to_owned(), names.clone());
         say::line("return per episode after so many environment steps");
-        let rows = steps.iter().zip(&returns);
-        let rows = rows.map(|(at, values)| row(at.to_string(), values.iter().map(cell).collect()));
+        let list = |value: &Value| value.as_array().cloned().unwrap_or_default();
+        let rows = list(&found["env_steps"])
+            .into_iter()
+            .zip(list(&found["episode_return"]));
+        let rows = rows.map(|(at, values)| {
+            let cells = list(&values).into_iter().map(|value| cell(&value.as_f64()));
+            row(at.to_string(), cells.collect())
+        });
         say::table(&[], std::iter::once(head("steps")).chain(rows));
         say::line("\nevaluation at the end");
         say::table(&[], std::iter::once(head("")).chain(evaluations(runs)));
         say::line("\nsettings that differ");
-        let rows = differing.iter();
-        let rows = rows.map(|(key, values)| row(key.clone(), values.clone()));
+        let rows = differing(runs).into_iter();
+        let rows = rows.map(|(key, values)| row(key, values));
         say::table(&[], std::iter::once(head("key")).chain(rows));
     })
 }

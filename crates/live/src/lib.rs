@@ -21,6 +21,7 @@ use std::thread::JoinHandle;
 use caudata_telemetry::progress::{Changed, Iteration};
 use caudata_telemetry::{HttpServer, ServeError};
 use serde::Serialize;
+use serde_json::Value;
 
 pub use order::Order;
 pub use performance::{Policy, Show};
@@ -33,6 +34,18 @@ const ORDERS_WAITING_MAX: usize = 64;
 
 /// Takes settings, `key=value` each, that a training shall change to; or says in a line what is wrong.
 pub type TakeChange = Box<dyn Fn(&[String]) -> Result<(), String> + Send + Sync>;
+
+/// Shows a training beside another run: the names of those that there are, or, asked for one of them, the two side
+/// by side; or says in a line what is wrong.
+pub type LookBeside = Box<dyn Fn(Option<&str>) -> Result<Value, String> + Send + Sync>;
+
+/// What the page of a training can do besides.
+pub struct Training {
+    /// Takes its changes.
+    pub take: TakeChange,
+    /// Shows it beside other runs.
+    pub beside: LookBeside,
+}
 
 /// What may change in a training, and what has.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -67,17 +80,17 @@ pub struct LivePage {
 }
 
 impl LivePage {
-    /// Serves `show` at `addr` (port 0: any free port); `take` is what takes changes of a training.
+    /// Serves `show` at `addr` (port 0: any free port).
     ///
     /// # Errors
     /// When the address is taken, or the system refuses a thread.
     pub fn start(
         addr: SocketAddr,
         show: Show,
-        take: Option<TakeChange>,
+        training: Option<Training>,
     ) -> Result<Self, LiveError> {
         let token = token()?;
-        let change = match take {
+        let change = match training {
             Some(_) => self::token()?,
             None => String::new(),
         };
@@ -87,7 +100,7 @@ impl LivePage {
             token: token.clone(),
             change: change.clone(),
             orders: sender,
-            take: take.map(Arc::from),
+            training: training.map(Arc::new),
         };
         let router = server::router(&show.title(), doors, Arc::clone(&hub));
         let server = HttpServer::start(addr, "the live page", router)?;

@@ -1,5 +1,5 @@
 //! The page over HTTP: `/` is the page, `/events` what happens, `/order` what is asked of the robot, `/change` what
-//! is asked of a training.
+//! is asked of a training, `/beside` that training beside other runs.
 
 use std::sync::Arc;
 
@@ -17,6 +17,7 @@ use caudata_telemetry::Connection;
 use crossbeam_channel::{Sender, TrySendError};
 use tokio_stream::wrappers::ReceiverStream;
 
+use crate::Training;
 use crate::hub::Hub;
 use crate::order::Order;
 
@@ -36,7 +37,8 @@ const CLOSED: &str = "This page opens only at the address that caudata printed i
 
 const FRAME: &str = include_str!("page/live.html");
 const STYLE: &str = include_str!("page/live.css");
-const SCRIPT: [&str; 4] = [
+const SCRIPT: [&str; 5] = [
+    include_str!("page/beside.js"),
     include_str!("page/charts.js"),
     include_str!("page/drive.js"),
     include_str!("page/settings.js"),
@@ -50,10 +52,8 @@ pub struct Doors {
     /// To change a training.
     pub change: String,
     pub orders: Sender<Order>,
-    pub take: Option<Arc<Take>>,
+    pub training: Option<Arc<Training>>,
 }
-
-type Take = dyn Fn(&[String]) -> Result<(), String> + Send + Sync;
 
 struct Shared {
     page: Bytes,
@@ -91,6 +91,7 @@ pub fn router(title: &str, doors: Doors, hub: Arc<Hub>) -> Router {
         .route("/", get(page_of))
         .route("/events", get(events))
         .route("/order", post(order))
+        .route("/beside", post(beside))
         .route(
             "/change",
             post(change).layer(DefaultBodyLimit::max(CHANGE_BYTES_MAX)),
@@ -165,7 +166,7 @@ async fn change(
     body: Bytes,
 ) -> Response {
     let given = headers.get(CHANGE_HEADER).and_then(|v| v.to_str().ok());
-    let Some(take) = shared.doors.take.clone().filter(|_| {
+    let Some(training) = shared.doors.training.clone().filter(|_| {
         shared.admits(&uri, &headers) && is_token(given.unwrap_or_default(), &shared.doors.change)
     }) else {
         return (StatusCode::FORBIDDEN, CLOSED).into_response();
@@ -175,8 +176,31 @@ async fn change(
         Err(wrong) => return (StatusCode::BAD_REQUEST, format!("{wrong}\n")).into_response(),
     };
     // It writes a file: not on the thread that streams.
-    match tokio::task::spawn_blocking(move || take(&set)).await {
+    match tokio::task::spawn_blocking(move || (training.take)(&set)).await {
         Ok(Ok(())) => StatusCode::NO_CONTENT.into_response(),
+        Ok(Err(wrong)) => (StatusCode::BAD_REQUEST, format!("{wrong}\n")).into_response(),
+        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
+    }
+}
+
+/// The name of a run, or null for those that there are.
+async fn beside(
+    State(shared): State<Arc<Shared>>,
+    uri: Uri,
+    headers: HeaderMap,
+    body: Bytes,
+) -> Response {
+    let training = shared.doors.training.clone();
+    let Some(training) = training.filter(|_| shared.admits(&uri, &headers)) else {
+        return (StatusCode::FORBIDDEN, CLOSED).into_response();
+    };
+    let run = match serde_json::from_slice::<Option<String>>(&body) {
+        Ok(run) => run,
+        Err(wrong) => return (StatusCode::BAD_REQUEST, format!("{wrong}\n")).into_response(),
+    };
+    // It reads files: not on the thread that streams.
+    match tokio::task::spawn_blocking(move || (training.beside)(run.as_deref())).await {
+        Ok(Ok(found)) => (private("application/json"), found.to_string()).into_response(),
         Ok(Err(wrong)) => (StatusCode::BAD_REQUEST, format!("{wrong}\n")).into_response(),
         Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
     }

@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use caudata_config::{CHANGES, Changes, Config, ConfigArgs, Source, TransportKind};
-use caudata_live::{LivePage, Policy, Show};
+use caudata_live::{LivePage, Policy, Show, Training};
 use caudata_model::RobotModel;
 use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
@@ -25,6 +25,7 @@ use clap::{Args, ValueEnum};
 
 use crate::commands::play::PageArgs;
 use crate::commands::robot::load as load_robot;
+use crate::commands::runs;
 use crate::say;
 pub use children::Programs;
 use desk::Desk;
@@ -164,7 +165,12 @@ fn live_page(
         Ok(_) => Ok(()),
         Err(error) => Err(error.to_string()),
     };
-    match args.page.serve(show, Some(Box::new(take))) {
+    let run = folder.root().to_owned();
+    let training = Training {
+        take: Box::new(take),
+        beside: Box::new(move |other| runs::beside(&run, other).map_err(|why| why.to_string())),
+    };
+    match args.page.serve(show, Some(training)) {
         Ok(page) => {
             view.note(&format!("live at {}", page.address()));
             view.note(&format!("change it at {}", page.changing_address()));

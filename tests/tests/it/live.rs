@@ -164,6 +164,7 @@ fn a_stranger_sees_nothing_and_changes_nothing() {
             format!("GET /?token={token}"),
             format!("GET /events?token={token}"),
             format!("POST /order?token={token}"),
+            format!("POST /beside?token={token}"),
             format!("GET /else?token={token}"),
         ] {
             let answer = served.ask(&line, "", r#"{"do":"restart"}"#);
@@ -343,8 +344,20 @@ fn a_training_is_changed_with_the_token_for_it_and_not_without() {
     assert_eq!(tune(&set).status.code(), Some(66), "nothing runs any more");
 }
 
+/// A run beside another one: the same until now, of another seed.
+fn copy_of(run: &Path) {
+    let other = run.with_file_name("other");
+    std::fs::create_dir(&other).unwrap();
+    std::fs::copy(run.join("run_id.txt"), other.join("run_id.txt")).unwrap();
+    std::fs::copy(run.join("progress.jsonl"), other.join("progress.jsonl")).unwrap();
+    let config = std::fs::read_to_string(run.join("config.toml")).unwrap();
+    let other_seed = config.replace("\nseed = 1\n", "\nseed = 77\n");
+    assert_ne!(config, other_seed);
+    std::fs::write(other.join("config.toml"), other_seed).unwrap();
+}
+
 #[test]
-fn a_browser_changes_a_weight() {
+fn a_browser_changes_a_weight_and_compares_two_runs() {
     let Some(mut browser) = Browser::start() else {
         return skipped("there is no Chromium here");
     };
@@ -371,6 +384,22 @@ fn a_browser_changes_a_weight() {
     browser.until("document.querySelector('#settings-made li').textContent.includes('power=-0.2')");
     let record = std::fs::read_to_string(run.join("changes.toml")).unwrap();
     assert!(record.contains("power=-0.2"), "{record}");
+
+    copy_of(&run);
+    send(&mut browser, "-0.3");
+    browser.until("document.querySelector('#beside-run option[value=other]')");
+    browser.evaluate(
+        "{ const s = document.getElementById('beside-run'); s.value = 'other'; s.onchange(); }",
+    );
+    let table = "document.getElementById('beside-table').textContent";
+    browser.until(&format!("{table}.includes('run.seed177')"));
+    let refused = served.ask(
+        "POST /beside",
+        &format!("x-caudata-token: {}\r\n", served.token),
+        r#""../run""#,
+    );
+    assert!(refused.starts_with("HTTP/1.1 400"), "{refused}");
+
     browser.width(390);
     browser.until("document.documentElement.scrollWidth <= 390");
     let errors = browser.evaluate("document.documentElement.dataset.errors");

@@ -45,6 +45,7 @@ caudata.Training = class {
     this.points = [];
     this.marks = [];
     this.hidden = new Set();
+    this.other = [];
     for (const name of ["return", "terms"]) this[name] = new caudata.Sheet(document.getElementById(`plot-${name}`));
   }
 
@@ -58,6 +59,9 @@ caudata.Training = class {
 
   // Where settings changed.
   mark(made) { this.marks = made.map(({ iteration }) => iteration); this.show(); }
+
+  // The curve of another run, [iteration, return] each.
+  beside(curve) { this.other = (curve || []).filter(([, value]) => value !== null); this.show(); }
 
   show() {
     const last = this.points.at(-1);
@@ -80,10 +84,10 @@ caudata.Training = class {
     document.getElementById("figures").replaceChildren(...shown.map(([value, label]) => el("div", { class: "card" }, el("b", {}, value), el("span", {}, label))));
   }
 
-  axes(sheet, values) {
+  axes(sheet, values, until = 0) {
     const xs = this.points.map((p) => p.iteration);
     const { width, height } = sheet.begin();
-    const axes = sheet.axes({ box: [62, 8, width - 10, height - 38], x: [xs[0], Math.max(xs.at(-1), xs[0] + 1)], y: caudata.range(values, 0.1), xTicks: 5, yTicks: 5, xLabel: "iteration" });
+    const axes = sheet.axes({ box: [62, 8, width - 10, height - 38], x: [xs[0], Math.max(xs.at(-1), xs[0] + 1, until)], y: caudata.range(values, 0.1), xTicks: 5, yTicks: 5, xLabel: "iteration" });
     for (const at of this.marks) sheet.line(axes, [at, at], axes.y, sheet.theme.command, 1, [2, 3]);
     return [axes, xs];
   }
@@ -92,7 +96,9 @@ caudata.Training = class {
     const values = this.points.map((p) => p.mean_return ?? NaN);
     const from = values.findIndex(Number.isFinite);
     if (from < 0) return this.return.empty("no episode has ended yet");
-    const [axes, xs] = this.axes(this.return, [values]);
+    const other = [0, 1].map((i) => this.other.map((point) => point[i]));
+    const [axes, xs] = this.axes(this.return, [values, other[1]], other[0].at(-1));
+    this.return.line(axes, ...other, this.return.theme.command, 1.5, [5, 4]);
     return this.return.line(axes, xs.slice(from), values.slice(from), this.return.theme.accent, 2);
   }
 

@@ -143,6 +143,7 @@ caudata.start = () => {
   const state = (text, kind) => { $("state").textContent = text; $("dot").className = `dot ${kind}`; };
   const orders = new caudata.Orders(token, note);
   const training = new caudata.Training();
+  const beside = new caudata.Beside(token, (curve) => training.beside(curve));
   const settings = new caudata.Settings(token, new URLSearchParams(location.search).get("change") || "");
   let live = null, source = null;
 
@@ -157,7 +158,7 @@ caudata.start = () => {
     policy, note,
     history: (points) => training.restore(points),
     training: (point) => training.add(point),
-    settings: (now) => { settings.show(now); training.mark(now.made); },
+    settings: (now) => { settings.show(now); training.mark(now.made); beside.list(); },
   };
   const open = () => {
     if (source || document.hidden) return;

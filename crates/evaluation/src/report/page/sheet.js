@@ -62,6 +62,9 @@ caudata.Sheet = class {
     ctx.textBaseline = base;
     ctx.translate(x, y);
     if (turn) ctx.rotate(turn);
+    // readable where a curve passes
+    ctx.strokeStyle = this.theme.card; ctx.lineWidth = 3;
+    ctx.strokeText(text, 0, 0);
     ctx.fillText(text, 0, 0);
     ctx.restore();
   }
@@ -131,6 +134,10 @@ caudata.Sheet = class {
 
   key(entries, x, y) {
     const { ctx } = this;
+    // on a telephone the words are smaller, so that all of them are there
+    const needed = entries.reduce((sum, { label }) => sum + 36 + ctx.measureText(label).width, 0);
+    ctx.save();
+    ctx.font = ctx.font.replace("12px", `${Math.max(7, 12 * Math.min(1, (this.width - x) / needed))}px`);
     for (const { label, color, band, dash = [], dot } of entries) {
       if (band) { ctx.fillStyle = color; ctx.fillRect(x, y - 5, 18, 10); }
       else if (dot) { ctx.fillStyle = color; ctx.beginPath(); ctx.arc(x + 9, y, 3.5, 0, 7); ctx.fill(); }
@@ -138,6 +145,7 @@ caudata.Sheet = class {
       this.text(label, x + 23, y, { color: this.theme.soft });
       x += 36 + ctx.measureText(label).width;
     }
+    ctx.restore();
   }
 };
 
