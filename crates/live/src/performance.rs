@@ -22,6 +22,8 @@ const PATIENCE: Duration = Duration::from_millis(100);
 const NEWER_EVERY: Duration = Duration::from_millis(500);
 /// How far it may be late; then the time is lost, not caught up.
 const LATE_MAX: Duration = Duration::from_millis(200);
+/// At what share of its fastest command it begins to walk.
+const PACE: f32 = 0.6;
 /// Pause after something went wrong, before it starts anew.
 const TROUBLE_PAUSE: Duration = Duration::from_secs(1);
 
@@ -132,7 +134,14 @@ fn enter(show: &Show, hub: &Hub, newest: &mut Newest) -> Result<Stage, Evaluatio
         Policy::Fixed(policy) => Some(policy),
         _ => found.as_ref(),
     };
-    let stage = Stage::new(&show.config, &show.model, policy.map(AsRef::as_ref))?;
+    let mut stage = Stage::new(&show.config, &show.model, policy.map(AsRef::as_ref))?;
+    if policy.is_some() {
+        // whoever opens the page sees it walk, before anything is pressed
+        let vx_max_mps = show.config.task.command.vx_mps[1];
+        stage.obey(&Order::Drive {
+            velocity: [PACE * vx_max_mps, 0.0, 0.0],
+        })?;
+    }
     hub.keep("robot", &stage.robot());
     tell_policy(hub, policy.map(AsRef::as_ref));
     hub.keep("ground", &stage.ground());
