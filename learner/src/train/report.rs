@@ -32,6 +32,8 @@ pub(super) struct Reporter {
     /// Seconds by part of the work until the last iteration.
     spans: [f64; Part::ALL.len()],
     said: bool,
+    /// It has said that episodes end at once.
+    doubted: bool,
 }
 
 /// One finished iteration.
@@ -60,6 +62,11 @@ pub(super) struct IterationReport<'a> {
     pub eta_s: f64,
 }
 
+/// From this iteration on it is said when episodes are shorter than [`AT_ONCE`] control steps: nothing can be
+/// learned from such.
+const DOUBT_FROM: u64 = 3;
+const AT_ONCE: f64 = 5.0;
+
 impl Reporter {
     pub fn new(
         run_dir: &Path,
@@ -77,6 +84,7 @@ impl Reporter {
             counted: (0, 0),
             spans: spans::totals(),
             said: false,
+            doubted: false,
         };
         match EventFile::create(run_dir, unix_time_s()) {
             Ok(file) => reporter.tensorboard = Some(file),
@@ -110,6 +118,17 @@ impl Reporter {
         self.update_metrics(report, &event);
         self.write_scalars(report, &event);
         history.push(point_of(report, &event));
+        if !self.doubted && event.iteration >= DOUBT_FROM {
+            self.doubted = event.mean_episode_length.is_some_and(|n| n < AT_ONCE);
+            if self.doubted {
+                let steps = event.mean_episode_length.unwrap_or_default();
+                self.warn(format!(
+                    "episodes end after {steps:.1} control steps: either the simulation of this robot breaks down, or \
+                     a condition of [task.termination] holds from the start. `caudata robot check` swings every joint \
+                     and says what is wrong"
+                ));
+            }
+        }
         self.event(&Event::Iteration(Box::new(event)));
     }
 

@@ -97,6 +97,23 @@ fn files_like(folder: &Path, part: &str) -> Vec<PathBuf> {
     found
 }
 
+/// A robot that is over at its first step learns nothing for ever: said once, with where to look.
+#[test]
+fn episodes_that_end_at_once_are_told_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let flags = [
+        "--iterations",
+        "5",
+        "--set",
+        "task.termination.com_height_m=[0.5, 1.0]",
+        "--set",
+        "evaluation.robot_run_s=1",
+    ];
+    let done = finish(train(&folder.path().join("run"), &flags).unwrap()).unwrap();
+    let told = done.stdout.matches("robot check").count();
+    assert_eq!(told, 1, "{}", done.stdout);
+}
+
 #[test]
 fn trains_end_to_end_in_one_process() {
     trains_end_to_end("inproc");
