@@ -148,8 +148,8 @@ fn cause(number: usize, cause: &Cause) {
         place(&cause.location),
         100.0 * cause.confidence,
         match cause.alternatives.is_empty() {
-            true => String::new(),
-            false => format!(" in it or {}", cause.alternatives.join(" or ")),
+            true => "",
+            false => ", its name open",
         }
     ));
     if !cause.assumed.is_empty() {

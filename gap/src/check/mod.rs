@@ -188,7 +188,10 @@ pub fn check(logs: &[(&str, &RunLog)], robot: &RobotModel) -> Checked {
 /// Kind of a note that something stands on an assumed figure of the robot file.
 pub(crate) const ASSUMED: &str = "assumed";
 
-/// Joints that turn faster than an assumed figure lets them have their torque.
+/// Nearly as fast (speeds are means over 60 ms) as an assumed figure, as a share of it.
+const NEARLY: f64 = 0.75;
+
+/// Joints that turn about as fast as an assumed figure lets them have their torque, or faster.
 fn assumed(robot: &RobotModel, runs: &[RunExcitation]) -> Vec<DataFault> {
     let of = |(a, name): (usize, &&str)| {
         let own = runs
@@ -197,7 +200,7 @@ fn assumed(robot: &RobotModel, runs: &[RunExcitation]) -> Vec<DataFault> {
         let fastest = own.map(|j| j.speed_max_radps).fold(0.0, f64::max);
         let full = robot.servo(a).qd_tau_max_radps;
         let path = robot.assumed_of_servo(a, "qd_tau_max_radps")?;
-        (fastest > full).then(|| DataFault {
+        (fastest > NEARLY * full).then(|| DataFault {
             kind: ASSUMED.to_owned(),
             location: (*name).to_owned(),
             detail: format!(

@@ -26,7 +26,7 @@ pub fn indistinguishable(a: &State, b: &State) -> bool {
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
 pub fn trades(context: &Context, model: &State, other: &Term) -> Result<bool, GapError> {
-    const LEFT: f64 = 0.02;
+    const LEFT: f64 = 0.1;
     let own: usize = model.terms.iter().map(|t| t.values.len()).sum();
     let mut terms = model.terms.clone();
     terms.push(Term {

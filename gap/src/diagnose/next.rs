@@ -136,7 +136,9 @@ fn between_names(
         separates: separates.clone(),
     };
     if let Some(weight) = known_weight(context.replayer.model(), &pair) {
-        let weighted = most_telling(context, request, &pair, |_| true, Some(&weight))?;
+        // a weight is not let fall
+        let held = |t: &excite::Trial| t.on.is_empty();
+        let weighted = most_telling(context, request, &pair, held, Some(&weight))?;
         let least_rad = WORTH_A_WEIGHT * bare.as_ref().map_or(0.0, |b| b.1);
         if let Some((trial, apart_rad)) = weighted.filter(|w| w.1 > least_rad) {
             let [x, y, z] = weight.at_m;

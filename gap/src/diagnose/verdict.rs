@@ -341,9 +341,10 @@ fn cause(
             );
             rejected.push(Rejected { effect: id, reason });
         } else if rival.in_set {
-            // two names for the very same motions are one hypothesis, as far as these runs go
+            // two names for the very same motions are one hypothesis, as far as these runs go, if they are of
+            // one kind: a delay is a delay, and less torque is no more weight
             let same = indistinguishable(best, &rival.state);
-            if same {
+            if same && other.effect.layer == term.effect.layer {
                 same_name += rival.probability;
             }
             if !alternatives.contains(&id) {

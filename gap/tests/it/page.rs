@@ -352,6 +352,7 @@ fn the_page_is_whole_and_needs_nothing_else() {
         "the same at FR_knee",
         "Leads",
         "Pre sliding",
+        "It corrects what the robot file assumes",
     ] {
         assert!(
             page.contains(part) || page.contains(&part.replace("command", "Command")),
