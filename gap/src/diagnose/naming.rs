@@ -46,6 +46,9 @@ const GREAT_SHARE_OF_FIT: f64 = 0.6;
 const MORE_TOGETHER: f64 = 0.25;
 /// … and this one off what it leaves in cross-validation.
 const MORE_TOGETHER_CROSS: f64 = 0.2;
+/// Effects that together say the same as others are named if by themselves they do less than this share of
+/// what those do.
+const FAR_LESS: f64 = 0.5;
 /// A rival that is so many times as probable takes a cause's place.
 const FAR_MORE: f64 = 2.0;
 /// After so many steps causes are dropped only.
@@ -127,6 +130,7 @@ fn put_right(
     let new = |s: &State| !seen.contains(&s.key());
     let rivals: Vec<&Rival> = named.rivals.iter().filter(|r| new(&r.state)).collect();
     let other = simpler(context, best, named, &rivals)
+        .or(less_of_each(context, best, &rivals)?)
         .or_else(|| more_probable(context, found, named, &rivals));
     if other.is_some() || !is_a_cause(context, found, named) {
         return Ok(other);
@@ -166,6 +170,47 @@ fn simpler(context: &Context, best: &State, named: &Named, rivals: &[&Rival]) ->
         by_size.then(a.short.total_cmp(&b.short))
     })?;
     Some(first.state.clone())
+}
+
+/// The one of `rivals` that predicts the very same with as many parameters, and whose effects do far less each
+/// by themselves: where two combinations come to the same, effects that cancel each other are the less likely
+/// ones (a gain of a half beside a rise of both gains by a half, for a gain and a damping that are a little off).
+fn less_of_each(
+    context: &Context,
+    best: &State,
+    rivals: &[&Rival],
+) -> Result<Option<State>, GapError> {
+    let model = context.replayer.model();
+    let same = |r: &&&Rival| {
+        r.in_set
+            && r.state.terms.len() > 1
+            && r.state.parameters(model) == best.parameters(model)
+            && chances(&r.state) == chances(best)
+            && indistinguishable(best, &r.state)
+    };
+    let mut least = None;
+    let mut own = None;
+    for rival in rivals.iter().filter(same) {
+        let own = match own {
+            Some(own) => own,
+            None => *own.insert(by_themselves(context, &best.terms)?),
+        };
+        let other = by_themselves(context, &rival.state.terms)?;
+        if other < FAR_LESS * own && least.as_ref().is_none_or(|(l, _)| other < *l) {
+            least = Some((other, rival.state.clone()));
+        }
+    }
+    Ok(least.map(|(_, state)| state))
+}
+
+/// Sum of the mean squares of what each of `terms` does alone to the robot as given, floors.
+fn by_themselves(context: &Context, terms: &Variant) -> Result<f64, GapError> {
+    let mut variants: Vec<Variant> = vec![Vec::new()];
+    variants.extend(terms.iter().map(|t| vec![t.clone()]));
+    let predictions = context.replayer.predict(&context.fit.data, &variants)?;
+    let judge = &context.fit;
+    let alone = |p: &Vec<f32>| judge.misfit(&judge.change(p, &predictions[0]));
+    Ok(predictions[1..].iter().map(alone).sum())
 }
 
 /// How many joints have the size of another one by chance: places of effects of joints that are several

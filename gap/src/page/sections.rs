@@ -37,11 +37,20 @@ pub fn effect_name(effect: &str) -> String {
     }
 }
 
-/// What a confidence is in: a name, or it and those that explain the runs as well.
+/// What a confidence is in: a name, or it and those of its layer that explain the runs as well; and what else
+/// does.
 fn among_rivals(cause: &Cause) -> String {
-    let names = std::iter::once(&cause.effect).chain(&cause.alternatives);
-    let names: Vec<String> = names.map(|name| effect_name(name).to_lowercase()).collect();
-    names.join(" or ")
+    let of_layer =
+        |id: &&String| crate::effects::find(id).is_some_and(|e| e.layer.name() == cause.layer);
+    let (same, others): (Vec<&String>, Vec<&String>) =
+        cause.alternatives.iter().partition(of_layer);
+    let lower = |id: &String| effect_name(id).to_lowercase();
+    let names: Vec<String> = [&cause.effect].into_iter().chain(same).map(lower).collect();
+    let others: Vec<String> = others.into_iter().map(lower).collect();
+    match others.as_slice() {
+        [] => names.join(" or "),
+        _ => format!("{}; as good: {}", names.join(" or "), others.join(", ")),
+    }
 }
 
 /// Figures under the headline.
