@@ -17,7 +17,7 @@ pub fn run(args: &WithJson<session::Plan>, process: &Process) -> Result<(), Fail
         say::line(format!("\n{:?}: {}", found.ending, found.reason));
         if let Some(folder) = &found.diagnosis {
             say::line(format!(
-                "report.html, report.json and extended.robot.toml are in {}",
+                "report.html, report.json and extended.robot.toml (if there is one) are in {}",
                 folder.display()
             ));
         }

@@ -86,8 +86,11 @@ pub fn draw(plan: &Plan, steps: &mut Steps<'_>) -> Result<Drawn, Failure> {
         return Err(Failure::outcome(ExitCode::DataFault, report.summary));
     }
     let robots = Robots {
+        extended: match diagnosis::carries(&report) {
+            true => diagnosis.out.join(diagnosis::EXTENDED),
+            false => diagnosis.robot.clone(),
+        },
         given: diagnosis.robot,
-        extended: diagnosis.out.join(diagnosis::EXTENDED),
         truth: plan.out.join(TRUTH),
     };
     let model = Arc::new(files::robot(&robots.given)?);
