@@ -197,7 +197,7 @@ impl Effect {
             _ => None,
         };
         let high = self.value(model, place, index, p.high);
-        (there.map_or(low, |there| low.max(-there)), high)
+        (there.map_or(low, |there| low.max(0.0 - there)), high)
     }
 
     /// Whether parameter `index` wants to go further than is plausible: its value lies on a bound. Without

@@ -223,7 +223,7 @@ pub fn map(recordings: &[Recording], robot: &RobotModel) -> Result<Drafted, Impo
 /// Most rows by which a reading may come after its command.
 const MOST_LAG: usize = 40;
 /// A reading differs from the command that it follows by no more than this share of its variance.
-const FOLLOWS: f64 = 0.3;
+const FOLLOWS: f64 = 0.6;
 /// Fewest rows that tell which of two columns follows the other.
 const FEWEST_ROWS: usize = 50;
 
