@@ -250,7 +250,7 @@ fn within(folder: &Path) -> Result<Vec<Run>, Failure> {
 }
 
 /// The run in a folder beside another one in the folder above it: without a name the names that there are, the
-/// newest first, at most 100; with one, what [`compare`] finds and the other's return by iteration.
+/// newest first, at most 100; with one, what [`compare`] finds and the other's return by environment steps.
 ///
 /// # Errors
 /// When a run cannot be read, or there is none of that name.
@@ -273,7 +273,9 @@ pub fn beside(run: &Path, other: Option<&str>) -> Result<Value, Failure> {
     let iterations = &runs[1].iterations;
     let every = iterations.len().div_ceil(CURVE_POINTS).max(1);
     let curve = iterations.iter().step_by(every);
-    both["curve"] = curve.map(|i| json!([i.iteration, i.mean_return])).collect();
+    both["curve"] = curve
+        .map(|i| json!([i.steps_total, i.mean_return]))
+        .collect();
     Ok(both)
 }
 

@@ -30,9 +30,10 @@ const LARGEST_RAD: f64 = 62.8;
 /// Periods and times that differ by this share are the same.
 const ROUNDING: f64 = 1e-6;
 
-/// Commands may come this share faster than control periods on average and count as one in each: stamps start
-/// and end within a period, and a log misses rows.
-const JITTER: f64 = 0.01;
+/// Share of the commands of a log that may be lost to the next one in the same control period.
+const LOST: f64 = 0.01;
+/// How much longer than a control period the intervals of a log are on average, at most: it misses rows.
+const MISSED: f64 = 0.25;
 
 #[derive(Debug, Args)]
 pub struct RolloutArgs {
@@ -311,19 +312,27 @@ impl Commands {
         })
     }
 
-    /// Refuses commands that come faster than the engine takes them: some of every second would be lost. Those
-    /// that only jitter, as the stamps of a log do, go to the control period that is nearest.
+    /// Refuses commands that come faster than the engine takes them: all but the last of a control period would
+    /// be lost. Those of a log, which come once in a period and jitter, go to the period that is nearest.
     fn fit(&mut self, period_s: f64) -> Result<(), Failure> {
         let close = |pair: &[f64]| pair[1] - pair[0] < period_s * (1.0 - ROUNDING);
         if !self.time_s.windows(2).any(close) {
             return Ok(());
         }
-        let intervals = self.time_s.len() - 1;
-        let mean_s = (self.time_s[intervals] - self.time_s[0]) / intervals as f64;
-        if mean_s < period_s * (1.0 - JITTER) {
+        let first = self.time_s[0];
+        let nearest: Vec<f64> = (self.time_s.iter())
+            .map(|t| ((t - first) / period_s).round())
+            .collect();
+        let lost = nearest.windows(2).filter(|pair| pair[0] == pair[1]).count();
+        let intervals = nearest.len() as f64 - 1.0;
+        let mean_s = (self.time_s[nearest.len() - 1] - first) / intervals;
+        let is_log = (1.0 - LOST..1.0 + MISSED).contains(&(mean_s / period_s));
+        if !is_log || lost as f64 > LOST * intervals {
+            let least_s = self.time_s.windows(2).map(|pair| pair[1] - pair[0]);
+            let least_s = least_s.fold(f64::INFINITY, f64::min);
             let message = format!(
-                "a command every {mean_s:.6} s is more than one in a control period of {period_s} s; give --rate-hz {:.0}",
-                (1.0 / mean_s).ceil()
+                "{lost} command(s) share a control period of {period_s} s with the next; give --rate-hz {:.0} or more",
+                1.0 / if is_log { mean_s } else { least_s }
             );
             return Err(Failure::message(ExitCode::BadInput, message));
         }

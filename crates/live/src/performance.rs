@@ -71,6 +71,8 @@ impl Show {
 /// The file of the newest policy, and which one was read last.
 #[derive(Default)]
 struct Newest {
+    /// The robot has set off once: from then on it does what it is told.
+    set_off: bool,
     read: Option<SystemTime>,
     looked: Option<Instant>,
 }
@@ -115,7 +117,10 @@ pub fn perform(show: &Show, hub: &Hub, orders: &Receiver<Order>, ended: &AtomicB
         if let Err(error) = done {
             hub.say("note", &format!("the robot starts anew: {error}"));
             stage = None;
-            newest = Newest::default();
+            newest = Newest {
+                set_off: newest.set_off,
+                ..Newest::default()
+            };
             std::thread::sleep(TROUBLE_PAUSE);
         }
         let period = Duration::from_secs_f64(show.config.task.control_period_s);
@@ -136,11 +141,7 @@ fn enter(show: &Show, hub: &Hub, newest: &mut Newest) -> Result<Stage, Evaluatio
     };
     let mut stage = Stage::new(&show.config, &show.model, policy.map(AsRef::as_ref))?;
     if policy.is_some() {
-        // whoever opens the page sees it walk, before anything is pressed
-        let vx_max_mps = show.config.task.command.vx_mps[1];
-        stage.obey(&Order::Drive {
-            velocity: [PACE * vx_max_mps, 0.0, 0.0],
-        })?;
+        set_off(show, &mut stage, newest)?;
     }
     hub.keep("robot", &stage.robot());
     tell_policy(hub, policy.map(AsRef::as_ref));
@@ -157,13 +158,14 @@ fn act(
     stage: &mut Stage,
     newest: &mut Newest,
 ) -> Result<(), EvaluationError> {
+    let mut told = false;
     if let Policy::Newest(path) = &show.policy
         && let Some(policy) = newest.policy(path)
     {
         stage.follow(&policy)?;
         tell_policy(hub, Some(&policy));
+        told = set_off(show, stage, newest)?;
     }
-    let mut told = false;
     for order in orders.try_iter() {
         told = true;
         if stage.obey(&order)? {
@@ -180,6 +182,18 @@ fn act(
     }
     hub.frame(&stage.row());
     Ok(())
+}
+
+/// Whoever opens the page sees it walk, before anything is pressed; true the first time, when it sets off.
+fn set_off(show: &Show, stage: &mut Stage, newest: &mut Newest) -> Result<bool, EvaluationError> {
+    let first = !std::mem::replace(&mut newest.set_off, true);
+    if first {
+        let vx_max_mps = show.config.task.command.vx_mps[1];
+        stage.obey(&Order::Drive {
+            velocity: [PACE * vx_max_mps, 0.0, 0.0],
+        })?;
+    }
+    Ok(first)
 }
 
 fn tell_policy(hub: &Hub, policy: Option<&PolicyFile>) {

@@ -15,6 +15,7 @@ use axum::{Extension, Router};
 use caudata_evaluation::report;
 use caudata_telemetry::Connection;
 use crossbeam_channel::{Sender, TrySendError};
+use tokio::sync::Semaphore;
 use tokio_stream::wrappers::ReceiverStream;
 
 use crate::Training;
@@ -32,6 +33,8 @@ const CHANGE_HEADER: &str = "x-caudata-change";
 /// The page asks nobody but its own server.
 const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; \
     connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+/// One comparison of runs at a time: each reads two whole files.
+static BESIDE: Semaphore = Semaphore::const_new(1);
 /// What a stranger sees.
 const CLOSED: &str = "This page opens only at the address that caudata printed in the terminal.\n";
 
@@ -197,6 +200,10 @@ async fn beside(
     let run = match serde_json::from_slice::<Option<String>>(&body) {
         Ok(run) => run,
         Err(wrong) => return (StatusCode::BAD_REQUEST, format!("{wrong}\n")).into_response(),
+    };
+    let Ok(_alone) = BESIDE.try_acquire() else {
+        let busy = "another comparison is being made; ask again\n";
+        return (StatusCode::SERVICE_UNAVAILABLE, busy).into_response();
     };
     // It reads files: not on the thread that streams.
     match tokio::task::spawn_blocking(move || (training.beside)(run.as_deref())).await {

@@ -86,7 +86,12 @@ pub fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Result<(), Failure> {
 /// # Errors
 /// As [`write`].
 pub fn writable(path: &Path) -> Result<(), Failure> {
-    let new = !path.exists();
+    let new = match path.symlink_metadata() {
+        // a pipe or a terminal would wait for a reader
+        Ok(there) if !there.is_file() => return Ok(()),
+        Ok(_) => false,
+        Err(_) => true,
+    };
     let opened = std::fs::OpenOptions::new()
         .append(true)
         .create(true)

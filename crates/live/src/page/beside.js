@@ -1,7 +1,7 @@
 // A training beside another run: its return over this one's, what the evaluations found, the settings that differ.
 
 caudata.Beside = class {
-  // `show`: what draws the other's curve, [iteration, return] each, and nothing for null.
+  // `show`: what draws the other's curve, [environment steps, return] each, and nothing for null.
   constructor(token, show) {
     this.token = token;
     this.show = show;

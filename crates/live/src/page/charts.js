@@ -60,7 +60,7 @@ caudata.Training = class {
   // Where settings changed.
   mark(made) { this.marks = made.map(({ iteration }) => iteration); this.show(); }
 
-  // The curve of another run, [iteration, return] each.
+  // The curve of another run, [environment steps, return] each: drawn where this run has done as many.
   beside(curve) { this.other = (curve || []).filter(([, value]) => value !== null); this.show(); }
 
   show() {
@@ -96,7 +96,9 @@ caudata.Training = class {
     const values = this.points.map((p) => p.mean_return ?? NaN);
     const from = values.findIndex(Number.isFinite);
     if (from < 0) return this.return.empty("no episode has ended yet");
-    const other = [0, 1].map((i) => this.other.map((point) => point[i]));
+    const last = this.points.at(-1), each = last.iteration / last.steps_total;
+    const beside = this.other.map(([steps, value]) => [steps * each, value]).filter(([at]) => at >= this.points[0].iteration);
+    const other = [0, 1].map((i) => beside.map((point) => point[i]));
     const [axes, xs] = this.axes(this.return, [values, other[1]], other[0].at(-1));
     this.return.line(axes, ...other, this.return.theme.command, 1.5, [5, 4]);
     return this.return.line(axes, xs.slice(from), values.slice(from), this.return.theme.accent, 2);
