@@ -68,6 +68,8 @@ pub struct Rival {
     pub probability: f64,
     /// Whether it belongs to the answer set.
     pub in_set: bool,
+    /// Whether it does so because its size trades with those of the model ([`trades`]).
+    traded: bool,
 }
 
 /// A cause with its rivals.
@@ -252,8 +254,10 @@ fn more_probable(
 
 /// Whether what is in `named` deserves to be called a cause.
 fn is_a_cause(context: &Context, found: &Found, named: &Named) -> bool {
-    // one of which nobody can tell the name, nor even the layer, is a leftover
-    let own = named.probability + same_name(found, named);
+    // one of which nobody can tell the name, nor even the layer, is a leftover, unless its size and theirs are one
+    let traded = named.rivals.iter().filter(|r| r.traded);
+    let traded: f64 = traded.map(|r| r.probability).sum();
+    let own = named.probability + same_name(found, named) + traded;
     if own < UNNAMED && same_layer(found, named) < LAYER_KNOWN {
         return false;
     }
@@ -392,6 +396,7 @@ fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, Ga
             index,
             probability: 0.0,
             in_set: false,
+            traded: false,
         })
         .collect();
     rivals.sort_by(|a, b| a.short.total_cmp(&b.short));
@@ -411,9 +416,10 @@ fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, Ga
         let traded = || trades(context, best, other);
         let special = wider(other.effect, term.effect) || wider(term.effect, other.effect);
         let may = r.short < NEAR && other.effect != term.effect && !special;
-        r.in_set = alike || (may && traded()?);
+        r.traded = !alike && may && traded()?;
+        r.in_set = alike || r.traded;
         // where sizes trade, the misfit does not tell them apart
-        r.probability = weight(if r.in_set && !alike { 0.0 } else { r.short });
+        r.probability = weight(if r.traded { 0.0 } else { r.short });
     }
     let total = weight(0.0) + rivals.iter().map(|r| r.probability).sum::<f64>();
     for r in &mut rivals {

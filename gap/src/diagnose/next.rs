@@ -26,8 +26,6 @@ const LONGEST_S: f64 = 60.0;
 /// Root mean square difference of a joint's angle that tells two models apart, rad: several counts of an
 /// encoder, and more than repeats of a careful lab differ by.
 const TELLS_RAD: f64 = 0.003;
-/// A known weight is worth its trouble where it tells so many times as much as the same motions without.
-const WORTH_A_WEIGHT: f64 = 2.0;
 /// A known weight, as a share of the link that it hangs on, …
 const OF_LINK: f64 = 0.5;
 /// … which may take this share of the joint's torque, …
@@ -139,8 +137,7 @@ fn between_names(
         // a weight is not let fall
         let held = |t: &excite::Trial| t.on.is_empty();
         let weighted = most_telling(context, request, &pair, held, Some(&weight))?;
-        let least_rad = WORTH_A_WEIGHT * bare.as_ref().map_or(0.0, |b| b.1);
-        if let Some((trial, apart_rad)) = weighted.filter(|w| w.1 > least_rad) {
+        if let Some((trial, apart_rad)) = weighted {
             let [x, y, z] = weight.at_m;
             let with = format!(
                 "weigh `{0}`, or hang a known weight on it ({1:.0} g at [{x:.3}, {y:.3}, {z:.3}] m of its frame, say so in the map or log.toml: [[payload]]), and ",
@@ -153,7 +150,7 @@ fn between_names(
     Ok(bare.map(|(trial, apart_rad)| told(trial, String::new(), apart_rad)))
 }
 
-/// The weight to hang on the link of which two models say what it weighs otherwise, if they do.
+/// The weight to hang on the link that one of two models makes heavier where the other changes something else.
 fn known_weight(model: &RobotModel, pair: &[Variant; 2]) -> Option<Payload> {
     let weighs = |t: &&Term| t.effect.layer == Layer::Inertia && t.place.domain == Domain::Links;
     let not_in = |t: &&Term, other: &Variant| !other.iter().any(|o| o.effect == t.effect);
@@ -163,7 +160,10 @@ fn known_weight(model: &RobotModel, pair: &[Variant; 2]) -> Option<Payload> {
             .filter(weighs)
             .find(|t| not_in(t, &pair[1 - a]))
     };
-    let l = *of(0).or_else(|| of(1))?.place.items.first()?;
+    let l = match (of(0), of(1)) {
+        (Some(one), None) | (None, Some(one)) => *one.place.items.first()?,
+        _ => return None,
+    };
     let link = &model.links()[l];
     let joint = *link.joints.last()?;
     let servo = model.servo(model.actuated().iter().position(|&j| j == joint)?);

@@ -440,7 +440,7 @@ fn a_stranger_is_told_what_is_wrong() {
     );
     has(
         &imported(&path, &draft, &robot("quadruped")).unwrap_err(),
-        &["has no [[signal]]"],
+        &["says of no column what it is"],
     );
     // stamps of a simulation's clock, and a topic without
     let mut messages = vec![(
