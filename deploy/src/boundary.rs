@@ -66,10 +66,7 @@ impl RunFolder {
             .mode(0o700)
             .create(path);
         let found = made.and_then(|()| fs::metadata(path));
-        let found = found.map_err(|source| DeployError::Folder {
-            path: path.to_owned(),
-            source,
-        })?;
+        let found = found.map_err(DeployError::folder(path))?;
         let (mode, owner) = (found.mode() & 0o7777, found.uid());
         let user = nix::unistd::geteuid().as_raw();
         if mode & 0o077 != 0 || owner != user {
@@ -114,7 +111,7 @@ pub fn alone(lock: &Path) -> Result<Owner, DeployError> {
 /// As [`alone`].
 pub fn alone_in(folder: &Path) -> Result<Owner, DeployError> {
     let path = folder.to_owned();
-    let opened = File::open(folder).map_err(|source| DeployError::Folder { path, source })?;
+    let opened = File::open(folder).map_err(DeployError::folder(path))?;
     Owner::of(opened, folder).map_err(not_alone)
 }
 
@@ -201,10 +198,7 @@ struct Place {
 impl Place {
     /// Goes on after what waits there already.
     fn open(folder: PathBuf) -> Result<Self, DeployError> {
-        fs::create_dir_all(&folder).map_err(|source| DeployError::Folder {
-            path: folder.clone(),
-            source,
-        })?;
+        fs::create_dir_all(&folder).map_err(DeployError::folder(&folder))?;
         durable::remove_leftovers(&folder)?;
         let last = waiting(&folder).last().map_or(0, |(number, _)| *number);
         Ok(Self {
@@ -362,10 +356,7 @@ impl CommandSender {
             socket.set_nonblocking(true)?;
             Ok(socket)
         });
-        let socket = opened.map_err(|source| DeployError::System {
-            what: "a socket",
-            source,
-        })?;
+        let socket = opened.map_err(DeployError::system("a socket"))?;
         Ok(Self {
             socket,
             to: folder.commands(),
@@ -394,7 +385,7 @@ impl LocalLink {
     /// [`DeployError::Folder`].
     pub fn open(folder: &RunFolder) -> Result<Self, DeployError> {
         let path = folder.commands();
-        let socket = notify::bind(&path).map_err(|source| DeployError::Folder { path, source })?;
+        let socket = notify::bind(&path).map_err(DeployError::folder(path))?;
         Ok(Self {
             socket,
             newest: LinkView {

@@ -282,10 +282,7 @@ impl UdpLink {
         key: LinkKey,
         asks_for_button: bool,
     ) -> Result<Self, DeployError> {
-        let refused = |source| DeployError::System {
-            what: "the command link's address",
-            source,
-        };
+        let refused = DeployError::system("the command link's address");
         let socket = UdpSocket::bind(addr).map_err(refused)?;
         let address = socket.local_addr().map_err(refused)?;
         let start = Instant::now();
@@ -407,17 +404,22 @@ mod tests {
     use caudata_proto::checks::each_left_out;
 
     use super::*;
+    use caudata_proto::hex::hex;
+    use hmac::{Hmac, Mac};
 
     const MS: Duration = Duration::from_millis(1);
 
+    fn made_of(key: &[u8]) -> LinkKey {
+        LinkKey(Hmac::new_from_slice(key).unwrap())
+    }
+
     fn key() -> LinkKey {
-        LinkKey(b"sixteen bytes or more".to_vec())
+        made_of(b"sixteen bytes or more")
     }
 
     #[test]
     fn hmac_of_rfc_4231_test_cases_1_2_and_6() {
-        let hex = |bytes: [u8; 32]| bytes.map(|b| format!("{b:02x}")).concat();
-        let of = |key: &[u8], text: &[u8]| hex(LinkKey(key.to_vec()).hmac(text));
+        let of = |key: &[u8], text: &[u8]| hex(&made_of(key).hmac(text).finalize().into_bytes());
         assert_eq!(
             of(&[0x0b; 20], b"Hi There"),
             "b0344c61d8db38535ca8afceaf0bf12b881dc200c9833da726e9376c2e32cff7"
@@ -480,7 +482,7 @@ mod tests {
         assert_eq!((view.command, view.age), ([0.2, 0.0, 0.0], 50 * MS));
         // Replayed, older, of an earlier start, of another key, not a number, too fast, cut short: none of
         // them counts.
-        let other = LinkKey(b"another key of 16+".to_vec());
+        let other = made_of(b"another key of 16+");
         let forged = Message::decode(&velocity(77, 6, 0.9), &key())
             .unwrap()
             .encode(&other);

@@ -183,10 +183,7 @@ impl Courier {
         std::thread::Builder::new()
             .name("courier".into())
             .spawn(work)
-            .map_err(|source| DeployError::System {
-                what: "a thread",
-                source,
-            })
+            .map_err(DeployError::system("a thread"))
     }
 
     /// What is staged for this start and was not looked at yet.

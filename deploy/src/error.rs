@@ -271,6 +271,20 @@ pub enum DeployError {
 }
 
 impl DeployError {
+    /// [`DeployError::System`] of what the system says.
+    pub(crate) fn system<E: Into<io::Error>>(what: &'static str) -> impl FnOnce(E) -> Self + Copy {
+        move |source| Self::System {
+            what,
+            source: source.into(),
+        }
+    }
+
+    /// [`DeployError::Folder`] of what the system says.
+    pub(crate) fn folder(path: impl Into<PathBuf>) -> impl FnOnce(io::Error) -> Self {
+        let path = path.into();
+        move |source| Self::Folder { path, source }
+    }
+
     /// The exit code that the error stands for.
     pub fn exit_code(&self) -> ExitCode {
         match self {

@@ -73,10 +73,7 @@ impl FlightLog {
         let writer = std::thread::Builder::new()
             .name("flight-log".into())
             .spawn(move || write(log, &columns, &queue))
-            .map_err(|source| DeployError::System {
-                what: "a thread",
-                source,
-            })?;
+            .map_err(DeployError::system("a thread"))?;
         Ok(Self {
             rows,
             oldest,

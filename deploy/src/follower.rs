@@ -58,11 +58,10 @@ impl Follower {
         stage: Stage,
         metrics: AgentMetrics,
     ) -> Result<Self, DeployError> {
-        let refused = |what| move |source| DeployError::System { what, source };
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build()
-            .map_err(refused("a network runtime"))?;
+            .map_err(DeployError::system("a network runtime"))?;
         let client = {
             let _context = runtime.enter();
             RegistryClient::with_tls(&follow.address, follow.tls_dir.as_deref())?
@@ -81,7 +80,7 @@ impl Follower {
         let thread = std::thread::Builder::new()
             .name("follower".into())
             .spawn(move || runtime.block_on(following.until(stopped)))
-            .map_err(refused("a thread"))?;
+            .map_err(DeployError::system("a thread"))?;
         Ok(Self {
             stop,
             thread: Some(thread),

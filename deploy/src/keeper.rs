@@ -489,9 +489,6 @@ fn new_nonce() -> Result<[u8; NONCE_BYTES], DeployError> {
     let mut nonce = [0; NONCE_BYTES];
     std::fs::File::open("/dev/urandom")
         .and_then(|mut source| std::io::Read::read_exact(&mut source, &mut nonce))
-        .map_err(|source| DeployError::System {
-            what: "random bytes",
-            source,
-        })?;
+        .map_err(DeployError::system("random bytes"))?;
     Ok(nonce)
 }

@@ -86,10 +86,9 @@ impl Notifier {
         let Some(name) = name else {
             return Ok(Self::default());
         };
-        Self::to(&name.to_string_lossy()).map_err(|source| DeployError::System {
-            what: "a word to the supervisor (NOTIFY_SOCKET)",
-            source,
-        })
+        Self::to(&name.to_string_lossy()).map_err(DeployError::system(
+            "a word to the supervisor (NOTIFY_SOCKET)",
+        ))
     }
 
     /// To the socket `name`; `@name` is an abstract one, as systemd writes it.

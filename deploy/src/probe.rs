@@ -41,10 +41,7 @@ pub fn limit_this_process() -> Result<(), DeployError> {
         (Resource::RLIMIT_CORE, 0, "a limit of core files"),
     ];
     for (resource, limit, what) in limits {
-        setrlimit(resource, limit, limit).map_err(|source| DeployError::System {
-            what,
-            source: source.into(),
-        })?;
+        setrlimit(resource, limit, limit).map_err(DeployError::system(what))?;
     }
     Ok(())
 }

@@ -62,11 +62,10 @@ impl Reporter {
     /// # Errors
     /// [`DeployError::System`], [`DeployError::Server`] for a wrong address or certificates.
     pub fn start(to: &ReportTo) -> Result<Arc<Self>, DeployError> {
-        let refused = |what| move |source| DeployError::System { what, source };
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build()
-            .map_err(refused("a network runtime"))?;
+            .map_err(DeployError::system("a network runtime"))?;
         let client = {
             let _context = runtime.enter();
             RegistryClient::with_tls(&to.address, to.tls_dir.as_deref())?
@@ -77,7 +76,7 @@ impl Reporter {
         let thread = std::thread::Builder::new()
             .name("reporter".into())
             .spawn(move || runtime.block_on(send(client, reports, seen)))
-            .map_err(refused("a thread"))?;
+            .map_err(DeployError::system("a thread"))?;
         Ok(Arc::new(Self {
             robot: to.robot.clone(),
             queue: Some(queue),

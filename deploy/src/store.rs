@@ -52,10 +52,7 @@ impl PolicyStore {
     /// As [`PolicyStore::open`].
     pub fn open_on(disk: Arc<dyn Disk>, folder: &Path) -> Result<Self, DeployError> {
         let blobs = folder.join("blobs");
-        fs::create_dir_all(&blobs).map_err(|source| DeployError::Folder {
-            path: blobs.clone(),
-            source,
-        })?;
+        fs::create_dir_all(&blobs).map_err(DeployError::folder(&blobs))?;
         durable::remove_leftovers(folder)?;
         durable::remove_leftovers(&blobs)?;
         Ok(Self {

@@ -62,9 +62,10 @@ pub struct Tick {
 /// # Errors
 /// [`DeployError::System`].
 pub fn start(folder: &RunFolder) -> Result<Sender<Tick>, DeployError> {
-    let refused = |what| move |source| DeployError::System { what, source };
-    let socket = UnixDatagram::unbound().map_err(refused("a socket"))?;
-    socket.set_nonblocking(true).map_err(refused("a socket"))?;
+    let socket = UnixDatagram::unbound().map_err(DeployError::system("a socket"))?;
+    socket
+        .set_nonblocking(true)
+        .map_err(DeployError::system("a socket"))?;
     let to = folder.file("tap.sock");
     let (sender, ticks) = bounded::<Tick>(TICKS_WAITING_MAX);
     let work = move || {
@@ -78,7 +79,7 @@ pub fn start(folder: &RunFolder) -> Result<Sender<Tick>, DeployError> {
     std::thread::Builder::new()
         .name("tap".into())
         .spawn(work)
-        .map_err(refused("a thread"))?;
+        .map_err(DeployError::system("a thread"))?;
     Ok(sender)
 }
 
@@ -97,9 +98,7 @@ impl Tap {
             socket.set_nonblocking(false)?;
             Ok(socket)
         });
-        opened
-            .map(Self)
-            .map_err(|source| DeployError::Folder { path, source })
+        opened.map(Self).map_err(DeployError::folder(path))
     }
 
     /// The next tick; `None` where none came within `timeout`, or something that is no tick.

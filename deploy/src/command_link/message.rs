@@ -4,7 +4,8 @@ use std::path::Path;
 
 use caudata_signing::check_private;
 use caudata_task::COMMAND_DIM;
-use sha2::{Digest, Sha256};
+use hmac::{Hmac, Mac};
+use sha2::Sha256;
 
 use crate::DeployError;
 
@@ -20,7 +21,7 @@ const MAGIC: &[u8; 4] = b"CDL1";
 
 /// The secret that both ends hold.
 #[derive(Clone)]
-pub struct LinkKey(pub(super) Vec<u8>);
+pub struct LinkKey(pub(super) Hmac<Sha256>);
 
 impl LinkKey {
     /// The bytes of a file, which must be at least [`KEY_MIN`], and which only its owner may write and only
@@ -39,27 +40,19 @@ impl LinkKey {
         if bytes.len() < KEY_MIN {
             return Err(wrong(format!("a key has at least {KEY_MIN} bytes")));
         }
-        Ok(Self(bytes))
+        let keyed = Hmac::new_from_slice(&bytes).map_err(|e| wrong(e.to_string()))?;
+        Ok(Self(keyed))
     }
 
-    /// HMAC-SHA-256 (RFC 2104).
-    pub(super) fn hmac(&self, message: &[u8]) -> [u8; 32] {
-        let mut block = [0; 64];
-        match self.0.len() <= 64 {
-            true => block[..self.0.len()].copy_from_slice(&self.0),
-            false => block[..32].copy_from_slice(&Sha256::digest(&self.0)),
-        }
-        let keyed = |pad: u8| Sha256::new().chain_update(block.map(|b| b ^ pad));
-        let inner = keyed(0x36).chain_update(message).finalize();
-        keyed(0x5C).chain_update(inner).finalize().into()
+    /// HMAC-SHA-256 of `said`.
+    pub(super) fn hmac(&self, said: &[u8]) -> Hmac<Sha256> {
+        self.0.clone().chain_update(said)
     }
 
-    /// Whether a datagram bears the tag that this key gives it.
+    /// Whether a datagram bears the tag that this key gives it; the time taken tells nothing.
     pub(super) fn made(&self, bytes: &[u8]) -> bool {
         let (said, tag) = bytes.split_at(bytes.len().saturating_sub(TAG));
-        // All of it is compared, so that the time taken tells nothing.
-        let differs = |sum, (a, b): (&u8, &u8)| sum | (a ^ b);
-        tag.len() == TAG && tag.iter().zip(&self.hmac(said)[..TAG]).fold(0, differs) == 0
+        tag.len() == TAG && self.hmac(said).verify_truncated_left(tag).is_ok()
     }
 }
 
@@ -105,7 +98,7 @@ impl Message {
         for (i, value) in self.command.iter().enumerate() {
             out[21 + 4 * i..25 + 4 * i].copy_from_slice(&value.to_le_bytes());
         }
-        let tag = key.hmac(&out[..DATAGRAM - TAG]);
+        let tag = key.hmac(&out[..DATAGRAM - TAG]).finalize().into_bytes();
         out[DATAGRAM - TAG..].copy_from_slice(&tag[..TAG]);
         out
     }

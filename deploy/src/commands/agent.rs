@@ -119,10 +119,7 @@ fn pass_on(mut link: UdpLink, sender: CommandSender, stop: StopFlag) -> Result<(
     thread
         .spawn(work)
         .map(drop)
-        .map_err(|source| DeployError::System {
-            what: "a thread",
-            source,
-        })
+        .map_err(DeployError::system("a thread"))
 }
 
 fn metrics_endpoint(
@@ -131,9 +128,7 @@ fn metrics_endpoint(
     process: &Process,
 ) -> Result<MetricsServer, DeployError> {
     MetricsServer::start(addr, registry, process.stop.clone()).map_err(|error| {
-        DeployError::System {
-            what: "the metrics address",
-            source: std::io::Error::other(error.to_string()),
-        }
+        let said = std::io::Error::other(error.to_string());
+        DeployError::system("the metrics address")(said)
     })
 }

@@ -157,10 +157,7 @@ fn walk<R: Robot>(
         tells_water: robot.in_water().is_some(),
     };
     let link = LocalLink::open(&setting.folder)?;
-    let run = random_nonce().map_err(|source| DeployError::System {
-        what: "random bytes",
-        source,
-    })?;
+    let run = random_nonce().map_err(DeployError::system("random bytes"))?;
     let page = args
         .metrics_addr
         .map(|_| (registry, setting.folder.file(LOOP_PAGE)));

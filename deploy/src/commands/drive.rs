@@ -82,10 +82,7 @@ enum Input {
 /// gamepad or terminal.
 pub fn run(args: &DriveArgs, process: &Process) -> Result<(), DeployError> {
     let key = LinkKey::read(&args.link_key)?;
-    let refused = |source| DeployError::System {
-        what: "a socket",
-        source,
-    };
+    let refused = DeployError::system("a socket");
     let any: SocketAddr = match args.robot {
         SocketAddr::V4(_) => ([0, 0, 0, 0], 0).into(),
         SocketAddr::V6(_) => ([0_u16; 8], 0).into(),
@@ -157,10 +154,7 @@ fn read_keys(to: SyncSender<Input>) {
 }
 
 fn read_events(path: &Path, to: SyncSender<Input>) -> Result<(), DeployError> {
-    let opened = File::open(path).map_err(|source| DeployError::Folder {
-        path: path.to_owned(),
-        source,
-    });
+    let opened = File::open(path).map_err(DeployError::folder(path));
     let mut device = opened?;
     std::thread::spawn(move || {
         let mut event = [0; EVENT_BYTES];
@@ -175,10 +169,7 @@ struct Keys(Termios);
 
 impl Keys {
     fn at_once() -> Result<Self, DeployError> {
-        let refused = |source: std::io::Error| DeployError::Folder {
-            path: "standard input".into(),
-            source,
-        };
+        let refused = |source| DeployError::folder("standard input")(source);
         let input = std::io::stdin();
         if !input.is_terminal() {
             let what = "--hold needs a terminal, which tells keys as they are pressed";

@@ -39,10 +39,7 @@ pub fn run(args: &ProbeArgs) -> Result<(), DeployError> {
         .lock()
         .take(MAX_FILE_BYTES as u64 + 1)
         .read_to_end(&mut bytes)
-        .map_err(|source| DeployError::System {
-            what: "its standard input",
-            source,
-        })?;
+        .map_err(DeployError::system("its standard input"))?;
     let policy = PolicyRef {
         stream: args.stream.clone(),
         version: args.version_number,

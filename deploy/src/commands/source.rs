@@ -149,10 +149,7 @@ impl Source {
         let trust = args.trust.as_deref().map(Trust::read).transpose();
         let trust = trust.map_err(DeployError::Trust)?;
         let provable = trust.as_ref().is_some_and(Trust::knows_fresh_keys);
-        std::fs::create_dir_all(&args.state).map_err(|source| DeployError::Folder {
-            path: args.state.clone(),
-            source,
-        })?;
+        std::fs::create_dir_all(&args.state).map_err(DeployError::folder(&args.state))?;
         // Before anything in it is touched.
         let alone = alone_in(&args.state)?;
         let mut store = match PolicyStore::open(&args.state) {
@@ -205,10 +202,7 @@ impl Source {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build()
-            .map_err(|source| DeployError::System {
-                what: "a network runtime",
-                source,
-            })?;
+            .map_err(DeployError::system("a network runtime"))?;
         runtime.block_on(async {
             let Follow {
                 address,

@@ -81,10 +81,7 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
         let water = match &wiring.water {
             Some(water) => {
                 let file = std::fs::File::open(&water.file);
-                Some(file.map_err(|source| DeployError::Folder {
-                    path: water.file.clone(),
-                    source,
-                })?)
+                Some(file.map_err(DeployError::folder(&water.file))?)
             }
             None => None,
         };

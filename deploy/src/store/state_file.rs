@@ -78,10 +78,7 @@ pub(super) fn read_copy(path: &Path) -> Result<Option<RobotState>, DeployError> 
         Ok(meta) if meta.len() > STATE_BYTES_MAX => return Err(damaged("it is too large".into())),
         _ => {}
     }
-    let bytes = fs::read(path).map_err(|source| DeployError::Folder {
-        path: path.to_owned(),
-        source,
-    })?;
+    let bytes = fs::read(path).map_err(DeployError::folder(path))?;
     let file: StateFile = serde_json::from_slice(&bytes).map_err(|e| damaged(e.to_string()))?;
     if file.state.format != STATE_FORMAT {
         return Err(damaged(format!("its format is `{}`", file.state.format)));
@@ -97,9 +94,6 @@ pub(super) fn read_beginning(path: &Path) -> Result<Vec<u8>, DeployError> {
     let mut bytes = Vec::new();
     fs::File::open(path)
         .and_then(|file| file.take(STATE_BYTES_MAX).read_to_end(&mut bytes))
-        .map_err(|source| DeployError::Folder {
-            path: path.to_owned(),
-            source,
-        })?;
+        .map_err(DeployError::folder(path))?;
     Ok(bytes)
 }

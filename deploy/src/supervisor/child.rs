@@ -102,10 +102,7 @@ pub(super) struct Watched {
 impl Watched {
     pub(super) fn new(command: &'static str, folder: &RunFolder) -> Result<Self, DeployError> {
         let socket = folder.file(&format!("notify-{command}"));
-        let ear = Ear::open(&socket).map_err(|source| DeployError::Folder {
-            path: socket.clone(),
-            source,
-        })?;
+        let ear = Ear::open(&socket).map_err(DeployError::folder(&socket))?;
         let now = Instant::now();
         Ok(Self {
             command,
@@ -139,10 +136,7 @@ impl Watched {
             // Ctrl-C reaches the supervisor alone, which then stops the children in order.
             .process_group(0)
             .spawn()
-            .map_err(|source| DeployError::System {
-                what: "a child process",
-                source,
-            })?;
+            .map_err(DeployError::system("a child process"))?;
         tracing::info!(part = self.command, pid = child.id(), "started");
         let now = Instant::now();
         self.child = Some(child);
