@@ -30,8 +30,6 @@ use crate::commands::sim_robot_pty::{self, PtyArgs};
 const STOP_SEEN_WITHIN: Duration = Duration::from_millis(50);
 /// A client that says nothing for this long is gone.
 const SILENCE_MAX: Duration = Duration::from_secs(60);
-/// Standard gravity, m/s².
-const G_MPS2: f32 = 9.806_65;
 /// Time for one answer to leave.
 const WRITE_MAX: Duration = Duration::from_secs(5);
 
@@ -293,19 +291,9 @@ impl SimulatedRobot {
         let (model, state) = (self.engine.model(), self.engine.state());
         let joint = |i: usize| model.actuated()[i];
         let each = |of: &dyn Fn(usize) -> f32| (0..model.actuated().len()).map(of).collect();
-        // Forces are means over a period; before the first one the robot is at rest and feels its weight.
-        let gyro = three(&state.imu_gyro_radps);
-        let acc = match self.tick {
-            0 => three(&state.imu_gravity).map(|g| -G_MPS2 * g),
-            _ => three(&state.imu_acc_mps2),
-        };
-        let (gyro_radps, acc_mps2) = match &model.sensors().imu {
-            Some(imu) => (
-                sensors::gyro_radps(imu, &self.bias, gyro, period_s, &mut self.stream),
-                sensors::acc_mps2(imu, &self.bias, acc, period_s, &mut self.stream),
-            ),
-            None => (gyro, acc),
-        };
+        let (bias, stepped) = (&self.bias, self.tick > 0);
+        let (gyro_radps, acc_mps2) =
+            sensors::imu(model, state, bias, stepped, period_s, &mut self.stream);
         RobotMessage::Sensors(Box::new(Sensors {
             tick: self.tick,
             time_s: self.tick as f64 * period_s,

@@ -19,8 +19,6 @@ use crate::EmulationError;
 const TEMPERATURE_C: u8 = 32;
 /// The earth's field in the world frame, T: 20 µT north (x), 43 µT down (middle Europe, rounded).
 const FIELD_WORLD_T: [f64; 3] = [2.0e-5, 0.0, -4.3e-5];
-/// Standard gravity, m/s².
-const G_MPS2: f32 = 9.806_65;
 /// Time over which a direction of travel is taken, s: more than a stride, so that the sway of the head
 /// averages out.
 const WINDOW_S: f64 = 1.0;
@@ -288,20 +286,8 @@ impl EmulatedRobot {
                 servo.sense(present, now_us);
             }
         }
-        let three = |v: &[f32]| -> [f32; 3] { std::array::from_fn(|i| v[i]) };
-        let gyro = three(&state.imu_gyro_radps);
-        // Forces are means over a step; before the first one the robot is at rest and feels its weight.
-        let acc = match self.steps {
-            0 => three(&state.imu_gravity).map(|g| -G_MPS2 * g),
-            _ => three(&state.imu_acc_mps2),
-        };
-        let (gyro, acc) = match &model.sensors().imu {
-            Some(imu) => (
-                sensors::gyro_radps(imu, &self.bias, gyro, dt_s, &mut self.stream),
-                sensors::acc_mps2(imu, &self.bias, acc, dt_s, &mut self.stream),
-            ),
-            None => (gyro, acc),
-        };
+        let (bias, stepped) = (&self.bias, self.steps > 0);
+        let (gyro, acc) = sensors::imu(model, state, bias, stepped, dt_s, &mut self.stream);
         let quat = std::array::from_fn(|i| f64::from(state.base_quat_wxyz[i]));
         let field = into_body(quat, FIELD_WORLD_T).map(|b| b as f32);
         let back = |v| self.wiring.imu.turned_back(v);

@@ -11,13 +11,18 @@
 pub mod errors;
 pub mod lag;
 
-use caudata_model::{ImuParams, ServoParams};
+use caudata_model::{ImuParams, RobotModel, ServoParams};
 use caudata_random::Stream;
 use serde::{Deserialize, Serialize};
 
 use errors::quantise;
 pub use errors::{CurrentErrors, EncoderErrors, ImuMounting, current_a};
 pub use lag::{Delay, Lag};
+
+use crate::State;
+
+/// Standard gravity, m/s².
+const G_MPS2: f32 = 9.806_65;
 
 /// Position as a servo reports it: the true one plus its mounting offset, rounded to encoder counts, rad.
 pub fn encoder_pos_rad(servo: &ServoParams, true_rad: f32, offset_rad: f32) -> f32 {
@@ -75,6 +80,31 @@ pub fn acc_mps2(
 ) -> [f32; 3] {
     let std = noise_std(imu.acc_noise_mps2_per_sqrt_hz, period_s);
     noisy(true_mps2, bias.acc_mps2, std, stream)
+}
+
+/// What the gyroscope (rad/s) and the accelerometer (m/s²) of the first lane's robot read, IMU frame; of a robot
+/// file without IMU, what is true. Before the first step, where no force is known, the robot is at rest.
+pub fn imu(
+    model: &RobotModel,
+    state: &State,
+    bias: &ImuBias,
+    stepped: bool,
+    period_s: f64,
+    stream: &mut Stream,
+) -> ([f32; 3], [f32; 3]) {
+    let three = |v: &[f32]| [v[0], v[1], v[2]];
+    let gyro = three(&state.imu_gyro_radps);
+    let acc = match stepped {
+        true => three(&state.imu_acc_mps2),
+        false => three(&state.imu_gravity).map(|g| -G_MPS2 * g),
+    };
+    match &model.sensors().imu {
+        Some(imu) => (
+            gyro_radps(imu, bias, gyro, period_s, stream),
+            acc_mps2(imu, bias, acc, period_s, stream),
+        ),
+        None => (gyro, acc),
+    }
 }
 
 /// Standard deviation of white noise of one-sided density `density` sampled every `period_s`.
