@@ -17,8 +17,3 @@ pub mod train;
 pub mod warm_start;
 
 pub use error::LearnerError;
-
-/// Lower-case hexadecimal digits.
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
-}

@@ -8,6 +8,7 @@ use axum::Router;
 use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE};
 use axum::response::IntoResponse;
 use axum::routing::get;
+use caudata_chart::escape;
 use caudata_proto::hex::hex;
 use caudata_proto::registry::{Manifest, Overview, RobotReport, StreamName};
 use caudata_telemetry::serve_http;
@@ -68,17 +69,12 @@ pub fn render(store: &Store, now_unix_ms: u64) -> String {
          <body><h1>Policies</h1>"
     );
     let (versions, streams) = (store.records(None).count(), store.stream_names().count());
-    let _ = write!(
-        page,
-        "<p class=\"quiet\">{versions} versions in {streams} streams, {} changes so far</p>",
-        all.generation
-    );
+    let changes = all.generation;
+    let state = format!("{versions} versions in {streams} streams, {changes} changes so far");
+    paragraph(&mut page, "quiet", &state);
     if let Some(reason) = &all.read_only {
-        let _ = write!(
-            page,
-            "<p class=\"bad\">Cannot be changed: {}</p>",
-            escaped(reason)
-        );
+        let words = format!("Cannot be changed: {}", escape(reason));
+        paragraph(&mut page, "bad", &words);
     }
     robots(&mut page, &all, now_unix_ms);
     let mut newest: Vec<(u64, &StreamName)> = store
@@ -98,11 +94,8 @@ pub fn render(store: &Store, now_unix_ms: u64) -> String {
         page.push_str("<p>Nothing is published yet: <code>caudata train</code> does it, or <code>caudata policy release</code>.</p>");
     }
     if streams > STREAMS_MAX {
-        let _ = write!(
-            page,
-            "<p class=\"quiet\">and {} older streams</p>",
-            streams - STREAMS_MAX
-        );
+        let more = streams - STREAMS_MAX;
+        paragraph(&mut page, "quiet", &format!("and {more} older streams"));
     }
     page.push_str("</body></html>\n");
     page
@@ -117,81 +110,103 @@ fn robots(page: &mut String, all: &Overview, now: u64) {
     }
     page.push_str("<h2>Robots</h2>");
     if last.is_empty() {
-        page.push_str("<p class=\"quiet\">No robot has said anything yet.</p>");
+        paragraph(page, "quiet", "No robot has said anything yet.");
         return;
     }
-    page.push_str("<div class=\"wide\"><table><tr><th>robot</th><th>stream</th><th>version</th><th>state</th><th>walked</th><th>said</th></tr>");
-    for report in last.values() {
-        let _ = write!(
-            page,
-            "<tr><td>{}</td><td>{}</td><td class=\"n\">{}</td><td>{}</td><td class=\"n\">{:.0} s</td><td>{}</td></tr>",
-            escaped(&report.robot),
-            escaped(report.stream.as_str()),
-            report.version,
+    let head = ["robot", "stream", "version", "state", "walked", "said"];
+    let row = |report: &&RobotReport| {
+        vec![
+            escape(&report.robot),
+            escape(report.stream.as_str()),
+            report.version.to_string(),
             state(report),
-            report.walked_s,
+            format!("{:.0} s", report.walked_s),
             age(report.unix_ms, now),
-        );
-    }
-    page.push_str("</table></div>");
+        ]
+    };
+    table(page, &head, &[2, 4], last.values().map(row));
 }
 
 fn stream(page: &mut String, store: &Store, name: &StreamName, all: &Overview, now: u64) {
-    let _ = write!(page, "<h2>{}</h2>", escaped(name.as_str()));
-    page.push_str(
-        "<div class=\"wide\"><table><tr><th>version</th><th>labels</th><th>evaluation</th><th>robots</th><th>steps</th>\
-         <th>signed by</th><th>sha256</th><th>published</th></tr>",
-    );
-    let shown = store.records(Some(name)).take(VERSIONS_MAX);
-    for record in shown {
-        let manifest = &record.manifest;
-        let mut reports = all
-            .reports
-            .iter()
-            .filter(|r| r.stream == *name && r.version == manifest.version)
-            .map(|r| format!("{} {}", escaped(&r.robot), state(r)))
-            .collect::<Vec<_>>();
+    let _ = write!(page, "<h2>{}</h2>", escape(name.as_str()));
+    let head = [
+        "version",
+        "labels",
+        "evaluation",
+        "robots",
+        "steps",
+        "signed by",
+        "sha256",
+        "published",
+    ];
+    let row = |manifest: &Manifest| {
+        let mine = |r: &&RobotReport| r.stream == *name && r.version == manifest.version;
+        let said = |r: &RobotReport| format!("{} {}", escape(&r.robot), state(r));
+        let mut reports: Vec<String> = all.reports.iter().filter(mine).map(said).collect();
         reports.sort();
-        let keys: Vec<String> = manifest
-            .signatures
-            .iter()
-            .map(|s| escaped(&s.key_id))
-            .collect();
-        let _ = write!(
-            page,
-            "<tr><td class=\"n\">{}</td><td>{}</td><td>{}</td><td>{}</td><td class=\"n\">{}</td><td>{}</td><td><code>{}</code></td><td>{}</td></tr>",
+        let keys = manifest.signatures.iter().map(|s| escape(&s.key_id));
+        let keys: Vec<String> = keys.collect();
+        vec![
             number(manifest),
             tags(all, name, manifest.version),
             evaluation(manifest),
             reports.join("<br>"),
             thousands(manifest.env_steps),
-            if keys.is_empty() {
-                "<span class=\"quiet\">nobody</span>".to_owned()
-            } else {
-                keys.join(", ")
+            match keys.is_empty() {
+                true => span("quiet", "nobody"),
+                false => keys.join(", "),
             },
-            &hex(&manifest.sha256)[..12],
+            format!("<code>{}</code>", &hex(&manifest.sha256)[..12]),
             age(manifest.created_unix_ms, now),
-        );
-    }
-    page.push_str("</table></div>");
+        ]
+    };
+    let shown = store.records(Some(name)).take(VERSIONS_MAX);
+    table(page, &head, &[0, 4], shown.map(|r| row(&r.manifest)));
     let versions = store.records(Some(name)).count();
     if versions > VERSIONS_MAX {
-        let _ = write!(
-            page,
-            "<p class=\"quiet\">and {} older versions</p>",
-            versions - VERSIONS_MAX
-        );
+        let more = versions - VERSIONS_MAX;
+        paragraph(page, "quiet", &format!("and {more} older versions"));
     }
+}
+
+/// A table of cells that are HTML; those in the columns `figures` stand at the right.
+fn table(
+    page: &mut String,
+    head: &[&str],
+    figures: &[usize],
+    rows: impl Iterator<Item = Vec<String>>,
+) {
+    let head = head.join("</th><th>");
+    let _ = write!(page, "<div class=\"wide\"><table><tr><th>{head}</th></tr>");
+    for row in rows {
+        page.push_str("<tr>");
+        for (column, cell) in row.iter().enumerate() {
+            let class = match figures.contains(&column) {
+                true => " class=\"n\"",
+                false => "",
+            };
+            let _ = write!(page, "<td{class}>{cell}</td>");
+        }
+        page.push_str("</tr>");
+    }
+    page.push_str("</table></div>");
+}
+
+fn paragraph(page: &mut String, class: &str, html: &str) {
+    let _ = write!(page, "<p class=\"{class}\">{html}</p>");
+}
+
+fn span(class: &str, html: &str) -> String {
+    format!("<span class=\"{class}\">{html}</span>")
 }
 
 fn number(manifest: &Manifest) -> String {
     match manifest.reverts_to {
         None => manifest.version.to_string(),
-        Some(old) => format!(
-            "{}<br><span class=\"quiet\">= {old}</span>",
-            manifest.version
-        ),
+        Some(old) => {
+            let old = span("quiet", &format!("= {old}"));
+            format!("{}<br>{old}", manifest.version)
+        }
     }
 }
 
@@ -200,36 +215,29 @@ fn tags(all: &Overview, name: &StreamName, version: u64) -> String {
     for label in &all.labels {
         if label.stream == *name && label.version == version {
             let title = match &label.override_reason {
-                Some(reason) => format!(" title=\"overridden: {}\"", escaped(reason)),
+                Some(reason) => format!(" title=\"overridden: {}\"", escape(reason)),
                 None => String::new(),
             };
-            let mark = if label.override_reason.is_some() {
-                " !"
-            } else {
-                ""
+            let mark = match label.override_reason {
+                Some(_) => " !",
+                None => "",
             };
-            let _ = write!(
-                tags,
-                "<span class=\"tag\"{title}>{}{mark}</span>",
-                label.label
-            );
+            let name = &label.label;
+            let _ = write!(tags, "<span class=\"tag\"{title}>{name}{mark}</span>");
         }
     }
     let out =
         |q: &&caudata_proto::registry::QuarantineState| q.stream == *name && q.version == version;
     if let Some(state) = all.quarantined.iter().find(out) {
-        let _ = write!(
-            tags,
-            "<span class=\"bad\">quarantined: {}</span>",
-            escaped(&state.reason)
-        );
+        let words = format!("quarantined: {}", escape(&state.reason));
+        tags.push_str(&span("bad", &words));
     }
     tags
 }
 
 /// One line per scenario of the summary that travels with the version.
 fn evaluation(manifest: &Manifest) -> String {
-    let none = || "<span class=\"quiet\">none</span>".to_owned();
+    let none = || span("quiet", "none");
     let Some(text) = &manifest.evaluation_json else {
         return none();
     };
@@ -238,7 +246,7 @@ fn evaluation(manifest: &Manifest) -> String {
     };
     let Some(scenarios) = value.get("scenarios").and_then(|s| s.as_array()) else {
         let short: String = text.chars().take(120).collect();
-        return format!("<code>{}</code>", escaped(&short));
+        return format!("<code>{}</code>", escape(&short));
     };
     let figure =
         |value: &serde_json::Value, key: &str| value.get(key).and_then(serde_json::Value::as_f64);
@@ -250,7 +258,7 @@ fn evaluation(manifest: &Manifest) -> String {
                 .get("achieved")
                 .and_then(|a| a.get(0))
                 .and_then(serde_json::Value::as_f64);
-            let mut words = escaped(name);
+            let mut words = escape(name);
             if let Some(speed) = speed {
                 let _ = write!(words, ": {speed:.2} m/s");
             }
@@ -278,12 +286,9 @@ fn state(report: &RobotReport) -> String {
     };
     let reason = match report.reason.as_str() {
         "" => String::new(),
-        reason => format!(": {}", escaped(reason)),
+        reason => format!(": {}", escape(reason)),
     };
-    format!(
-        "<span class=\"{class}\">{}</span>{reason}",
-        report.state.name()
-    )
+    span(class, report.state.name()) + &reason
 }
 
 /// How long ago, in the largest fitting unit.
@@ -305,22 +310,6 @@ fn thousands(number: u64) -> String {
             out.push('\u{202f}');
         }
         out.push(digit);
-    }
-    out
-}
-
-/// Text that says nothing to a browser.
-fn escaped(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for letter in text.chars() {
-        match letter {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            '\'' => out.push_str("&#39;"),
-            other => out.push(other),
-        }
     }
     out
 }

@@ -10,9 +10,10 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use caudata_durable::{DurableError, replace, sync_folder};
+use caudata_proto::hex::hex;
 use sha2::{Digest, Sha256};
 
-use crate::{LearnerError, hex};
+use crate::LearnerError;
 
 /// Version of the meaning of the files.
 pub const FORMAT: u32 = 1;

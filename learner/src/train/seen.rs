@@ -3,9 +3,8 @@
 use std::collections::BTreeMap;
 
 use caudata_policy::PolicyFile;
+use caudata_proto::hex::hex;
 use caudata_telemetry::progress::ActorsPolicy;
-
-use crate::hex;
 
 /// Versions that chunks and the policy server may still name.
 const VERSIONS_MAX: usize = 64;

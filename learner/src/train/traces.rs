@@ -1,10 +1,9 @@
 //! What the learner adds to the traces: chunks that arrive, the batch, the update, and the policy version
 //! that comes of it.
 
+use caudata_proto::hex::hex;
 use caudata_proto::{ChunkIdentity, RolloutChunk, TraceContext, chunk_identity};
 use caudata_telemetry::traces::{Kind, Span, Tracer, Value, now_ns};
-
-use crate::hex;
 
 /// Chunks that a batch names as its origin.
 const LINKS_MAX: usize = 256;
