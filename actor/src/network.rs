@@ -1,6 +1,5 @@
 //! The network of a policy, computed in vector lanes: for many lanes of observations at a time.
 
-use caudata_lanes::dense::Activation as InLanes;
 use caudata_lanes::fold::Side;
 use caudata_lanes::perceptron::{Inputs, Perceptron, Tape, normalise};
 use caudata_policy::{Activation, Dense, MlpSpec};
@@ -30,7 +29,7 @@ impl Network {
             mean: Vec::new(),
             std: Vec::new(),
             clip: f32::INFINITY,
-            layers: Perceptron::new(vec![Side::default()], InLanes::Elu),
+            layers: Perceptron::new(vec![Side::default()], Activation::Elu),
             seen: Vec::new(),
             tape: Tape::default(),
         };
@@ -43,13 +42,7 @@ impl Network {
         self.mean.clone_from(&spec.obs_mean);
         self.std.clone_from(&spec.obs_std);
         self.clip = spec.obs_clip.unwrap_or(f32::INFINITY);
-        let activation = match spec.activation {
-            Activation::Elu => InLanes::Elu,
-            Activation::Swish => InLanes::Swish,
-            Activation::Tanh => InLanes::Tanh,
-            Activation::Relu => InLanes::Relu,
-        };
-        self.layers = Perceptron::new(folds(spec, mirror), activation);
+        self.layers = Perceptron::new(folds(spec, mirror), spec.activation);
         for (at, layer) in spec.layers.iter().enumerate() {
             self.layers.pack(at, &layer.weight, &layer.bias, false);
         }

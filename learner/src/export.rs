@@ -3,7 +3,6 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use caudata_config::Activation;
 use caudata_policy::{Dense, MlpSpec, PolicyFile, PolicyMetadata, build_onnx};
 use caudata_task::PolicyContract;
 use tch::{Device, Tensor};
@@ -49,7 +48,7 @@ pub fn export(
             .layers()
             .map(|(weight, bias)| dense(weight, bias))
             .collect::<Result<_, LearnerError>>()?,
-        activation: activation(net.spec().activation),
+        activation: net.spec().activation,
     };
     let metadata = PolicyMetadata {
         contract: identity.contract.clone(),
@@ -95,30 +94,11 @@ fn to_host(tensor: &Tensor) -> Result<Vec<f32>, LearnerError> {
     Ok(Vec::try_from(&flat)?)
 }
 
-/// The non-linearity as the vector lanes know it.
-pub(crate) fn in_lanes(of: Activation) -> caudata_lanes::dense::Activation {
-    use caudata_lanes::dense::Activation as InLanes;
-    match of {
-        Activation::Elu => InLanes::Elu,
-        Activation::Swish => InLanes::Swish,
-        Activation::Tanh => InLanes::Tanh,
-        Activation::Relu => InLanes::Relu,
-    }
-}
-
-pub(crate) fn activation(of: Activation) -> caudata_policy::Activation {
-    match of {
-        Activation::Elu => caudata_policy::Activation::Elu,
-        Activation::Swish => caudata_policy::Activation::Swish,
-        Activation::Tanh => caudata_policy::Activation::Tanh,
-        Activation::Relu => caudata_policy::Activation::Relu,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::network::NetworkSpec;
+    use caudata_config::Activation;
     use caudata_model::RobotModel;
     use caudata_policy::Inference;
     use caudata_random::{Key, Purpose, Stream};

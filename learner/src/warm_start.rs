@@ -10,7 +10,6 @@ use caudata_policy::{MlpSpec, PolicyFile};
 use caudata_task::PolicyContract;
 
 use crate::LearnerError;
-use crate::export::activation;
 use crate::network::ActorCritic;
 use crate::normaliser::Moments;
 
@@ -68,7 +67,7 @@ fn check(net: &ActorCritic, file: &PolicyFile, contract: &PolicyContract) -> Res
     if !contract.observation.slices().starts_with(parts) {
         return Err("its observation is no beginning of this task's".to_owned());
     }
-    let wanted = activation(net.spec().activation);
+    let wanted = net.spec().activation;
     if spec.activation != wanted {
         return Err(format!(
             "its activation is {:?}, learner.network.activation asks for {wanted:?}",

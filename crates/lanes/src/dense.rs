@@ -5,6 +5,8 @@
 //! lanes and the number of rows: 16 and 8 lanes give the same bits, and a batch gives each row what it gets
 //! alone.
 
+use serde::{Deserialize, Serialize};
+
 use crate::real::Real;
 use crate::simd::{AnyWidth, Lanes, widest};
 
@@ -19,16 +21,23 @@ pub fn padded(width: usize) -> usize {
 }
 
 /// Non-linearity between layers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Activation {
-    /// x where positive, else eˣ − 1.
+    /// x where positive, else eˣ − 1 (rsl_rl's default).
+    #[default]
     Elu,
-    /// x times the logistic function of x.
+    /// x times the logistic function of x; also called SiLU (brax's default).
     Swish,
     /// Hyperbolic tangent.
     Tanh,
     /// x where positive, else 0.
     Relu,
+}
+
+impl Activation {
+    /// Every activation.
+    pub const ALL: [Self; 4] = [Self::Elu, Self::Swish, Self::Tanh, Self::Relu];
 }
 
 /// A layer `y = W·x + b`, packed for the products.

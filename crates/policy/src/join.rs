@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use caudata_task::PolicyContract;
 
-use crate::mlp::{Activation, Dense, MlpSpec};
+use crate::mlp::{Activation, Dense, MlpSpec, activated};
 use crate::onnx::build::build_onnx;
 use crate::{PolicyError, PolicyFile};
 
@@ -233,7 +233,7 @@ fn when_shut(spec: &MlpSpec) -> Vec<f64> {
         values = match i + 1 == spec.layers.len() {
             true => sums.collect(),
             false => sums
-                .map(|x| f64::from(spec.activation.apply(x as f32)))
+                .map(|x| f64::from(activated(spec.activation, x as f32)))
                 .collect(),
         };
     }

@@ -1,5 +1,7 @@
 //! The network of a policy: normaliser and multi-layer perceptron, and a plain evaluation of it.
 
+pub use caudata_lanes::dense::Activation;
+
 use crate::PolicyError;
 
 /// Most layers of a policy.
@@ -39,33 +41,14 @@ pub struct Dense {
     pub bias: Vec<f32>,
 }
 
-/// Non-linearity between layers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Activation {
-    /// x where positive, else eˣ - 1.
-    Elu,
-    /// x times the logistic function of x; also called SiLU.
-    Swish,
-    /// Hyperbolic tangent.
-    Tanh,
-    /// x where positive, else 0.
-    Relu,
-}
-
-impl Activation {
-    /// Every activation.
-    pub const ALL: [Self; 4] = [Self::Elu, Self::Swish, Self::Tanh, Self::Relu];
-
-    /// The function's value.
-    pub fn apply(self, x: f32) -> f32 {
-        match self {
-            Self::Elu if x > 0.0 => x,
-            Self::Elu => x.exp_m1(),
-            Self::Swish => x / (1.0 + (-x).exp()),
-            Self::Tanh => x.tanh(),
-            Self::Relu => x.max(0.0),
-        }
+/// The value of the function `of` at `x`.
+pub(crate) fn activated(of: Activation, x: f32) -> f32 {
+    match of {
+        Activation::Elu if x > 0.0 => x,
+        Activation::Elu => x.exp_m1(),
+        Activation::Swish => x / (1.0 + (-x).exp()),
+        Activation::Tanh => x.tanh(),
+        Activation::Relu => x.max(0.0),
     }
 }
 
@@ -177,7 +160,8 @@ pub fn evaluate_mlp(
                     .map(|(row, bias)| bias + row.iter().zip(&x).map(|(w, x)| w * x).sum::<f32>()),
             );
             if index + 1 < spec.layers.len() {
-                y.iter_mut().for_each(|y| *y = spec.activation.apply(*y));
+                y.iter_mut()
+                    .for_each(|y| *y = activated(spec.activation, *y));
             }
             std::mem::swap(&mut x, &mut y);
         }

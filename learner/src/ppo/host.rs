@@ -63,7 +63,7 @@ impl Host {
     pub fn new(net: &ActorCritic, threads: usize) -> Result<Self, LearnerError> {
         let place = Arc::new(net.place());
         let spec = net.spec();
-        let activation = crate::export::in_lanes(spec.activation);
+        let activation = spec.activation;
         let actions = spec.mirror.as_ref().map(|mirror| mirror.action.clone());
         let [policy, value] = spec.folds();
         Ok(Self {

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use caudata_declare::settings;
+pub use caudata_lanes::dense::Activation;
 use serde::{Deserialize, Serialize};
 
 settings! {
@@ -118,21 +119,6 @@ settings! {
         /// cannot be learnt.
         pub symmetric: bool = false,
     }
-}
-
-/// Non-linearity of the hidden layers.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Activation {
-    /// x for x > 0, else eˣ − 1 (rsl_rl's default).
-    #[default]
-    Elu,
-    /// x·σ(x) (brax's default).
-    Swish,
-    /// Hyperbolic tangent.
-    Tanh,
-    /// max(x, 0).
-    Relu,
 }
 
 settings! {
