@@ -9,90 +9,26 @@ use serde::{Deserialize, Serialize};
 use crate::gait::Gait;
 use crate::posture::Posture;
 
-/// The limits, from `[evaluation.gates]`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Limits {
-    /// Smallest share of the commanded forward speed; 0: not looked at.
-    pub speed_share: f64,
-    /// Largest |stride frequency / clock − 1|.
-    pub stride_off_clock: f64,
-    /// Smallest and largest duty factor of each foot.
-    pub duty_factor: [f64; 2],
-    /// Largest mean power, W.
-    pub power_w: f64,
-    /// Largest share of time with the trunk on the ground; not looked at on rough ground.
-    pub trunk_contact_share: Option<f64>,
-    /// Largest slip of a foot in stance, m/s.
-    pub slip_mps: f64,
-    /// Smallest height that every foot reaches, m.
-    pub clearance_m: f64,
-    /// Largest share of joint power above `vibration_hz`.
-    pub vibration_share: f64,
-    /// Joint power above this is vibration, Hz.
-    pub vibration_hz: f64,
-    /// What an eye sees; `None`: not looked at.
-    pub posture: Option<PostureLimits>,
-}
+// The limits of posture and of going straight, which `[evaluation.gates]` has as a whole.
 
-/// The limits of posture and of going straight.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PostureLimits {
-    /// Largest distance of a joint's mean from nominal or from its mirror image, whichever is nearer, rad.
-    pub off_rad: f64,
-    /// Largest share of time that a joint is at an end stop.
-    pub at_stop_share: f64,
-    /// Largest |mean yaw rate − commanded| (rad/s) and |velocity to the left − commanded| (m/s); not looked
-    /// at on rough ground, which turns a robot aside.
-    pub drift: Option<(f64, f64)>,
-    /// Largest difference between the swings of a leg's joint and its counterpart's, rad.
-    pub sides_apart_rad: f64,
-    /// Largest difference between the duty factors of a foot and the one on the other side.
-    pub duty_apart: f64,
-    /// Largest share of the tail in the power.
-    pub tail_power_share: f64,
-    /// Largest share of one joint in the bend of the trunk.
-    pub trunk_bend_share: f64,
-    /// Largest share of time in which parts of the robot overlap.
-    pub overlap_share: f64,
-}
-
-impl Default for PostureLimits {
-    fn default() -> Self {
-        Self {
-            off_rad: 10.0_f64.to_radians(),
-            at_stop_share: 0.02,
-            drift: Some((0.02, 0.01)),
-            sides_apart_rad: 5.0_f64.to_radians(),
-            duty_apart: 0.05,
-            tail_power_share: 0.15,
-            trunk_bend_share: 0.5,
-            overlap_share: 1e-3,
-        }
-    }
-}
-
-impl From<&GatesConfig> for Limits {
-    fn from(gates: &GatesConfig) -> Self {
-        Self {
-            speed_share: gates.speed_share,
-            stride_off_clock: gates.stride_off_clock,
-            duty_factor: gates.duty_factor,
-            power_w: gates.power_w,
-            trunk_contact_share: Some(gates.trunk_contact_share),
-            slip_mps: gates.slip_mps,
-            clearance_m: gates.clearance_m,
-            vibration_share: gates.vibration_share,
-            vibration_hz: gates.vibration_hz,
-            posture: gates.posture.then(PostureLimits::default),
-        }
-    }
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        Self::from(&GatesConfig::default())
-    }
-}
+/// Largest distance of a joint's mean from nominal or from its mirror image, whichever is nearer, rad.
+const OFF_RAD: f64 = 10.0_f64.to_radians();
+/// Largest share of time that a joint is at an end stop.
+const AT_STOP_SHARE: f64 = 0.02;
+/// Largest |mean yaw rate − commanded|, rad/s; not looked at on rough ground, which turns a robot aside.
+const YAW_OFF_RADPS: f64 = 0.02;
+/// Largest |velocity to the left − commanded|, m/s; likewise.
+const SIDE_OFF_MPS: f64 = 0.01;
+/// Largest difference between the swings of a leg's joint and its counterpart's, rad.
+const SIDES_APART_RAD: f64 = 5.0_f64.to_radians();
+/// Largest difference between the duty factors of a foot and the one on the other side.
+const DUTY_APART: f64 = 0.05;
+/// Largest share of the tail in the power.
+const TAIL_POWER_SHARE: f64 = 0.15;
+/// Largest share of one joint in the bend of the trunk.
+const TRUNK_BEND_SHARE: f64 = 0.5;
+/// Largest share of time in which parts of the robot overlap.
+const OVERLAP_SHARE: f64 = 1e-3;
 
 /// One gate.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -119,19 +55,16 @@ pub struct GateReport {
 }
 
 impl GateReport {
-    /// Judges the episodes of one scenario.
-    pub fn of(gaits: &[Gait], limits: &Limits) -> Self {
+    /// Judges the episodes of one scenario, on `flat` ground or not.
+    pub fn of(gaits: &[Gait], limits: &GatesConfig, flat: bool) -> Self {
         if gaits.is_empty() {
             return Self::default();
         }
         let means = Means(gaits);
-        let mut gates = means.of_walking(limits);
-        gates.extend(
-            limits
-                .posture
-                .iter()
-                .flat_map(|posture| means.of_posture(posture)),
-        );
+        let mut gates = means.of_walking(limits, flat);
+        if limits.posture {
+            gates.extend(means.of_posture(flat));
+        }
         Self {
             walks: gates.iter().all(|g| g.met),
             gates,
@@ -166,7 +99,7 @@ impl Means<'_> {
         ends
     }
 
-    fn of_walking(&self, limits: &Limits) -> Vec<Gate> {
+    fn of_walking(&self, limits: &GatesConfig, flat: bool) -> Vec<Gate> {
         let mut gates = Vec::new();
         if limits.speed_share > 0.0 {
             let share = self.of(|g| g.speed_share);
@@ -184,15 +117,18 @@ impl Means<'_> {
         let name = format!("joint power above {} Hz", limits.vibration_hz);
         gates.push(at_most("power, W", self.of(|g| g.power_w), limits.power_w));
         gates.push(at_most(name, vibration, limits.vibration_share));
-        if let Some(most) = limits.trunk_contact_share.filter(|_| feet > 0) {
-            let share = self.of(|g| g.trunk_contact_share);
+        if flat && feet > 0 {
+            let (share, most) = (
+                self.of(|g| g.trunk_contact_share),
+                limits.trunk_contact_share,
+            );
             gates.push(at_most("trunk on the ground", share, most));
         }
         gates
     }
 
     /// The gates of a robot with feet, the worst foot deciding.
-    fn of_feet(&self, feet: usize, limits: &Limits) -> Vec<Gate> {
+    fn of_feet(&self, feet: usize, limits: &GatesConfig) -> Vec<Gate> {
         let duty = self.ends(feet, |g, foot| g.duty_factor[foot]);
         let clearance = self.ends(feet, |g, foot| g.clearance_m[foot]);
         let mut gates = vec![
@@ -213,34 +149,31 @@ impl Means<'_> {
         gates
     }
 
-    fn of_posture(&self, limits: &PostureLimits) -> Vec<Gate> {
+    fn of_posture(&self, flat: bool) -> Vec<Gate> {
         let joints = self.0[0].posture.off_rad.len();
         let off = self.ends(joints, |g, joint| g.posture.off_rad[joint])[1];
         let at_stop = self.ends(joints, |g, joint| g.posture.at_stop_share[joint])[1];
         let of = |value: fn(&Posture) -> f64| self.of(|g| value(&g.posture));
         let (sides, duty) = (of(|p| p.sides_apart_rad), of(|p| p.duty_apart));
         let (tail, bend) = (of(|p| p.tail_power_share), of(|p| p.trunk_bend_share));
+        let overlap = of(|p| p.overlap_share);
         let mut gates = vec![
-            at_most("joint off nominal and mirror, rad", off, limits.off_rad),
-            at_most("at an end stop", at_stop, limits.at_stop_share),
+            at_most("joint off nominal and mirror, rad", off, OFF_RAD),
+            at_most("at an end stop", at_stop, AT_STOP_SHARE),
             at_most(
                 "leg swing apart left and right, rad",
                 sides,
-                limits.sides_apart_rad,
+                SIDES_APART_RAD,
             ),
-            at_most("duty factor apart left and right", duty, limits.duty_apart),
-            at_most("tail's share of the power", tail, limits.tail_power_share),
-            at_most("trunk bend in one joint", bend, limits.trunk_bend_share),
-            at_most(
-                "overlaps itself",
-                of(|p| p.overlap_share),
-                limits.overlap_share,
-            ),
+            at_most("duty factor apart left and right", duty, DUTY_APART),
+            at_most("tail's share of the power", tail, TAIL_POWER_SHARE),
+            at_most("trunk bend in one joint", bend, TRUNK_BEND_SHARE),
+            at_most("overlaps itself", overlap, OVERLAP_SHARE),
         ];
-        if let Some((yaw_radps, side_mps)) = limits.drift {
+        if flat {
             let (yaw, side) = (of(|p| p.yaw_off_radps), of(|p| p.side_off_mps));
-            gates.push(at_most("yaw off the command, rad/s", yaw, yaw_radps));
-            gates.push(at_most("sideways off the command, m/s", side, side_mps));
+            gates.push(at_most("yaw off the command, rad/s", yaw, YAW_OFF_RADPS));
+            gates.push(at_most("sideways off the command, m/s", side, SIDE_OFF_MPS));
         }
         gates
     }
@@ -278,7 +211,7 @@ mod tests {
 
     fn judged(stride_hz: f64, shake: f64) -> GateReport {
         let gait = Gait::of(&trot(stride_hz, shake), &measure()).unwrap();
-        GateReport::of(&[gait], &Limits::default())
+        GateReport::of(&[gait], &GatesConfig::default(), true)
     }
 
     #[test]
@@ -334,12 +267,15 @@ mod tests {
         for (name, change) in spoil {
             let mut gait = good.clone();
             change(&mut gait);
-            assert_eq!(GateReport::of(&[gait], &Limits::default()).missed(), [name]);
+            assert_eq!(
+                GateReport::of(&[gait], &GatesConfig::default(), true).missed(),
+                [name]
+            );
         }
     }
 
     #[test]
     fn nothing_measured_is_not_walking() {
-        assert!(!GateReport::of(&[], &Limits::default()).walks);
+        assert!(!GateReport::of(&[], &GatesConfig::default(), true).walks);
     }
 }

@@ -39,7 +39,7 @@ pub use error::EvaluationError;
 pub use estimate::Estimate;
 pub use evaluate::Evaluation;
 pub use gait::Gait;
-pub use gates::{Gate, GateReport, Limits, PostureLimits};
+pub use gates::{Gate, GateReport};
 pub use overlap::Shapes;
 pub use posture::{Posture, PostureResult};
 pub use result::{AnimalRow, Referee, Row, ScenarioResult, SuiteResult};

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use caudata_actor::build_env;
-use caudata_config::Config;
+use caudata_config::{Config, GatesConfig};
 use caudata_env::StartShift;
 use caudata_model::RobotModel;
 use caudata_policy::{Inference, PolicyFile};
@@ -17,7 +17,7 @@ use crate::result::Episode;
 use crate::righting::RightingResult;
 use crate::transition::{Shore, TransitionResult};
 use crate::wave::WaveResult;
-use crate::{Envelope, EvaluationError, Film, GateReport, Limits, Scenario, ScenarioResult, Track};
+use crate::{Envelope, EvaluationError, Film, GateReport, Scenario, ScenarioResult, Track};
 
 /// Actor number in the keys of the evaluation's random streams, less the number of the block: no actor of a
 /// training run has it, so that the episodes are new to the policy.
@@ -128,7 +128,7 @@ pub fn run_scenario(
     }
     let gates = scenario
         .judged
-        .then(|| judge(&measured, scenario, &Limits::from(&config.evaluation.gates)));
+        .then(|| judge(&measured, scenario, &config.evaluation.gates));
     let mut result = ScenarioResult::of(&scenario.name, model.feet().len(), &measured, gates);
     let passages: Vec<_> = measured.iter().filter_map(|e| e.passage).collect();
     result.transition = shore.map(|_| TransitionResult::of(&passages));
@@ -151,16 +151,9 @@ pub fn run_scenario(
     })
 }
 
-fn judge(episodes: &[Episode], scenario: &Scenario, limits: &Limits) -> GateReport {
-    let mut limits = *limits;
-    if !scenario.is_flat() {
-        limits.trunk_contact_share = None;
-        if let Some(posture) = &mut limits.posture {
-            posture.drift = None;
-        }
-    }
+fn judge(episodes: &[Episode], scenario: &Scenario, limits: &GatesConfig) -> GateReport {
     let gaits: Vec<_> = episodes.iter().filter_map(|e| e.gait.clone()).collect();
-    GateReport::of(&gaits, &limits)
+    GateReport::of(&gaits, limits, scenario.is_flat())
 }
 
 /// The training configuration under the scenario's conditions; `surface_m` is the height of the water, if
