@@ -7,7 +7,7 @@ use caudata_gap::import::{self, Format, ImportError, draft, map::Map};
 use caudata_runlog::LogError;
 use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure};
-use clap::{Args, ValueEnum};
+use clap::Args;
 use serde_json::json;
 
 use crate::say;
@@ -16,7 +16,7 @@ use crate::say;
 pub struct ImportArgs {
     /// Form of the recordings; default: by their names
     #[arg(long, value_enum)]
-    format: Option<Form>,
+    format: Option<Format>,
     /// Which column is which signal, in which unit (TOML); all forms but bam need one
     #[arg(long, value_name = "MAP.toml")]
     map: Option<PathBuf>,
@@ -37,25 +37,10 @@ pub struct ImportArgs {
     json: bool,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Form {
-    /// A servo that swings a weight: JSON of the BAM project
-    Bam,
-    /// CSV files of any kind
-    Csv,
-    /// ROS 2: .mcap or .db3, alone or in the folder of a bag
-    Rosbag,
-    /// The folder of a LeRobot dataset (v2, v3); each episode is a run
-    Lerobot,
-}
-
 impl ImportArgs {
     fn format(&self, path: &Path) -> Result<Format, Failure> {
         match self.format {
-            Some(Form::Bam) => Ok(Format::Bam),
-            Some(Form::Csv) => Ok(Format::Csv),
-            Some(Form::Rosbag) => Ok(Format::Rosbag),
-            Some(Form::Lerobot) => Ok(Format::Lerobot),
+            Some(format) => Ok(format),
             None => Format::guess(path).map_err(failure),
         }
     }

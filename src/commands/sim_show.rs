@@ -68,8 +68,8 @@ pub struct ShowArgs {
     #[arg(long, value_name = "T")]
     at: Option<f64>,
     /// From where
-    #[arg(long, value_enum, default_value_t = ViewName::Iso)]
-    view: ViewName,
+    #[arg(long, value_enum, default_value_t = View::Iso)]
+    view: View,
     /// Distance of the camera, m
     #[arg(long, default_value_t = 1.9)]
     distance: f64,
@@ -96,29 +96,6 @@ enum PoseName {
     Nominal,
     /// Legs folded back
     Swimming,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum ViewName {
-    /// From ahead, left and above
-    Iso,
-    /// From the left
-    Side,
-    /// From ahead
-    Front,
-    /// From above
-    Top,
-}
-
-impl From<ViewName> for View {
-    fn from(name: ViewName) -> Self {
-        match name {
-            ViewName::Iso => View::Iso,
-            ViewName::Side => View::Side,
-            ViewName::Front => View::Front,
-            ViewName::Top => View::Top,
-        }
-    }
 }
 
 pub fn run(args: &ShowArgs, stop: &StopFlag) -> Result<(), Failure> {
@@ -426,7 +403,7 @@ fn draw(
             0.0
         };
         let yaw = heading.follow(forward[1].atan2(forward[0]));
-        let camera = Camera::of_view(args.view.into(), com, yaw + extra, args.distance)
+        let camera = Camera::of_view(args.view, com, yaw + extra, args.distance)
             .or_exit(ExitCode::BadConfig)?;
         let items = robot_items(model, &moment.base, &moment.joint_pos_rad, &moment.contacts)
             .or_exit(ExitCode::BadInput)?;

@@ -14,15 +14,15 @@ use caudata_gap_benchmark::score::{Outcome, Summary};
 use caudata_gap_benchmark::sets::{self, SetName};
 use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
-use clap::{Args, ValueEnum};
+use clap::Args;
 use serde::Serialize;
 
 /// Which cases, and how they are diagnosed.
 #[derive(Clone, Debug, Args)]
 pub struct Plan {
     /// Which cases
-    #[arg(long, value_enum, default_value_t = Set::Quick)]
-    set: Set,
+    #[arg(long, value_enum, default_value_t = SetName::Quick)]
+    set: SetName,
     /// Only cases of these blocks: null, single, pair, decoy, outside, starved, ground, water,
     /// holdout_change; default: all
     #[arg(long, value_name = "BLOCK", value_delimiter = ',', value_parser = block)]
@@ -54,33 +54,11 @@ pub struct Plan {
     case: Option<PathBuf>,
 }
 
-/// The sets of cases.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Set {
-    /// A dozen short cases
-    Quick,
-    /// About 150: every effect once at d = 4, half of them at another size, and some of all other blocks
-    Pr,
-    /// About 1,200
-    Nightly,
-}
-
-impl From<Set> for SetName {
-    fn from(set: Set) -> Self {
-        match set {
-            Set::Quick => Self::Quick,
-            Set::Pr => Self::Pr,
-            Set::Nightly => Self::Nightly,
-        }
-    }
-}
-
 /// How every case went.
 #[derive(Debug, Serialize)]
 pub struct Finding {
     /// Which cases.
-    pub set: Set,
+    pub set: SetName,
     /// Seed of the set.
     pub seed: u64,
     /// How many were made.
@@ -133,7 +111,7 @@ fn bench(plan: &Plan, program: &Path, root: &Path) -> Result<Finding, Failure> {
     let began = Instant::now();
     let jobs = plan.jobs as usize;
     let secret = secret();
-    let mut cases = sets::plan(plan.set.into(), plan.seed, None);
+    let mut cases = sets::plan(plan.set, plan.seed, None);
     cases.retain(|c| plan.block.is_empty() || plan.block.contains(&c.block));
     cases.truncate(plan.cases.unwrap_or(usize::MAX));
     let told = AtomicUsize::new(0);

@@ -6,7 +6,7 @@ use crate::error::RenderError;
 use crate::vector::{Vec3, scale, unit};
 
 /// Named directions, relative to the robot's heading.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum View {
     /// From ahead, left and above.
     Iso,

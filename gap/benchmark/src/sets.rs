@@ -2,6 +2,8 @@
 
 use caudata_random::{Key, Purpose, Stream};
 use caudata_runlog::BaseHold;
+use clap::ValueEnum;
+use serde::Serialize;
 
 use crate::battery::Amount;
 use crate::case::Block;
@@ -31,14 +33,15 @@ pub struct Plan {
     pub salamander: Option<(BaseHold, Hides, Channels)>,
 }
 
-/// How many cases of which block.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// The sets of cases.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "lowercase")]
 pub enum SetName {
-    /// A few, short, for every run of the tests.
+    /// A dozen short cases
     Quick,
-    /// For every change: 20 nulls, 60 singles, and some of all blocks.
+    /// About 150: every effect once at d = 4, half of them at another size, and some of all other blocks
     Pr,
-    /// Everything.
+    /// About 1,200
     Nightly,
 }
 

@@ -13,15 +13,15 @@ use super::sheet::Recording;
 use super::{bag, bam, csv, lerobot};
 
 /// Form of a recording.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Format {
-    /// JSON of the BAM project.
+    /// A servo that swings a weight: JSON of the BAM project
     Bam,
-    /// CSV files.
+    /// CSV files of any kind
     Csv,
-    /// A bag of ROS 2.
+    /// ROS 2: .mcap or .db3, alone or in the folder of a bag
     Rosbag,
-    /// A dataset of LeRobot.
+    /// The folder of a LeRobot dataset (v2, v3); each episode is a run
     Lerobot,
 }
 

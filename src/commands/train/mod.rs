@@ -21,7 +21,7 @@ use caudata_live::{LivePage, Policy, Show, Training};
 use caudata_model::RobotModel;
 use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
-use clap::{Args, ValueEnum};
+use clap::Args;
 
 use crate::commands::play::PageArgs;
 use crate::commands::robot::load as load_robot;
@@ -45,7 +45,7 @@ pub struct TrainArgs {
     iterations: Option<u64>,
     /// How rollouts reach the learner
     #[arg(long, value_enum)]
-    transport: Option<Transport>,
+    transport: Option<TransportKind>,
     /// Seed of everything random
     #[arg(long)]
     seed: Option<u64>,
@@ -81,27 +81,6 @@ impl TrainArgs {
             Some(name) => Resume::Named(name.clone()),
             None if self.resume => Resume::Latest,
             None => Resume::No,
-        }
-    }
-}
-
-/// The transports, as words on the command line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Transport {
-    /// Actors are threads of the learner: fastest on one machine with few cores
-    Inproc,
-    /// Actors are processes, over shared memory
-    Iceoryx2,
-    /// Actors are processes, over TCP
-    Zenoh,
-}
-
-impl From<Transport> for TransportKind {
-    fn from(transport: Transport) -> Self {
-        match transport {
-            Transport::Inproc => TransportKind::Inproc,
-            Transport::Iceoryx2 => TransportKind::Iceoryx2,
-            Transport::Zenoh => TransportKind::Zenoh,
         }
     }
 }
@@ -283,8 +262,7 @@ fn source(args: &TrainArgs, resumed: Option<&Path>) -> Source {
     set("run.seed", args.seed.map(|seed| seed.to_string()));
     set(
         "transport.kind",
-        args.transport
-            .map(|t| TransportKind::from(t).name().to_owned()),
+        args.transport.map(|kind| kind.name().to_owned()),
     );
     source
 }

@@ -4,6 +4,7 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 
 use caudata_declare::{named, settings};
+use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 
 settings! {
@@ -44,15 +45,15 @@ settings! {
 
 named! {
     /// Which transport.
-    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
     #[serde(rename_all = "lowercase")]
     pub enum TransportKind {
-        /// Actors are threads of the learner.
+        /// Actors are threads of the learner: fastest on one machine with few cores
         #[default]
         Inproc = "inproc",
-        /// Actors are processes on the learner's machine: shared memory.
+        /// Actors are processes, over shared memory
         Iceoryx2 = "iceoryx2",
-        /// Actors are processes anywhere that reaches the learner or a common router.
+        /// Actors are processes, over TCP
         Zenoh = "zenoh",
     }
 }
