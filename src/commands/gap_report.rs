@@ -76,16 +76,7 @@ pub fn print(report: &Report) {
             say::line(format!("   {text}"));
         }
     }
-    for c in report.model.iter().filter(|c| !c.named) {
-        let values = c.parameters.iter();
-        let values = values.map(|(name, value)| format!("{name} = {}", short(*value)));
-        say::line(format!(
-            "in the model, its name no finding: {} at {}, {}",
-            c.effect,
-            place(&c.location),
-            values.collect::<Vec<_>>().join(", ")
-        ));
-    }
+    unnamed(report);
     if !report.gain.is_empty() {
         say::line("");
         say::table(
@@ -139,6 +130,20 @@ pub fn print(report: &Report) {
         "{} hypotheses, {} simulated runs, {:.0} s simulated, {:.1} s",
         c.candidates, c.rollouts, c.simulated_s, c.seconds
     ));
+}
+
+/// What the model carries without a name that anybody vouches for.
+fn unnamed(report: &Report) {
+    for c in report.model.iter().filter(|c| !c.named) {
+        let values = c.parameters.iter();
+        let values = values.map(|(name, value)| format!("{name} = {}", short(*value)));
+        say::line(format!(
+            "in the model, its name no finding: {} at {}, {}",
+            c.effect,
+            place(&c.location),
+            values.collect::<Vec<_>>().join(", ")
+        ));
+    }
 }
 
 fn cause(number: usize, cause: &Cause) {

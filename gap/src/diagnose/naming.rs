@@ -25,7 +25,7 @@ const MARGIN_OF_REST: f64 = 0.25;
 const MARGIN_FLOORS: f64 = 0.06;
 /// A rival that fails to explain this share of what the cause does is none, even if what it does could as well be
 /// done by other sizes of the model's effects ([`trades`]).
-const NEAR: f64 = 0.03;
+const TRADES_AT_MOST: f64 = 0.03;
 /// A cause with less than this probability of its name is none …
 const UNNAMED: f64 = 0.2;
 /// … unless its layer (friction, motor, timing …) has this one.
@@ -415,7 +415,7 @@ fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, Ga
         let alike = r.short < margin;
         let traded = || trades(context, best, other);
         let special = wider(other.effect, term.effect) || wider(term.effect, other.effect);
-        let may = r.short < NEAR && other.effect != term.effect && !special;
+        let may = r.short < TRADES_AT_MOST && other.effect != term.effect && !special;
         r.traded = !alike && may && traded()?;
         r.in_set = alike || r.traded;
         // where sizes trade, the misfit does not tell them apart

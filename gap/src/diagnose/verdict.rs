@@ -209,9 +209,8 @@ pub fn conclude(
     let position_errors = evidence.tracking.errors(context, &model.terms)?;
     let listed = carried.listed(&entries);
     let first = words::first(verdict, &position_errors, evidence.unfinished);
-    let last = words::last(&listed, &local);
-    let assumed = words::assumed(verdict, &request.data_faults);
-    let summary = [first, told, assumed, last].concat();
+    let last = words::assumed(verdict, &request.data_faults) + &words::last(&listed, &local);
+    let summary = [first, told, last].concat();
     if !matches!(verdict, Verdict::PartlyExplained | Verdict::Unexplained) {
         unexplained.clear();
     }

@@ -223,7 +223,7 @@ pub fn map(recordings: &[Recording], robot: &RobotModel) -> Result<Drafted, Impo
 /// Most rows by which a reading may come after its command.
 const MOST_LAG: usize = 40;
 /// A reading differs from the command that it follows by no more than this share of its variance.
-const FOLLOWS: f64 = 0.6;
+const KEEPS_UP: f64 = 0.6;
 /// Fewest rows that tell which of two columns follows the other.
 const FEWEST_ROWS: usize = 50;
 
@@ -316,7 +316,7 @@ fn follows(command: &[Option<f64>], reading: &[Option<f64>]) -> Option<f64> {
     let (lag, least) = lags
         .map(|lag| (lag, apart(lag)))
         .min_by(|a, b| a.1.total_cmp(&b.1))?;
-    (lag > 0 && variance > 0.0 && least < FOLLOWS * variance).then(|| least / variance)
+    (lag > 0 && variance > 0.0 && least < KEEPS_UP * variance).then(|| least / variance)
 }
 
 /// The clock of a recording whose form tells of none.
