@@ -14,124 +14,8 @@ use caudata_model::{BaseKind, RobotModel};
 use super::map::{UNKNOWN, unit};
 use super::run::ImportError;
 use super::sheet::{Clock, Hint, Joint, Recording, Sheet};
+use super::words::{CLOCKS, COMMANDS, Words, joint_called};
 
-/// Words that tell a kind of signal, the first that fits; a command is one of the words in [`COMMANDS`] with any
-/// of them or none.
-const KIND_WORDS: &[(&str, &[&str])] = &[
-    (
-        "vel",
-        &[
-            "vel",
-            "velocity",
-            "speed",
-            "qd",
-            "dq",
-            "omega",
-            "drehzahl",
-            "vitesse",
-            "velocidad",
-        ],
-    ),
-    (
-        "cur",
-        &[
-            "cur",
-            "current",
-            "currents",
-            "amps",
-            "i",
-            "strom",
-            "courant",
-            "corriente",
-        ],
-    ),
-    ("tau", &["tau", "torque", "torques", "effort", "drehmoment"]),
-    (
-        "volt",
-        &[
-            "volt", "volts", "voltage", "supply", "vbat", "vin", "spannung",
-        ],
-    ),
-    ("temp", &["temp", "temperature"]),
-    ("pwm", &["pwm", "duty"]),
-    (
-        "pos",
-        &[
-            "pos",
-            "position",
-            "positions",
-            "angle",
-            "angles",
-            "q",
-            "encoder",
-            "present",
-            "actual",
-            "measured",
-            "theta",
-            "ist",
-            "winkel",
-            "mesure",
-            "medida",
-        ],
-    ),
-];
-const COMMANDS: &[&str] = &[
-    "goal",
-    "cmd",
-    "command",
-    "commanded",
-    "target",
-    "desired",
-    "des",
-    "setpoint",
-    "reference",
-    "ref",
-    "soll",
-    "consigne",
-    "consigna",
-];
-const CLOCKS: &[&str] = &[
-    "t",
-    "time",
-    "timestamp",
-    "stamp",
-    "clock",
-    "seconds",
-    "zeit",
-    "temps",
-    "tiempo",
-];
-/// Last words of a header that are units, and what a map calls them.
-const UNIT_WORDS: &[(&str, &str)] = &[
-    ("rad", "rad"),
-    ("rads", "rad"),
-    ("radians", "rad"),
-    ("deg", "deg"),
-    ("degrees", "deg"),
-    ("°", "deg"),
-    ("turns", "turn"),
-    ("rev", "turn"),
-    ("rad/s", "rad/s"),
-    ("deg/s", "deg/s"),
-    ("rpm", "rev/min"),
-    ("rev/min", "rev/min"),
-    ("a", "A"),
-    ("ma", "mA"),
-    ("nm", "Nm"),
-    ("n·m", "Nm"),
-    ("v", "V"),
-    ("mv", "mV"),
-    ("c", "degC"),
-    ("°c", "degC"),
-    ("degc", "degC"),
-    ("%", "%"),
-    ("s", "s"),
-    ("sec", "s"),
-    ("ms", "ms"),
-    ("us", "us"),
-    ("µs", "us"),
-    ("ns", "ns"),
-];
 /// Words in the names of grippers, which some give as a share of their range when all else is an angle.
 const GRIPPERS: [&str; 3] = ["gripper", "jaw", "claw"];
 /// Numbers beyond this are no shares of 100, but degrees.
@@ -528,21 +412,6 @@ fn is_gripper(column: &str) -> bool {
     GRIPPERS.iter().any(|word| column.contains(word))
 }
 
-/// The actuated joint that is called so, or else the one with the longest name that is part of it.
-fn joint_called(robot: &RobotModel, text: &str) -> Option<usize> {
-    let text = text.to_lowercase();
-    let names: Vec<String> = robot
-        .actuated_names()
-        .iter()
-        .map(|n| n.to_lowercase())
-        .collect();
-    let part = || {
-        let named = (0..names.len()).filter(|&j| text.contains(&names[j]));
-        named.max_by_key(|&j| names[j].len())
-    };
-    names.iter().position(|name| *name == text).or_else(part)
-}
-
 /// Where zero is: no file says. What lies outside of the joint's range is moved so that it begins at its nominal
 /// position, command and reading alike; `offset_rad` is what the first of them was moved by.
 fn zero(
@@ -598,75 +467,6 @@ fn unit_by_size(kind: &str, values: &[f64]) -> &'static str {
 
 fn quoted(text: &str) -> String {
     toml::Value::String(text.trim().to_owned()).to_string()
-}
-
-/// A header, taken apart.
-struct Words {
-    /// Lower case, letters and digits only.
-    words: Vec<String>,
-    whole: String,
-    unit: Option<&'static str>,
-}
-
-impl Words {
-    fn of(header: &str) -> Self {
-        let whole = header.trim().to_lowercase();
-        let parted = |text: &str| -> Vec<String> {
-            let words = text.split(|c: char| !c.is_alphanumeric());
-            words.filter(|w| !w.is_empty()).map(str::to_owned).collect()
-        };
-        let in_brackets = whole
-            .rsplit_once(['[', '('])
-            .map(|(before, unit)| (before, unit.trim_end_matches([']', ')']).trim()));
-        let (text, said) = match in_brackets {
-            Some((before, unit)) if unit_word(unit).is_some() => (before, unit_word(unit)),
-            _ => (whole.as_str(), None),
-        };
-        let mut words = parted(text);
-        // `pos_deg`, `time_ms`; one word alone is no unit
-        let last = words.last().and_then(|w| unit_word(w));
-        let unit = said.or(last.filter(|_| words.len() > 1));
-        if said.is_none() && unit.is_some() {
-            words.pop();
-        }
-        Self { words, whole, unit }
-    }
-
-    fn has(&self, any: &[&str]) -> bool {
-        self.words.iter().any(|w| any.contains(&w.as_str()))
-    }
-
-    fn kind(&self) -> Option<&'static str> {
-        let kind = KIND_WORDS
-            .iter()
-            .find(|(_, words)| self.has(words))
-            .map(|k| k.0);
-        match (self.has(COMMANDS), kind) {
-            (true, None | Some("pos")) => Some("cmd"),
-            // a commanded speed or torque is nothing that a log has
-            (true, Some(_)) => None,
-            (false, kind) => kind,
-        }
-    }
-
-    /// The actuated joint that the header names, the only one, or the one with its number (from 0).
-    fn joint(&self, robot: &RobotModel) -> Option<usize> {
-        let names = robot.actuated_names();
-        if names.len() == 1 {
-            return Some(0);
-        }
-        let number = || {
-            let last = self.words.last()?;
-            let digits = last.trim_start_matches(|c: char| !c.is_ascii_digit());
-            digits.parse().ok().filter(|&j: &usize| j < names.len())
-        };
-        joint_called(robot, &self.whole).or_else(number)
-    }
-}
-
-fn unit_word(word: &str) -> Option<&'static str> {
-    let found = UNIT_WORDS.iter().find(|(said, _)| *said == word);
-    found.map(|(_, unit)| *unit)
 }
 
 #[cfg(test)]

@@ -15,6 +15,7 @@ mod open;
 mod run;
 pub mod sheet;
 mod trajectory;
+mod words;
 
 pub use open::{Format, open, read};
 pub use run::{ImportError, Imported, MAX_FILE_BYTES};
