@@ -199,8 +199,7 @@ pub fn conclude(
     let (leads, mut causes): (Vec<Cause>, Vec<Cause>) = all
         .into_iter()
         .partition(|_| are_leads.next() == Some(true));
-    // first what is measured; the rest is found with it in the simulation
-    causes.splice(0..0, losses);
+    causes.splice(0..0, losses); // first what is measured: the rest is found with it
     let mut unexplained = leftover::leftover(context, found);
     let local = local_gaps(context, &model.fit, &model.holdout);
     let verdict = verdict(context, found, &causes, &doubts, split, &local);

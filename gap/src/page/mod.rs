@@ -40,21 +40,7 @@ pub fn render(robot: &str, report: &Report, plots: Option<&Plots>) -> String {
         );
         body.push_str(&sections::faults(report));
     }
-    if !report.causes.is_empty() {
-        section(&mut body, "causes", "Causes", "");
-        body.push_str(&figures::key(true));
-        body.push_str(&sections::causes(report, plots));
-    }
-    if !report.leads.is_empty() {
-        section(
-            &mut body,
-            "leads",
-            "Leads",
-            "With these the extended model is closer to held-out runs, and it carries them. But each takes less off than it leaves, beside a greater cause at the same place: it may be there, and it may make up for what that cause's law lacks.",
-        );
-        body.push_str(&sections::leads(report));
-    }
-    body.push_str(&sections::unnamed(report));
+    found(&mut body, report, plots);
     body.push_str(&sections::next(report));
     if report.verdict != Verdict::DataFault || !report.divergence.is_empty() {
         section(
@@ -101,6 +87,25 @@ pub fn render(robot: &str, report: &Report, plots: Option<&Plots>) -> String {
         number(c.simulated_s)
     );
     document(&format!("{word}: {}", escape(robot)), &body)
+}
+
+/// Causes, leads, and what else the model carries.
+fn found(body: &mut String, report: &Report, plots: Option<&Plots>) {
+    if !report.causes.is_empty() {
+        section(body, "causes", "Causes", "");
+        body.push_str(&figures::key(true));
+        body.push_str(&sections::causes(report, plots));
+    }
+    if !report.leads.is_empty() {
+        section(
+            body,
+            "leads",
+            "Leads",
+            "With these the extended model is closer to held-out runs, and it carries them. But each takes less off than it leaves, beside a greater cause at the same place: it may be there, and it may make up for what that cause's law lacks.",
+        );
+        body.push_str(&sections::leads(report));
+    }
+    body.push_str(&sections::unnamed(report));
 }
 
 /// A part of a page with pictures that are not of measured runs.
