@@ -12,6 +12,7 @@ LIBTORCH_VERSION = "2.11.0"  # the version that tch 0.24 wants
 ONNXRUNTIME_VERSION = "1.31.1"  # serves API level 31, the highest that ort 2.0.0-rc.15 knows
 # The oldest library that our build of `ort` accepts: its feature api-NN in Cargo.toml, 17 without one.
 ONNXRUNTIME_MIN_MINOR = 31
+PYARROW_VERSION = "22.0.0"
 MUJOCO_VERSION = "3.17.0"  # the newest with wheels for all of Python 3.10 to 3.14
 RCLPY_VERSION = "9.1.2"  # ROS 2 Kilted as Python wheels, Linux x86-64, CPython 3.11 to 3.13
 MIN_GLIBC = "2.28"  # the wheels are manylinux_2_28

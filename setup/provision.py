@@ -44,7 +44,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
 
 def parse(arguments: Optional[List[str]]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="setup/provision.py", description=__doc__)
-    parser.add_argument("--with-mujoco", action="store_true", help="also MuJoCo, which only tests and benchmarks use")
+    parser.add_argument("--with-mujoco", action="store_true", help="also MuJoCo and pyarrow, which only tests use")
     parser.add_argument("--with-ros2", action="store_true", help="also ROS 2, which only the long tests use")
     parser.add_argument("--print-env", action="store_true", help="print export lines for a shell on standard output")
     parser.add_argument("--verify", action="store_true", help="hash the provisioned libraries again, not only sizes")
@@ -59,7 +59,12 @@ def provision(options: argparse.Namespace) -> Dict[str, str]:
         # The Python module is built against the stable interface; whatever Python this machine has is not asked.
         "PYO3_NO_PYTHON": "1",
     }
-    for wanted, asked_for in ((python_env.MUJOCO, options.with_mujoco), (python_env.ROS2, options.with_ros2)):
+    environments = (
+        (python_env.MUJOCO, options.with_mujoco),
+        (python_env.RECORDINGS, options.with_mujoco),
+        (python_env.ROS2, options.with_ros2),
+    )
+    for wanted, asked_for in environments:
         python = python_env.provision(wanted) if asked_for else python_env.ready(wanted)
         if python:
             values[wanted.variable] = python

@@ -13,7 +13,7 @@ from typing import NamedTuple, Optional
 
 import parts
 from common import cache_dir, pip_environment, say
-from pins import MUJOCO_VERSION, RCLPY_VERSION
+from pins import MUJOCO_VERSION, PYARROW_VERSION, RCLPY_VERSION
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 
@@ -33,6 +33,14 @@ MUJOCO = Environment(
     requirements=os.path.join(HERE, "mujoco-requirements.txt"),
     variable="CAUDATA_MUJOCO_PYTHON",
     imports="import mujoco, numpy",
+    whole=False,
+)
+RECORDINGS = Environment(
+    name="recordings",
+    version=PYARROW_VERSION,
+    requirements=os.path.join(HERE, "recordings-requirements.txt"),
+    variable="CAUDATA_PYTHON",
+    imports="import pyarrow, pyarrow.parquet, numpy, sqlite3",
     whole=False,
 )
 ROS2 = Environment(

@@ -516,7 +516,9 @@ class Tidy(unittest.TestCase):
         self.assertEqual(max(levels, default=17), pins.ONNXRUNTIME_MIN_MINOR)
 
     def test_versions_agree_with_the_requirements(self):
-        for wanted, package in ((python_env.MUJOCO, "mujoco"), (python_env.ROS2, "ros-rclpy")):
+        for wanted, package in (
+            (python_env.MUJOCO, "mujoco"), (python_env.RECORDINGS, "pyarrow"), (python_env.ROS2, "ros-rclpy")
+        ):
             with open(wanted.requirements) as file:
                 self.assertIn("%s==%s " % (package, wanted.version), file.read())
 

@@ -51,9 +51,8 @@ pub(crate) fn hang(
     let bare = trace * factor(lane.link_mass_scale[l]) * factor(lane.link_inertia_scale[l]);
     let moved: f64 = parts().map(|(m, at)| 2.0 * m * squared(at)).sum();
     lane.link_mass_scale[l] = (mass_kg / link.mass_kg) as f32;
-    lane.link_inertia_scale[l] = ((bare + moved).max(0.05 * bare) * link.mass_kg
-        / (trace * mass_kg))
-        .clamp(0.01, 100.0) as f32;
+    lane.link_inertia_scale[l] =
+        ((bare + moved).max(0.05 * bare) * link.mass_kg / (trace * mass_kg)) as f32;
     for (i, offset) in lane.com_offset_m[l].iter_mut().enumerate() {
         *offset = (com_m[i] - link.com_m[i]) as f32;
     }

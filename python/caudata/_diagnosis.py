@@ -45,7 +45,7 @@ class Report:
     raw: Dict[str, Any]
     """Everything; ``docs/reference/json.md`` lists the keys."""
     folder: Optional[Path]
-    """Where ``report.html``, ``report.json`` and ``extended.robot.toml`` are, if they were kept."""
+    """Where ``report.html``, ``report.json`` and ``extended.robot.toml`` (where a model is carried) are, if they were kept."""
 
 
 def diagnose(

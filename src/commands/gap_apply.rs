@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use caudata_gap::extension;
-use caudata_studies::diagnosis::{EXTENDED, robot_files};
+use caudata_studies::diagnosis::{EXTENDED, REPORT, robot_files};
 use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure};
 use clap::Args;
@@ -33,7 +33,13 @@ pub struct ApplyArgs {
 pub fn run(args: &ApplyArgs) -> Result<(), Failure> {
     let robot = files::robot(&args.robot)?;
     let (robot_toml, mjcf_name, mjcf) = robot_files(&args.robot)?;
-    let found = files::robot(&args.diagnosis.join(EXTENDED))?;
+    let extended = args.diagnosis.join(EXTENDED);
+    if args.diagnosis.join(REPORT).is_file() && !extended.is_file() {
+        let message =
+            "this diagnosis found no model that is nearer than the robot as given: take that one";
+        return Err(Failure::message(ExitCode::NoInput, message));
+    }
+    let found = files::robot(&extended)?;
     let Some(extension) = found.extension() else {
         return Err(Failure::message(
             ExitCode::BadInput,

@@ -12,6 +12,7 @@ mod order;
 mod performance;
 mod server;
 mod stage;
+mod training;
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -21,31 +22,16 @@ use std::thread::JoinHandle;
 use caudata_telemetry::progress::{Changed, Iteration};
 use caudata_telemetry::{HttpServer, ServeError};
 use serde::Serialize;
-use serde_json::Value;
 
 pub use order::Order;
 pub use performance::{Policy, Show};
 pub use stage::Stage;
+pub use training::{LookBeside, TakeChange, Training};
 
 use hub::Hub;
 
 /// Orders that may wait for the next step; more are refused.
 const ORDERS_WAITING_MAX: usize = 64;
-
-/// Takes settings, `key=value` each, that a training shall change to; or says in a line what is wrong.
-pub type TakeChange = Box<dyn Fn(&[String]) -> Result<(), String> + Send + Sync>;
-
-/// Shows a training beside another run: the names of those that there are, or, asked for one of them, the two side
-/// by side; or says in a line what is wrong.
-pub type LookBeside = Box<dyn Fn(Option<&str>) -> Result<Value, String> + Send + Sync>;
-
-/// What the page of a training can do besides.
-pub struct Training {
-    /// Takes its changes.
-    pub take: TakeChange,
-    /// Shows it beside other runs.
-    pub beside: LookBeside,
-}
 
 /// What may change in a training, and what has.
 #[derive(Clone, Debug, Default, Serialize)]

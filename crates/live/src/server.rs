@@ -18,9 +18,9 @@ use crossbeam_channel::{Sender, TrySendError};
 use tokio::sync::Semaphore;
 use tokio_stream::wrappers::ReceiverStream;
 
-use crate::Training;
 use crate::hub::Hub;
 use crate::order::Order;
+use crate::training::Training;
 
 /// Longest order, bytes.
 const ORDER_BYTES_MAX: usize = 1024;

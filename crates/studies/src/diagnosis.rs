@@ -88,6 +88,11 @@ pub fn diagnose(
 ) -> Result<Report, Failure> {
     let robot = files::robot(&plan.robot)?;
     let (robot_toml, mjcf_name, mjcf) = robot_files(&plan.robot)?;
+    let written = plan.out.join(EXTENDED).canonicalize();
+    if written.is_ok_and(|path| plan.robot.canonicalize().is_ok_and(|robot| robot == path)) {
+        let message = format!("--out {} would overwrite --robot", plan.out.display());
+        return Err(Failure::message(ExitCode::BadConfig, message).hint("give another folder"));
+    }
     let (runs, data_faults) = runs(plan, &robot)?;
     files::make_folder(&plan.out)?;
     let until = stop.clone();

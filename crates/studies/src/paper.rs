@@ -94,7 +94,7 @@ pub fn draw(plan: &Plan, steps: &mut Steps<'_>) -> Result<Drawn, Failure> {
         truth: plan.out.join(TRUTH),
     };
     let model = Arc::new(files::robot(&robots.given)?);
-    let text = files::read(&robots.extended)?;
+    let (text, ..) = diagnosis::robot_files(&robots.extended)?;
     let extended = extension::read(&String::from_utf8_lossy(&text)).or_exit(ExitCode::BadInput)?;
     let extended = match extended {
         Some(found) => extension::terms(&found, &model).or_exit(ExitCode::BadInput)?,

@@ -43,9 +43,11 @@ pub fn trades(context: &Context, model: &State, other: &Term) -> Result<bool, Ga
     let within = |c: &Vec<f32>| {
         let along = DVector::from_iterator(own.len(), own.iter().map(|o| dot(o, c)));
         let size = dot(c, c);
-        size > 0.0 && size - along.dot(&among.solve(&along)) < LEFT * size
+        size - along.dot(&among.solve(&along)) < LEFT * size
     };
-    Ok(others.iter().all(within))
+    // where a mass is none, its lever does nothing
+    let mut felt = others.iter().filter(|c| dot(c, c) > 0.0).peekable();
+    Ok(felt.peek().is_some() && felt.all(within))
 }
 
 /// Effects that are special cases of others: the wider one says what the narrower one says, and more.

@@ -20,8 +20,6 @@ const SUPPORTED: f64 = 0.95;
 /// What a model that was built joint by joint must leave of the error of angles that the others leave.
 pub const BUILT: f64 = 0.95;
 
-/// What a model must leave of the misfit of held-out runs to be nearer to them than the robot as given.
-const HELD_OUT: f64 = 0.98;
 /// Why a model is refused at last.
 pub const NO_NEARER: &str = "held-out runs are no nearer with it than as given";
 
@@ -88,8 +86,7 @@ pub fn choose(
 /// none.
 pub fn refuse(context: &Context, found: &mut Found, named: &mut Vec<Named>, carried: &mut Model) {
     let base = &found.base;
-    let nearer =
-        |s: &State| s.terms.is_empty() || s.holdout.misfit < HELD_OUT * base.holdout.misfit;
+    let nearer = |s: &State| s.terms.is_empty() || gates::nearer(context, base, s);
     let best_is = nearer(&found.best);
     if !nearer(&carried.state) {
         let state = if best_is { &found.best } else { base };

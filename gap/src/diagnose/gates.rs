@@ -33,6 +33,11 @@ const BEYOND_DOUBT: f64 = 0.9;
 /// prove it by themselves once more.
 const BEYOND_DOUBT_SHARE: f64 = 0.25;
 
+/// What a model must leave of the misfit of held-out runs to be nearer to them than the robot as given, over all …
+const HELD_OUT: f64 = 0.98;
+/// … or at one joint.
+const HELD_OUT_JOINT: f64 = 0.9;
+
 /// What a step is worth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Worth {
@@ -263,6 +268,18 @@ pub fn worst_of(context: &Context, parts: &[(&Judge, &On)]) -> f64 {
         .iter()
         .map(|(square, n)| square / f64::max(*n, 1.0))
         .fold(0.0, f64::max)
+}
+
+/// Whether held-out runs are nearer to `to` than to `from`: in the mean, or at one joint and no further in the mean,
+/// in which a joint of many hardly shows.
+#[must_use]
+pub fn nearer(context: &Context, from: &State, to: &State) -> bool {
+    let joints = context.replayer.model().actuated().len();
+    let of = |state: &State| groups(joints, &[(&context.holdout, &state.holdout)]);
+    let falls =
+        |((before, _), (after, _)): (&(f64, f64), &(f64, f64))| *after < HELD_OUT_JOINT * before;
+    let left = to.holdout.misfit / from.holdout.misfit;
+    left < HELD_OUT || left <= 1.0 && of(from).iter().zip(&of(to)).any(falls)
 }
 
 /// Samples that `place` concerns: channels of its joints, if it names joints; else all.

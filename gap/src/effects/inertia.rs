@@ -64,6 +64,9 @@ pub static POINT_MASS: Effect = Effect {
             let anchor_m = anchor_m(&plant.model, l);
             let at_m = [0, 1, 2].map(|i| anchor_m[i] + v[1] * direction[i]);
             hang(&plant.model, &mut plant.lane, l, &[(v[0], at_m)]);
+            // a weight that is tried may be more than a light link's inertia can be scaled to
+            let scale = &mut plant.lane.link_inertia_scale[l];
+            *scale = scale.clamp(0.01, 100.0);
         }
     },
     look_alikes: "torque_constant link_mass link_com link_inertia armature payload",
