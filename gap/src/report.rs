@@ -119,7 +119,7 @@ pub struct Cause {
     /// Look-alikes that were tried, and why they fell.
     pub rejected: Vec<Rejected>,
     /// Figures of the robot file that it corrects and that nobody looked up, by their paths: where there are
-    /// any, the confidence is in the file being wrong, and says nothing of the robot.
+    /// any, it may be the file that is wrong.
     #[serde(default)]
     pub assumed: Vec<String>,
 }

@@ -77,7 +77,10 @@ pub fn run(command: &LogCommand) -> Result<(), Failure> {
         form @ ("csv" | "parquet") => {
             match form {
                 "csv" => csv(&args.out, &table)?,
-                _ => table.to_parquet(&args.out).or_exit(ExitCode::Unavailable)?,
+                _ => {
+                    files::writable(&args.out)?;
+                    table.to_parquet(&args.out).or_exit(ExitCode::Unavailable)?;
+                }
             }
             if let Some(meta) = &meta {
                 let text = meta.to_toml().or_exit(ExitCode::Internal)?;

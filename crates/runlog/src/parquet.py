@@ -16,7 +16,7 @@ try:
     import pyarrow.compute as pc
     import pyarrow.parquet as pq
 except ImportError as error:
-    sys.exit("needs a Python with pyarrow and numpy (%s): pip install them, or name another in CAUDATA_PYTHON" % error)
+    sys.exit("needs a Python with pyarrow and numpy (%s): install them into a virtual environment and name its Python in CAUDATA_PYTHON" % error)
 
 
 def numbers(array):

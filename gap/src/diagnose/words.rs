@@ -74,7 +74,7 @@ pub fn summary(
     assumed.dedup();
     if !assumed.is_empty() {
         text.push_str(&format!(
-            " This answer stands on assumed figures of the robot file ({}): it says that the file is wrong there, and nothing of the robot. Look them up in the data sheet first.",
+            " This answer corrects figures that the robot file assumes ({}): it may be the file that is wrong, and the robot as it should be. Look them up where a data sheet has them.",
             assumed.join(", ")
         ));
     }
@@ -132,14 +132,23 @@ pub fn first(verdict: Verdict, errors: &[PositionError], unfinished: bool) -> St
     text
 }
 
+/// Notes on assumed figures that are told; of more, how many there are.
+const ASSUMED_TOLD: usize = 2;
+
 /// What the check says stands on an assumed figure of the robot file; nothing where there is no gap.
 pub fn assumed(verdict: Verdict, faults: &[DataFault]) -> String {
     let of = |f: &&DataFault| f.kind == ASSUMED && verdict != Verdict::NoGap;
-    let told = faults
+    let mut told: Vec<String> = faults
         .iter()
         .filter(of)
-        .map(|f| format!(" {} {}.", f.location, f.detail));
-    told.collect()
+        .map(|f| format!(" {} {}.", f.location, f.detail))
+        .collect();
+    let more = told.len().saturating_sub(ASSUMED_TOLD);
+    told.truncate(ASSUMED_TOLD);
+    if more > 0 {
+        told.push(format!(" So it is at {more} more joint(s)."));
+    }
+    told.concat()
 }
 
 /// What comes last: effects that are in the model without a name, and stretches that are far off.

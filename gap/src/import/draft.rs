@@ -108,6 +108,10 @@ pub fn map(recordings: &[Recording], robot: &RobotModel) -> Result<Drafted, Impo
 const MOST_LAG: usize = 40;
 /// A reading differs from the command that it follows by no more than this share of its variance.
 const KEEPS_UP: f64 = 0.6;
+/// Columns of one joint of which nothing is known, at most, that are told by their numbers.
+const MOST_UNKNOWN: usize = 4;
+/// Rows by which they are told, at most.
+const MOST_ROWS: usize = 20_000;
 /// Fewest rows that tell which of two columns follows the other.
 const FEWEST_ROWS: usize = 50;
 
@@ -147,6 +151,8 @@ fn by_numbers(
             _ => {}
         }
     }
+    // among more than a few columns of one joint, numbers tell too little and take too long
+    angles.retain(|_, unknown| unknown.len() <= MOST_UNKNOWN);
     for (joint, unknown) in angles {
         let of = |kind| known.get(&(joint, kind)).copied();
         let pairs: Vec<(&str, &str)> = match (of("cmd"), of("pos")) {
@@ -184,6 +190,7 @@ fn follows(command: &[Option<f64>], reading: &[Option<f64>]) -> Option<f64> {
         .iter()
         .zip(reading)
         .filter_map(|(a, b)| a.zip(*b))
+        .take(MOST_ROWS)
         .collect();
     if both.len() < FEWEST_ROWS {
         return None;

@@ -159,7 +159,7 @@ pub fn causes(report: &Report, plots: Option<&Plots>) -> String {
         if !cause.assumed.is_empty() {
             let _ = write!(
                 out,
-                "<p class=\"warn\">It corrects what the robot file assumes: {}. The confidence is in the file, and says nothing of the robot: look it up in the data sheet first.</p>",
+                "<p class=\"warn\">It corrects what the robot file assumes: {}. So it may be the file that is wrong, and the robot as it should be: look it up where a data sheet has it.</p>",
                 escape(&cause.assumed.join(", "))
             );
         }
