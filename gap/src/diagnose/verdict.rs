@@ -205,9 +205,9 @@ pub fn conclude(
     let verdict = verdict(context, found, &causes, &doubts, split, &local);
     let said = (&causes[..], &leads[..]);
     let told = summary(context, verdict, said, &doubts, &unexplained, split, found);
-    let position_errors = evidence.tracking.errors(context, &model.terms)?;
+    let errors = evidence.tracking.errors(context, &model.terms)?;
     let listed = carried.listed(&entries);
-    let first = words::first(verdict, &position_errors, evidence.unfinished);
+    let first = words::first(verdict, &carried.state, &errors, evidence.unfinished);
     let last = words::assumed(verdict, &request.data_faults) + &words::last(&listed, &local);
     let summary = [first, told, last].concat();
     if !matches!(verdict, Verdict::PartlyExplained | Verdict::Unexplained) {
@@ -230,7 +230,7 @@ pub fn conclude(
                 false => doubts.listed(),
             },
             gain: gain(context, base, model),
-            position_errors,
+            position_errors: errors,
             model: listed,
             unfinished: evidence.unfinished,
             unexplained,

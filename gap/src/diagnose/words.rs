@@ -2,11 +2,11 @@
 
 use super::carried::{BUILT, NO_NEARER};
 use super::doubt::Doubts;
-use super::levels::NOTHING_LEFT;
+use super::levels::{CAREFUL_LAB, NOTHING_LEFT};
 use super::naming::{Named, Rival};
 use super::request::Split;
 use super::search::Found;
-use super::state::Context;
+use super::state::{Context, State};
 use crate::check::ASSUMED;
 use crate::replay::Term;
 use crate::report::{
@@ -106,8 +106,14 @@ pub fn summary(
     text
 }
 
-/// What comes before everything else: that time ended, and that a standard model does better.
-pub fn first(verdict: Verdict, errors: &[PositionError], unfinished: bool) -> String {
+/// What comes before everything else: that time ended, and that a standard model does better than the one that is
+/// carried.
+pub fn first(
+    verdict: Verdict,
+    carried: &State,
+    errors: &[PositionError],
+    unfinished: bool,
+) -> String {
     let mut text = String::new();
     if unfinished {
         text.push_str(
@@ -119,7 +125,9 @@ pub fn first(verdict: Verdict, errors: &[PositionError], unfinished: bool) -> St
     };
     let best = (standard.iter()).min_by(|a, b| a.mean_rad.total_cmp(&b.mean_rad));
     let better = |b: &&PositionError| b.mean_rad < BUILT * extended.mean_rad;
+    // what is within what careful labs leave cannot be bettered
     if let Some(best) = best.filter(better)
+        && carried.holdout.misfit > CAREFUL_LAB
         && verdict != Verdict::NoGap
     {
         text.push_str(&format!(
