@@ -231,7 +231,8 @@ fn of_joints(model: &RobotModel, place: &Place, figure: &str) -> Option<f64> {
             _ => None,
         }
     };
-    place.items.iter().filter_map(of).reduce(f64::max)
+    let joints = Some(&place.items).filter(|_| place.domain == Domain::Joints)?;
+    joints.iter().filter_map(of).reduce(f64::max)
 }
 
 fn reference(model: &RobotModel, place: &Place, reference: Reference) -> f64 {
