@@ -111,7 +111,7 @@ const KEEPS_UP: f64 = 0.6;
 /// Columns of one joint of which nothing is known, at most, that are told by their numbers.
 const MOST_UNKNOWN: usize = 4;
 /// Rows by which they are told, at most.
-const MOST_ROWS: usize = 20_000;
+const ROWS_ASKED: usize = 20_000;
 /// Fewest rows that tell which of two columns follows the other.
 const FEWEST_ROWS: usize = 50;
 
@@ -190,7 +190,7 @@ fn follows(command: &[Option<f64>], reading: &[Option<f64>]) -> Option<f64> {
         .iter()
         .zip(reading)
         .filter_map(|(a, b)| a.zip(*b))
-        .take(MOST_ROWS)
+        .take(ROWS_ASKED)
         .collect();
     if both.len() < FEWEST_ROWS {
         return None;

@@ -46,6 +46,10 @@ fn what_is_no_run_is_refused_in_one_line() {
     let folder = tempfile::tempdir().unwrap();
     let done = finish(command("caudata", &["explain", folder.path().to_str().unwrap()]).unwrap());
     let done = done.unwrap();
-    assert_eq!(done.code, Some(64), "{}", done.stderr);
-    assert!(done.errors()[0].contains("config.toml"), "{}", done.stderr);
+    assert_eq!(done.code, Some(66), "{}", done.stderr);
+    assert!(
+        done.errors()[0].contains("is no run folder"),
+        "{}",
+        done.stderr
+    );
 }
