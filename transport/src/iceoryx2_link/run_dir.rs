@@ -27,7 +27,7 @@ const MAX_SOCKET_PATH: usize = 107;
 const SOCKET_NAME: usize = 1 + 11 + 39 + 6;
 /// How often acquiring starts anew because a folder or the lock file was removed by a learner that was just
 /// ending.
-const LOCK_ATTEMPTS: usize = 16;
+const LOCK_ATTEMPTS: usize = 256;
 
 /// The note a learner posts for its actors.
 #[derive(Debug, Clone, PartialEq, Eq)]
