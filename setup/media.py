@@ -95,7 +95,7 @@ class Browser:
 
 def draw(name, flags):
     animated = ANIMATED.split() if name.endswith(".gif") else []
-    subprocess.run([CAUDATA, "sim", "show", "--out", MEDIA / name, *flags.split(), *animated], cwd=ROOT, check=True)
+    caudata("sim", "show", "--out", MEDIA / name, *flags.split(), *animated)
 
 
 def caudata(*args):
