@@ -15,7 +15,7 @@ ARGS ?=
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help setup build train test test-fast check lint doc deny advisories bench wheel dist install test-faults setup-arm test-arm fuzz siege soak mutants media docs lines clean tools
+.PHONY: help setup build train test test-fast check lint doc deny advisories bench wheel dist install test-faults setup-arm build-arm test-arm pi-image fuzz siege soak mutants media docs lines clean tools
 
 help: ## list the targets
 	@echo 'caudata: make <target> [ARGS="..."]'
@@ -56,17 +56,22 @@ test-faults: build ## run the long suites that `make test` leaves out (faults, s
 setup-arm: setup ## provision what builds for the robot's processor (aarch64) and runs it here (Debian on x86-64, as root)
 	@python3 setup/arm.py
 
-test-arm: build ## build the robot's programs for aarch64 and run them under emulation: lanes, policies, the client over the servo bus
+build-arm: ## build the robot's programs for aarch64 into target/arm
 	@[ -f .cargo/arm.sh ] || { echo 'make: nothing is provisioned for aarch64: run `make setup-arm` first' >&2; exit 1; }
 	@$(ARM) cargo build --release --locked --target $(ARM_TARGET) -p caudata-deploy -p caudata-ros2 --bins
+
+test-arm: build build-arm ## run the robot's programs of aarch64 under emulation: lanes, policies, the client over the servo bus
 	@$(ARM) $${RUSTC:-rustc} --edition 2024 --test -O --target $(ARM_TARGET) -C linker=$$CC_aarch64_unknown_linux_gnu -o target/arm/lanes setup/arm_lanes.rs && target/arm/lanes
 	@$(ARM) cargo test --release --locked --target $(ARM_TARGET) -p caudata-policy --lib -- running --nocapture
 	@$(ARM) printf '#!/bin/sh\nexport ORT_DYLIB_PATH=%s QEMU_LD_PREFIX=%s QEMU_CPU=%s\nexec %s "$$@"\n' "$$ORT_DYLIB_PATH" "$$QEMU_LD_PREFIX" "$$QEMU_CPU" "$$CARGO_TARGET_DIR/$(ARM_TARGET)/release/caudata-robot" >target/arm/robot && chmod +x target/arm/robot
 	@$(ENV) CAUDATA_ROBOT_PROGRAM=$(CURDIR)/target/arm/robot cargo test --release --locked --workspace --test it -- $(or $(ARGS),wire::the_program wire::doctor wire::a_robot_on_its_back) --nocapture --test-threads 1
 	@ls -l target/arm/$(ARM_TARGET)/release/caudata-robot target/arm/$(ARM_TARGET)/release/caudata-ros2
 
-fuzz: build ## knock at every door that bytes come in by, a minute each, CAUDATA_FUZZ_S=seconds
-	@$(ENV) CAUDATA_FUZZ_S=$(or $(CAUDATA_FUZZ_S),60) cargo test --release --locked --workspace --test fuzz $(ARGS) -- --nocapture --test-threads 1
+pi-image: build-arm ## build an SD card for a Raspberry Pi Zero 2 W, as root; ARGS="--ssh-key FILE --wifi FILE", then ARGS=--boot starts it in QEMU
+	@python3 setup/pi_image.py $(ARGS)
+
+fuzz: setup ## knock at every door that bytes come in by, led by coverage, a minute each; ARGS="--seconds 10 rollout_frame"
+	@$(ENV) python3 setup/fuzz.py $(ARGS)
 
 siege: build ## attack the real programs in every way of the catalogue (tests/tests/it/siege), CAUDATA_SIEGE=times (20)
 	@$(ENV) CAUDATA_SIEGE=$(or $(CAUDATA_SIEGE),20) cargo test --release --locked --workspace --test it $(or $(ARGS),siege) -- --nocapture

@@ -1,9 +1,9 @@
 //! Every door through which bytes come in from outside, with bytes that somebody has spoilt: no panic, no
-//! more memory than a limit, and nothing accepted that must not be. `make test` knocks for two seconds each,
-//! `make fuzz` for a minute.
+//! more memory than a limit, and nothing accepted that must not be. `make test` knocks for two seconds each with
+//! what is kept in `deploy/tests/fuzz/corpus/<door>/`, then spoilt at random; `make fuzz` for a minute each with what
+//! libFuzzer makes of it (`guided.rs`).
 //!
-//! An input that breaks a rule is kept in `deploy/tests/fuzz_seeds/<target>/` and is the first to be tried
-//! ever after.
+//! An input that breaks a rule is kept there and is among the first to be tried ever after.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -13,8 +13,10 @@
 // Only the allocator sees every allocation; an allocator cannot be written without `unsafe`.
 #![allow(unsafe_code)]
 
-#[path = "it/common/mod.rs"]
+#[path = "../it/common/mod.rs"]
 mod common;
+#[cfg(fuzzing)]
+mod guided;
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -32,6 +34,8 @@ use caudata_deploy::store::PolicyStore;
 use caudata_deploy::updates::PolicyEvent;
 use caudata_dynamixel::crc::crc16;
 use caudata_dynamixel::frame::{Framer, STATUS, encode, unstuff};
+use caudata_model::RobotModel;
+use caudata_model::import::{ImportOptions, import};
 use caudata_policy::PolicyFile;
 use caudata_policy_server::Record;
 use caudata_proto::registry::{
@@ -147,55 +151,96 @@ fn seconds() -> f64 {
     })
 }
 
-fn kept(target: &str) -> PathBuf {
+fn kept(door: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("tests/fuzz_seeds")
-        .join(target)
+        .join("tests/fuzz/corpus")
+        .join(door)
+}
+
+fn all_in(folder: &Path) -> Vec<Vec<u8>> {
+    let files = std::fs::read_dir(folder).into_iter().flatten();
+    let mut paths: Vec<PathBuf> = files.map(|f| f.unwrap().path()).collect();
+    paths.sort();
+    paths.iter().map(|p| std::fs::read(p).unwrap()).collect()
 }
 
 /// Knocks with spoilt `seeds`. `check` answers in words what came of it (new words make an input a seed) and
 /// panics where a rule is broken. At most `memory` bytes may be held at once.
-fn fuzz(target: &str, seeds: Vec<Vec<u8>>, memory: usize, mut check: impl FnMut(&[u8]) -> String) {
-    let mut dice = Dice::new(0x9E37_79B9_7F4A_7C15 ^ target.len() as u64);
-    let old = std::fs::read_dir(kept(target)).into_iter().flatten();
-    let old: Vec<Vec<u8>> = old
-        .map(|entry| std::fs::read(entry.unwrap().path()).unwrap())
-        .collect();
+fn fuzz(door: &str, seeds: Vec<Vec<u8>>, memory: usize, mut check: impl FnMut(&[u8]) -> String) {
     let mut one = |bytes: &[u8]| {
         let held = HELD.get()[0];
         HELD.set([held, held]);
         let came = catch_unwind(AssertUnwindSafe(|| check(bytes)));
         let took = HELD.get()[1] - held;
         if came.is_err() || took > memory {
-            let name = format!("{}", Sha256Digest(Sha256::digest(bytes).into()));
-            std::fs::create_dir_all(kept(target)).unwrap();
-            let path = kept(target).join(&name[..16]);
-            std::fs::write(&path, bytes).unwrap();
-            panic!("{target}: {} (memory {took})", path.display());
+            keep(&kept(door), bytes);
+            panic!("{door}: the input is kept (memory {took})");
         }
         came.unwrap()
     };
-    let mut words = BTreeSet::new();
-    for bytes in seeds.iter().chain(&old) {
-        words.insert(one(bytes));
+    #[cfg(fuzzing)]
+    if let Some(corpus) = std::env::var_os("CAUDATA_FUZZ_CORPUS") {
+        return guided(door, &seeds, &Path::new(&corpus).join(door), &mut one);
     }
-    let mut pool = [seeds, old].concat();
+    let pool = [seeds, all_in(&kept(door))].concat();
+    at_random(door, pool, one);
+}
+
+fn keep(folder: &Path, bytes: &[u8]) {
+    let name = format!("{}", Sha256Digest(Sha256::digest(bytes).into()));
+    std::fs::create_dir_all(folder).unwrap();
+    std::fs::write(folder.join(&name[..16]), bytes).unwrap();
+}
+
+fn at_random(door: &str, mut pool: Vec<Vec<u8>>, mut one: impl FnMut(&[u8]) -> String) {
+    // Digits differ from place to place; what is wrong does not.
+    let mut said = |bytes: &[u8]| -> String {
+        let words = one(bytes);
+        words.chars().filter(|c| !c.is_ascii_digit()).collect()
+    };
+    let mut words: BTreeSet<String> = pool.iter().map(|bytes| said(bytes)).collect();
+    let mut dice = Dice::new(0x9E37_79B9_7F4A_7C15 ^ door.len() as u64);
     let end = Instant::now() + Duration::from_secs_f64(seconds());
     let mut tried = 0_u64;
     while Instant::now() < end {
         let bytes = spoil(&mut dice, &pool);
-        // Digits differ from place to place; what is wrong does not.
-        let said: String = one(&bytes)
-            .chars()
-            .filter(|c| !c.is_ascii_digit())
-            .collect();
-        if pool.len() < 2000 && words.insert(said) {
+        if words.insert(said(&bytes)) && pool.len() < 2000 {
             pool.push(bytes);
         }
         tried += 1;
     }
-    println!("{target}: {tried} inputs, {} kinds of answer", words.len());
-    assert!(words.len() > 1, "{target}: every input is treated alike");
+    println!("{door}: {tried} inputs, {} kinds of answer", words.len());
+    assert!(words.len() > 1, "{door}: every input is treated alike");
+}
+
+/// Lets libFuzzer knock, with its flags of `CAUDATA_FUZZ_FLAGS`. Without any, tells which branches all that it
+/// has found reaches.
+#[cfg(fuzzing)]
+fn guided(door: &str, seeds: &[Vec<u8>], found: &Path, mut one: impl FnMut(&[u8]) -> String) {
+    for seed in seeds {
+        keep(found, seed);
+    }
+    let kept = kept(door);
+    std::fs::create_dir_all(&kept).unwrap();
+    let flags = std::env::var("CAUDATA_FUZZ_FLAGS").unwrap_or_default();
+    let flags: Vec<String> = flags.split_whitespace().map(str::to_owned).collect();
+    if !flags.is_empty() {
+        let merges = flags.iter().any(|f| f.contains("merge"));
+        let corpora = if merges {
+            [&*kept, found]
+        } else {
+            [found, &*kept]
+        };
+        return guided::knock(&flags, &corpora, |bytes| {
+            one(bytes);
+        });
+    }
+    for bytes in all_in(found).iter().chain(&all_in(&kept)) {
+        one(bytes);
+    }
+    for (function, [reached, all]) in guided::reached() {
+        println!("reached\t{reached}\t{all}\t{function}");
+    }
 }
 
 fn manifest() -> Manifest {
@@ -717,5 +762,61 @@ fn ros_messages() {
             Odometry::decode(bytes).err(),
         ];
         format!("{said:?}")
+    });
+}
+
+fn shipped(name: &str) -> Vec<u8> {
+    let robots = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robots");
+    std::fs::read(robots.join(name)).unwrap()
+}
+
+/// A robot file and its MJCF, with a zero byte between them.
+#[test]
+fn robot_file() {
+    let pair = |name: &str| {
+        let [toml, mjcf] = ["robot.toml", "xml"].map(|end| shipped(&format!("{name}.{end}")));
+        [toml, mjcf].join(&0)
+    };
+    let seeds = vec![pair("quadruped"), pair("xl330_pendulum")];
+    fuzz("robot_file", seeds, 32 << 20, |bytes| {
+        let cut = bytes.iter().position(|b| *b == 0).unwrap_or(bytes.len());
+        let (toml, mjcf) = bytes.split_at(cut);
+        match RobotModel::from_bytes("a.robot.toml", toml, mjcf.get(1..).unwrap_or_default()) {
+            Err(error) => error.to_string().chars().take(60).collect(),
+            Ok(robot) => {
+                let moments = robot.links().iter().map(|l| l.mass_kg);
+                assert!(
+                    moments.into_iter().all(f64::is_finite),
+                    "a mass is not a number"
+                );
+                "taken".into()
+            }
+        }
+    });
+}
+
+/// Models of other people.
+#[test]
+fn robot_import() {
+    let urdf = br#"<robot name="r"><link name="a"><inertial><mass value="1"/><origin xyz="0 0 0.1" rpy="0 0 1"/>
+        <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+        <link name="b"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+        <collision><geometry><cylinder radius="0.1" length="0.2"/></geometry></collision></link>
+        <joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
+        <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"#;
+    let seeds = vec![
+        shipped("quadruped.xml"),
+        shipped("xl330_pendulum.xml"),
+        urdf.to_vec(),
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("a.xml");
+    fuzz("robot_import", seeds, 64 << 20, |bytes| {
+        std::fs::write(&file, bytes).unwrap();
+        match import(&file, &ImportOptions::default()) {
+            Err(error) => error.to_string().chars().take(60).collect(),
+            // `import` has loaded what it wrote
+            Ok(made) => format!("{} notes", made.notes.len()),
+        }
     });
 }
