@@ -15,6 +15,7 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 
 import arm
 from common import PlatformError, SetupError, say
@@ -52,6 +53,8 @@ ASK = (
     " systemd-analyze verify caudata-robot-agent.service caudata-robot-rt.service && echo units are right;"
     " cat /sys/devices/system/cpu/isolated; cyclictest -q -m -p 90 -i 1000 -l 2000 -a 3"
 )
+ANSWERS = ("PREEMPT_RT", "caudata-robot 0", "doctor ended with 69", "units are right", "P:90", "Power down")
+BOOT_WITHIN_S = 1200.0
 
 
 def main() -> int:
@@ -127,8 +130,10 @@ def lay_out(options: argparse.Namespace) -> None:
     # Not started by themselves: a robot stands up when they are, and its wiring is not known yet.
     for unit in glob.glob(os.path.join(CHECKOUT, "docker/systemd/caudata-robot-*.service")):
         copy(unit, "etc/systemd/system/" + os.path.basename(unit))
-    # Debian's hook copies kernel and device trees, and writes config.txt and cmdline.txt.
-    arm.run("chroot", ROOT, "/etc/kernel/postinst.d/z50-raspi-firmware", kernel())
+    # Debian's hook copies kernel and device trees, and writes config.txt and cmdline.txt: for the package manager, and
+    # where it can see that it is in a chroot.
+    hook = 'mount -t proc proc "$0/proc" && DEB_MAINT_PARAMS=configure chroot "$0" /etc/kernel/postinst.d/z50-raspi-firmware "$1"'
+    arm.run("unshare", "-m", "sh", "-c", hook, ROOT, kernel())
 
 
 def kernel() -> str:
@@ -180,19 +185,29 @@ def boot() -> None:
     size = 1 << (os.path.getsize(card) - 1).bit_length()
     os.truncate(card, size)
     firmware = os.path.join(ROOT, "boot/firmware")
-    line = 'root=LABEL=caudata rw console=ttyAMA1,115200 console=ttyS1,115200 console=ttyAMA0,115200 %s systemd.run="/bin/sh -c \'%s\'"'
-    done = subprocess.run(
-        [
-            "qemu-system-aarch64", "-M", "raspi3b", "-display", "none", "-serial", "stdio", "-no-reboot",
-            "-drive", "if=sd,format=raw,file=" + card,
-            "-kernel", os.path.join(ROOT, "boot/vmlinuz-" + kernel()), "-initrd", os.path.join(ROOT, "boot/initrd.img-" + kernel()),
-            "-dtb", os.path.join(firmware, BOARD), "-append", line % (KERNEL, ASK),
-        ],
-        stdin=subprocess.DEVNULL, timeout=1200, check=False,
-    )
+    line = 'root=LABEL=caudata rw console=ttyS1,115200 quiet %s systemd.run="/bin/sh -c \'%s\'"'
+    command = [
+        "qemu-system-aarch64", "-M", "raspi3b", "-display", "none", "-serial", "null", "-serial", "stdio", "-no-reboot",
+        "-drive", "if=sd,format=raw,file=" + card,
+        "-kernel", os.path.join(ROOT, "boot/vmlinuz-" + kernel()), "-initrd", os.path.join(ROOT, "boot/initrd.img-" + kernel()),
+        "-dtb", os.path.join(firmware, BOARD), "-append", line % (KERNEL, ASK),
+    ]
+    board = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
+    # an image that hangs is ended
+    timer = threading.Timer(BOOT_WITHIN_S, board.kill)
+    timer.start()
+    told = ""
+    for raw in board.stdout:
+        text = raw.decode("utf-8", "replace")
+        told += text
+        print(text, end="", flush=True)
+    code = board.wait()
+    timer.cancel()
     os.remove(card)
-    if done.returncode != 0:
-        raise SetupError("QEMU ended with %d" % done.returncode)
+    missing = [words for words in ANSWERS if words not in told]
+    if code != 0 or missing:
+        raise SetupError("the image did not come up: QEMU ended with %d, and it did not say: %s" % (code, ", ".join(missing)))
+    say("image: comes up")
 
 
 if __name__ == "__main__":
