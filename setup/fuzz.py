@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Knocks at every door that bytes come in by (deploy/tests/fuzz), led by the branches of the code that earlier inputs
+"""Knocks at every door that bytes come in by (tests/fuzz), led by the branches of the code that earlier inputs
 reached: builds the doors with LLVM's SanitizerCoverage and libFuzzer, and tells what was reached.
 
 What reached something new lies in target/fuzz/corpus. `--keep` takes as little of it as reaches the same into
-deploy/tests/fuzz/corpus, which `make test` tries as well.
+tests/fuzz/corpus, which `make test` tries as well.
 """
 
 import argparse
@@ -31,7 +31,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="setup/fuzz.py", description=__doc__.split("\n\n")[0])
     parser.add_argument("door", nargs="*", help="doors to knock at (all)")
     parser.add_argument("--seconds", type=int, default=60, help="how long at each (60)")
-    parser.add_argument("--keep", action="store_true", help="keep what it found in deploy/tests/fuzz/corpus")
+    parser.add_argument("--keep", action="store_true", help="keep what it found in tests/fuzz/corpus")
     options = parser.parse_args()
     try:
         program = build()
@@ -53,7 +53,7 @@ def main() -> int:
 
 def build() -> str:
     target = "%s-unknown-linux-gnu" % machine()
-    command = ["cargo", "test", "--release", "--locked", "-p", "caudata-deploy", "--test", "fuzz", "--no-run"]
+    command = ["cargo", "test", "--release", "--locked", "-p", "caudata-fuzz", "--test", "doors", "--no-run"]
     # with --target the flags are for what is tried, and not for what builds it
     command += ["--target", target, "--message-format", "json-render-diagnostics"]
     env = dict(os.environ, RUSTFLAGS=COVERAGE, CARGO_TARGET_DIR=HERE)
@@ -61,7 +61,7 @@ def build() -> str:
     if done.returncode != 0:
         raise SetupError("the doors do not build")
     made = [json.loads(line) for line in done.stdout.splitlines()]
-    return [m["executable"] for m in made if m.get("target", {}).get("name") == "fuzz" and m.get("executable")][-1]
+    return [m["executable"] for m in made if m.get("target", {}).get("name") == "doors" and m.get("executable")][-1]
 
 
 def listed(program: str) -> List[str]:
@@ -89,7 +89,7 @@ def knock(program: str, door: str, seconds: int, keep: bool, left: Dict[str, Tup
 def run(program: str, door: str, corpus: str, flags: str) -> str:
     env = dict(os.environ, CAUDATA_FUZZ_CORPUS=corpus, CAUDATA_FUZZ_FLAGS=flags)
     command = [program, "--exact", door, "--nocapture", "--test-threads", "1"]
-    cwd = os.path.join(CHECKOUT, "deploy")
+    cwd = os.path.join(CHECKOUT, "tests", "fuzz")
     done = subprocess.run(command, cwd=cwd, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False)
     told = done.stdout.decode("utf-8", "replace")
     if done.returncode != 0:

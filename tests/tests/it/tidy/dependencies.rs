@@ -135,7 +135,7 @@ fn what_only_tests_need_is_linked_by_no_program() {
     let metadata = metadata();
     for package in metadata.workspace_packages() {
         let linked = linked_by(&metadata, package.name.as_str());
-        for name in ["caudata-chaos-proxy", "caudata-rehearsal"] {
+        for name in ["caudata-chaos-proxy", "caudata-fuzz", "caudata-rehearsal"] {
             assert!(!linked.contains(name), "{} links {name}", package.name);
         }
     }
