@@ -312,7 +312,9 @@ impl DeployError {
             | Self::Commands { .. } => ExitCode::BadInput,
             Self::Stream { .. }
             | Self::Insecure { .. }
-            | Self::Server(ClientError::Address { .. }) => ExitCode::BadConfig,
+            | Self::Server(ClientError::Address { .. } | ClientError::Certificates { .. }) => {
+                ExitCode::BadConfig
+            }
             Self::Server(ClientError::BadAnswer(_) | ClientError::OtherQuestion(_))
             | Self::Bus(BusError::Protocol { .. }) => ExitCode::Protocol,
             Self::Unfit { .. } => ExitCode::TargetMissed,

@@ -64,7 +64,7 @@ impl Follower {
             .map_err(DeployError::system("a network runtime"))?;
         let client = {
             let _context = runtime.enter();
-            RegistryClient::with_tls(&follow.address, follow.tls_dir.as_deref())?
+            RegistryClient::to_any_host(&follow.address, follow.tls_dir.as_deref())?
         };
         let (stop, stopped) = watch::channel(false);
         let mut following = Following {

@@ -68,7 +68,7 @@ impl Reporter {
             .map_err(DeployError::system("a network runtime"))?;
         let client = {
             let _context = runtime.enter();
-            RegistryClient::with_tls(&to.address, to.tls_dir.as_deref())?
+            RegistryClient::to_any_host(&to.address, to.tls_dir.as_deref())?
         };
         let (queue, reports) = bounded(REPORTS_WAITING_MAX);
         let over = Arc::new(AtomicBool::new(false));

@@ -1,21 +1,23 @@
 //! What the tests of this crate share: small but real policy files for the real robot.
 
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 use caudata_model::RobotModel;
 use caudata_policy::{Activation, Dense, MlpSpec, PolicyMetadata, build_onnx};
 use caudata_task::{PolicyContract, TaskConfig};
 
-/// The robot file of the repository.
-pub const ROBOT_FILE: &str = concat!(
-    env!("CARGO_MANIFEST_DIR"),
-    "/../robots/polymander.robot.toml"
-);
+/// The robot file of the repository; crates of several depths take this module in.
+pub static ROBOT_FILE: LazyLock<String> = LazyLock::new(|| {
+    let roots = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors();
+    let mut files = roots.map(|root| root.join("robots/polymander.robot.toml"));
+    let file = files.find(|file| file.exists()).unwrap();
+    file.to_str().unwrap().to_owned()
+});
 
 /// The real robot.
 pub fn model() -> Arc<RobotModel> {
-    Arc::new(RobotModel::load(Path::new(ROBOT_FILE)).unwrap())
+    Arc::new(RobotModel::load(Path::new(ROBOT_FILE.as_str())).unwrap())
 }
 
 /// A policy file of one layer: every action is `0.01 · version` of the sum of the observation, plus 0.1.

@@ -126,7 +126,8 @@ impl Caller {
                 "an operator publishes signed policies only: `caudata policy release`",
             ));
         }
-        if self.role != Role::Learner || !stream.as_str().starts_with(RELEASES) {
+        let released = format!("{stream}/").starts_with(RELEASES);
+        if self.role != Role::Learner || !released {
             return Ok(());
         }
         Err(Status::permission_denied(format!(

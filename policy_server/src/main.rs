@@ -147,7 +147,13 @@ fn fresh_key(args: &Args) -> Result<Option<Arc<ReleaseKey>>, Failure> {
     let (Some(path), Some(id)) = (&args.fresh_key, &args.fresh_key_id) else {
         return Ok(None);
     };
-    let key = ReleaseKey::read(path, id).or_exit(ExitCode::NoInput)?;
+    let key = ReleaseKey::read(path, id).map_err(|error| {
+        let code = match error.is_of_reading() {
+            true => ExitCode::NoInput,
+            false => ExitCode::BadInput,
+        };
+        Failure::new(code, error)
+    })?;
     Ok(Some(Arc::new(key)))
 }
 

@@ -35,7 +35,9 @@ pub fn block_on<T>(work: impl Future<Output = Result<T, ClientError>>) -> Result
 /// The exit code that a client error stands for.
 pub fn client_failure(error: ClientError) -> Failure {
     let code = match &error {
-        ClientError::Address { .. } | ClientError::Certificates { .. } => ExitCode::BadConfig,
+        ClientError::Address { .. }
+        | ClientError::Plain { .. }
+        | ClientError::Certificates { .. } => ExitCode::BadConfig,
         _ if error.is_not_found() => ExitCode::NoInput,
         ClientError::Unreachable { .. } => ExitCode::Unavailable,
         _ if error.is_lost_race() => ExitCode::TempFail,

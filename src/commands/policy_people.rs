@@ -5,10 +5,11 @@ use std::path::PathBuf;
 use caudata_proto::registry::{LabelName, Manifest, Overview, SetLabel, reverting};
 use caudata_registry_client::ClientError;
 use caudata_signing::ReleaseKey;
-use caudata_telemetry::{ExitCode, Failure, FailureExt};
+use caudata_telemetry::{ExitCode, Failure};
 use serde_json::json;
 
 use crate::commands::policy_calls::{ServerArgs, as_json, block_on};
+use crate::commands::policy_sign::unusable;
 use crate::say;
 
 /// Flags of `label`.
@@ -152,7 +153,7 @@ fn show_labels(args: &LabelArgs) -> Result<(), Failure> {
 pub fn revert(args: &RevertArgs) -> Result<(), Failure> {
     let stream = args.server.one_stream()?;
     let key = match (&args.key, &args.key_id) {
-        (Some(path), Some(id)) => Some(ReleaseKey::read(path, id).or_exit(ExitCode::NoInput)?),
+        (Some(path), Some(id)) => Some(ReleaseKey::read(path, id).map_err(unusable)?),
         _ => None,
     };
     let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);

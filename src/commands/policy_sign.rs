@@ -3,6 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
+use caudata_durable::read_text_at_most;
 use caudata_evaluation::Summary;
 use caudata_proto::registry::{Manifest, StreamName};
 use caudata_signing::{
@@ -13,6 +14,10 @@ use serde_json::json;
 
 use crate::commands::policy_calls::{ServerArgs, block_on, hex};
 use crate::say;
+
+/// Largest trust file, and largest evaluation, bytes.
+const FILE_MAX: u64 = 64 << 10;
+const SUMMARY_MAX: u64 = 16 << 20;
 
 /// Flags of `keygen`.
 #[derive(Debug, clap::Args)]
@@ -79,6 +84,15 @@ pub struct ReleaseArgs {
     json: bool,
 }
 
+/// What a key or trust file that cannot be used ends with.
+pub fn unusable(error: SigningError) -> Failure {
+    let code = match error.is_of_reading() {
+        true => ExitCode::NoInput,
+        false => ExitCode::BadInput,
+    };
+    Failure::new(code, error)
+}
+
 /// Makes a key.
 pub fn keygen(args: &KeygenArgs) -> Result<(), Failure> {
     let key = ReleaseKey::generate(&args.key_id).or_exit(ExitCode::OsResource)?;
@@ -91,7 +105,7 @@ pub fn keygen(args: &KeygenArgs) -> Result<(), Failure> {
         None => key.trust_file(),
         Some(lines) => {
             let before =
-                std::fs::read_to_string(&args.trust).or_exit_with(ExitCode::NoInput, || {
+                read_text_at_most(&args.trust, FILE_MAX).or_exit_with(ExitCode::NoInput, || {
                     format!(
                         "cannot read {}: make it with a release key first",
                         args.trust.display()
@@ -115,8 +129,8 @@ pub fn keygen(args: &KeygenArgs) -> Result<(), Failure> {
 /// Puts the next trust file beside the first one, and adds one signature to it. It is in force once enough
 /// root keys of the file before it, and of its own, have signed.
 pub fn trust_next(args: &TrustNextArgs) -> Result<(), Failure> {
-    let key = ReleaseKey::read(&args.key, &args.key_id).or_exit(ExitCode::NoInput)?;
-    let text = std::fs::read_to_string(&args.next).or_exit_with(ExitCode::NoInput, || {
+    let key = ReleaseKey::read(&args.key, &args.key_id).map_err(unusable)?;
+    let text = read_text_at_most(&args.next, FILE_MAX).or_exit_with(ExitCode::NoInput, || {
         format!("cannot read {}", args.next.display())
     })?;
     let bad = |reason| Failure::message(ExitCode::BadInput, reason);
@@ -128,13 +142,7 @@ pub fn trust_next(args: &TrustNextArgs) -> Result<(), Failure> {
             args.next.display()
         )));
     }
-    let before = Trust::before(&args.trust, version).map_err(|error| {
-        let code = match error {
-            SigningError::File { .. } => ExitCode::NoInput,
-            SigningError::Content { .. } | SigningError::Exposed { .. } => ExitCode::BadInput,
-        };
-        Failure::new(code, error)
-    })?;
+    let before = Trust::before(&args.trust, version).map_err(unusable)?;
     // A signature that counts nowhere would look as if it did.
     if !before.has_root(&key) && !next.has_root(&key) {
         let message = format!(
@@ -148,7 +156,7 @@ pub fn trust_next(args: &TrustNextArgs) -> Result<(), Failure> {
         ));
     }
     let file = successor_path(&args.trust, version);
-    match std::fs::read_to_string(&file) {
+    match read_text_at_most(&file, FILE_MAX) {
         // Signatures that are there are over other bytes.
         Ok(there) if there != text => {
             let message = format!("{} is there with another content", file.display());
@@ -185,7 +193,7 @@ pub fn trust_next(args: &TrustNextArgs) -> Result<(), Failure> {
 /// Publishes a policy of one stream into another, signed. The bytes are fetched and checked; only the
 /// announcement is new.
 pub fn release(args: &ReleaseArgs) -> Result<(), Failure> {
-    let key = ReleaseKey::read(&args.key, &args.key_id).or_exit(ExitCode::NoInput)?;
+    let key = ReleaseKey::read(&args.key, &args.key_id).map_err(unusable)?;
     let to = StreamName::new(&args.to).or_exit(ExitCode::BadConfig)?;
     let from = args.server.one_stream()?;
     let (mut manifest, bytes) = block_on(async {
@@ -229,7 +237,7 @@ pub fn release(args: &ReleaseArgs) -> Result<(), Failure> {
 /// The summary in `path`, as one line; it must be one of this policy.
 fn evaluation(path: &Path, manifest: &Manifest) -> Result<String, Failure> {
     let shown = path.display();
-    let text = std::fs::read_to_string(path)
+    let text = read_text_at_most(path, SUMMARY_MAX)
         .or_exit_with(ExitCode::NoInput, || format!("cannot read {shown}"))?;
     let summary: Summary = serde_json::from_str(&text).or_exit_with(ExitCode::BadInput, || {
         format!("{shown} is no evaluation summary")

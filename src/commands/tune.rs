@@ -1,6 +1,6 @@
 //! `caudata tune`: settings of a training that runs.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use caudata_config::{Changes, Config, Source};
@@ -44,23 +44,27 @@ pub fn run(wish: &Wish, as_json: bool, process: &Process) -> Result<(), Failure>
             }
         });
     }
-    match Owner::now(&folder.join(caudata_actor::LEARNER_LOCK)) {
-        Err(OwnerError::Taken { .. }) => {}
-        Err(error) => return Err(error).or_exit(ExitCode::NoInput),
-        Ok(_) => {
-            let message = format!("no training runs in {}", folder.display());
-            return Err(Failure::message(ExitCode::NoInput, message)
-                .hint("to begin with other settings: caudata train --set KEY=VALUE"));
-        }
+    if !is_trained(folder)? {
+        let message = format!("no training runs in {}", folder.display());
+        return Err(Failure::message(ExitCode::NoInput, message)
+            .hint("to begin with other settings: caudata train --set KEY=VALUE"));
     }
     let before = Changes::of_run(folder, &first).or_exit(ExitCode::BadInput)?;
     let request = desk.ask(&wish.set).or_exit(ExitCode::BadConfig)?;
     let began = Instant::now();
     while request.exists() {
-        if process.stop.wait(LOOK_EVERY) || began.elapsed() > TAKEN_WITHIN {
+        let stopped = process.stop.wait(LOOK_EVERY);
+        let trained = is_trained(folder)?;
+        if stopped || !trained || began.elapsed() > TAKEN_WITHIN {
             let _ = std::fs::remove_file(&request);
-            let message = "the learner has not taken the change; it is withdrawn";
-            return Err(Failure::message(ExitCode::TempFail, message));
+            let (code, message) = match trained {
+                true => (ExitCode::TempFail, "the learner has not taken the change"),
+                false => (ExitCode::Unavailable, "the training has ended"),
+            };
+            return Err(Failure::message(
+                code,
+                format!("{message}; it is withdrawn"),
+            ));
         }
     }
     let after = Changes::of_run(folder, &first).or_exit(ExitCode::BadInput)?;
@@ -79,4 +83,13 @@ pub fn run(wish: &Wish, as_json: bool, process: &Process) -> Result<(), Failure>
             say::line(format!("changed after iteration {iteration}"));
         },
     )
+}
+
+/// Whether a learner works in `folder`.
+fn is_trained(folder: &Path) -> Result<bool, Failure> {
+    match Owner::now(&folder.join(caudata_actor::LEARNER_LOCK)) {
+        Err(OwnerError::Taken { .. }) => Ok(true),
+        Err(error) => Err(error).or_exit(ExitCode::NoInput),
+        Ok(_) => Ok(false),
+    }
 }

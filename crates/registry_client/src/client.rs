@@ -1,5 +1,6 @@
 //! One connection to a policy server, and the questions that can be asked over it.
 
+use std::net::IpAddr;
 use std::path::Path;
 use std::time::Duration;
 
@@ -31,6 +32,14 @@ fn certificates(folder: &Path) -> Result<ClientTlsConfig, ClientError> {
         .identity(Identity::from_pem(read("tls.crt")?, read("tls.key")?)))
 }
 
+/// Whether an address, with or without a scheme, is one of this host, whatever a name server says.
+pub fn is_loopback(address: &str) -> bool {
+    let host = address.split_once("://").map_or(address, |(_, host)| host);
+    let host = host.rsplit_once(':').map_or(host, |(host, _)| host);
+    let ip = host.trim_start_matches('[').trim_end_matches(']');
+    host == "localhost" || ip.parse().is_ok_and(|ip: IpAddr| ip.is_loopback())
+}
+
 /// A connection to one policy server; cloning shares it. Reconnects by itself.
 #[derive(Clone, Debug)]
 pub struct RegistryClient {
@@ -50,12 +59,26 @@ impl RegistryClient {
     }
 
     /// A client for `address`: `https://host:port` is encrypted and both sides show certificates, ours from
-    /// `tls_dir`, a folder with `ca.crt`, `tls.crt` and `tls.key` (`caudata pki`); `host:port` is plain,
-    /// which servers accept on their own host only.
+    /// `tls_dir`, a folder with `ca.crt`, `tls.crt` and `tls.key` (`caudata pki`); `host:port` is plain, and on
+    /// this host only.
     ///
     /// # Errors
-    /// [`ClientError::Address`], also for `https://` without certificates; [`ClientError::Certificates`].
+    /// [`ClientError::Address`], also for `https://` without certificates; [`ClientError::Plain`];
+    /// [`ClientError::Certificates`].
     pub fn with_tls(address: &str, tls_dir: Option<&Path>) -> Result<Self, ClientError> {
+        if !address.starts_with("https://") && !is_loopback(address) {
+            return Err(ClientError::Plain {
+                address: address.to_owned(),
+            });
+        }
+        Self::to_any_host(address, tls_dir)
+    }
+
+    /// As [`RegistryClient::with_tls`], and plain beyond this host as well: for who has asked whether that may be.
+    ///
+    /// # Errors
+    /// As there, but for [`ClientError::Plain`].
+    pub fn to_any_host(address: &str, tls_dir: Option<&Path>) -> Result<Self, ClientError> {
         let bad = || ClientError::Address {
             address: address.to_owned(),
         };

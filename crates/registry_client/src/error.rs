@@ -15,6 +15,14 @@ pub enum ClientError {
         /// What was given.
         address: String,
     },
+    /// What is said there could be read and changed on the way.
+    #[error(
+        "policy server {address} is not on this host and the connection is not encrypted: give https://HOST:PORT and a folder of certificates (`caudata pki`)"
+    )]
+    Plain {
+        /// What was given.
+        address: String,
+    },
     /// The certificates are not there, or do not work.
     #[error("certificates: {reason}")]
     Certificates {

@@ -12,7 +12,7 @@ mod limits;
 mod manifest;
 mod watch;
 
-pub use client::RegistryClient;
+pub use client::{RegistryClient, is_loopback};
 pub use error::ClientError;
 pub use fetch::jittered;
 pub use limits::{

@@ -38,6 +38,13 @@ pub enum SigningError {
     },
 }
 
+impl SigningError {
+    /// Whether it is the file that is not there, and not what it holds.
+    pub fn is_of_reading(&self) -> bool {
+        matches!(self, Self::File { .. })
+    }
+}
+
 /// Refuses a file with a secret that others than its owner and its group may read, or others than its owner
 /// may write.
 ///
@@ -51,6 +58,20 @@ pub fn check_private(path: &Path) -> Result<(), SigningError> {
     Err(SigningError::Exposed {
         path: path.to_owned(),
         mode,
+    })
+}
+
+/// Refuses a file that anybody may write: whoever adds a key to a trust file has the robot.
+pub(crate) fn check_kept(path: &Path) -> Result<(), SigningError> {
+    let mode = std::fs::metadata(path).map_err(file_error(path))?.mode() & 0o777;
+    if mode & 0o002 == 0 {
+        return Ok(());
+    }
+    let reason =
+        format!("anybody may write it (mode {mode:o}); `chmod o-w` it, and look at its keys");
+    Err(SigningError::Content {
+        path: path.to_owned(),
+        reason,
     })
 }
 

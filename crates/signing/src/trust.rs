@@ -9,7 +9,7 @@ use caudata_proto::registry::{LabelName, Manifest, NONCE_BYTES, SignedFreshness,
 use ed25519_dalek::VerifyingKey;
 use serde::Deserialize;
 
-use crate::error::{SigningError, from_hex, read_small};
+use crate::error::{SigningError, check_kept, from_hex, read_small};
 use crate::key::{TRUST_FORMAT, freshness_bytes, signed_bytes};
 
 /// Most keys of a trust file.
@@ -95,6 +95,7 @@ impl Trust {
 
     /// The trust file at `path` alone.
     pub(crate) fn first(path: &Path) -> Result<Self, SigningError> {
+        check_kept(path)?;
         let text = read_small(path)?;
         Self::parse(&text).map_err(|reason| SigningError::Content {
             path: path.to_owned(),
@@ -120,6 +121,7 @@ impl Trust {
         if file.key.len() + file.fresh_key.len() + file.root_key.len() > KEYS_MAX {
             return Err(format!("more than {KEYS_MAX} keys"));
         }
+        let asks_freshness = !file.fresh_key.is_empty();
         let (mut ids, mut publics) = (BTreeSet::new(), BTreeSet::new());
         let mut lists = [Vec::new(), Vec::new(), Vec::new()];
         let all = [file.key, file.fresh_key, file.root_key];
@@ -144,6 +146,13 @@ impl Trust {
             ));
         }
         let [keys, fresh_keys, root_keys] = lists;
+        // Without any, answers of yesterday would be taken.
+        if asks_freshness && fresh_keys.is_empty() {
+            return Err(
+                "every `fresh_key` is revoked: add the server's new one (`caudata policy keygen --fresh`)"
+                    .to_owned(),
+            );
+        }
         let threshold = file.threshold;
         if threshold == 0 || threshold > keys.len() {
             return Err(format!("threshold {threshold} with {} keys", keys.len()));

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use caudata_model::RobotModel;
 use caudata_proto::registry::{LabelName, StreamName};
-use caudata_registry_client::RegistryClient;
+use caudata_registry_client::{RegistryClient, is_loopback};
 use caudata_signing::{Trust, check_private};
 use caudata_telemetry::Metrics;
 
@@ -85,17 +85,6 @@ impl SourceArgs {
             missing,
         })
     }
-}
-
-/// Whether an address is one of this computer, whatever a name server says.
-fn is_loopback(address: &str) -> bool {
-    let host = address.split_once("://").map_or(address, |(_, host)| host);
-    let host = host.rsplit_once(':').map_or(host, |(host, _)| host);
-    let ip = host.trim_start_matches('[').trim_end_matches(']');
-    host == "localhost"
-        || ip
-            .parse()
-            .is_ok_and(|ip: std::net::IpAddr| ip.is_loopback())
 }
 
 /// Ports instead of those of the wiring file.
@@ -210,7 +199,7 @@ impl Source {
                 stream,
                 label,
             } = &self.follow;
-            let mut client = RegistryClient::with_tls(address, tls_dir.as_deref())?;
+            let mut client = RegistryClient::to_any_host(address, tls_dir.as_deref())?;
             self.keeper.pull(&mut client, stream, label).await
         })
     }

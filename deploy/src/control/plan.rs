@@ -3,7 +3,8 @@
 use std::time::Duration;
 
 use caudata_hardware::wiring::Limits;
-use caudata_task::COMMAND_DIM;
+use caudata_proto::registry::TRIAL_S;
+use caudata_task::{COMMAND_DIM, PerJoint};
 
 use crate::DeployError;
 use crate::bus::{GroundTruth, Health, ImuReading, Robot, ServoReadings};
@@ -17,8 +18,12 @@ pub const STILL_RADPS: f32 = 0.1;
 /// Ticks in a row of that, with the command at zero, before a newer policy is swapped in (0.2 s).
 pub const STILL_TICKS: u32 = 10;
 
-/// Ticks of walking after which a policy that never gave a bad action counts as good (10 s).
-pub const TRIAL_TICKS: u32 = 500;
+/// Ticks over which commands and speeds of joints are averaged before they count as walking (0.2 s): what alternates
+/// or vibrates goes nowhere.
+const AVERAGED_TICKS: f32 = 10.0;
+/// Least command that counts as one to walk, norm of m/s and rad/s: three times the one at which the clocks of the
+/// shipped policies stop.
+const WALK_COMMAND: f32 = 0.03;
 
 /// What a policy has shown so far.
 #[derive(Clone, Copy, Debug, Default)]
@@ -29,19 +34,40 @@ pub(super) struct Trial {
     pub(super) walked_ticks: u32,
     /// Ticks in a row in which the joints stood still.
     idle_ticks: u32,
+    /// Mean command, m/s and rad/s.
+    command: [f32; COMMAND_DIM],
+    /// Mean velocities of the joints, rad/s.
+    vel_radps: Option<PerJoint>,
 }
 
 impl Trial {
-    pub(super) fn is_over(&self) -> bool {
-        self.ticks >= TRIAL_TICKS
+    /// Whether the policy has walked for [`TRIAL_S`] without a bad action.
+    pub(super) fn is_over(&self, period: Duration) -> bool {
+        f64::from(self.ticks) * period.as_secs_f64() >= TRIAL_S
     }
 
     /// Counts a tick. It is one of walking where the robot was told to move and its joints do: whoever
-    /// stands, or is held still, shows nothing.
-    pub(super) fn count(&mut self, command: &[f32; COMMAND_DIM], speed_radps: f32) {
+    /// stands, shivers, or is held still, shows nothing.
+    pub(super) fn count(&mut self, command: &[f32; COMMAND_DIM], servos: &ServoReadings) {
+        let towards = |mean: &mut f32, now: f32| *mean += (now - *mean) / AVERAGED_TICKS;
+        for (mean, now) in self.command.iter_mut().zip(command) {
+            towards(mean, *now);
+        }
+        let speed_radps = match mean_speed(&servos.vel_radps) {
+            // no number: nothing is known of it
+            speed if !speed.is_finite() => speed,
+            _ => {
+                let means = self.vel_radps.get_or_insert(servos.vel_radps.map(|_| 0.0));
+                for (mean, now) in means.iter_mut().zip(servos.vel_radps.iter()) {
+                    towards(mean, *now);
+                }
+                mean_speed(means)
+            }
+        };
         let still = speed_radps < STILL_RADPS;
         self.idle_ticks = if still { self.idle_ticks + 1 } else { 0 };
-        if *command != [0.0; COMMAND_DIM] && self.idle_ticks < STILL_TICKS {
+        let told = self.command.iter().map(|c| c * c).sum::<f32>().sqrt();
+        if told >= WALK_COMMAND && self.idle_ticks < STILL_TICKS {
             self.ticks += 1;
             self.walked_ticks += 1;
         }
@@ -147,10 +173,10 @@ impl Counts {
 }
 
 /// Mean over the joints of their speeds, rad/s. What is not a number is no standing still.
-pub(super) fn mean_speed(servos: &ServoReadings) -> f32 {
-    let sum: f32 = servos.vel_radps.iter().map(|v| v.abs()).sum();
+pub(super) fn mean_speed(vel_radps: &PerJoint) -> f32 {
+    let sum: f32 = vel_radps.iter().map(|v| v.abs()).sum();
     match sum.is_finite() {
-        true => sum / servos.vel_radps.len().max(1) as f32,
+        true => sum / vel_radps.len().max(1) as f32,
         false => f32::INFINITY,
     }
 }

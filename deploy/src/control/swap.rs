@@ -21,7 +21,7 @@ impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
         if self.walk_on && self.motion.resume(self.gate.last_rad()) {
             self.walk_on = false;
         }
-        let speed = mean_speed(&sensed.servos);
+        let speed = mean_speed(&sensed.servos.vel_radps);
         let stage = self.motion.stage();
         // Held still by the loop, or commanded to stand and standing.
         let held = matches!(stage, Stage::Settle | Stage::Stand);

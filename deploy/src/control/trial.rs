@@ -2,7 +2,7 @@
 
 use caudata_task::{COMMAND_DIM, PerJoint};
 
-use super::plan::{Sensed, mean_speed};
+use super::plan::Sensed;
 use super::{ControlLoop, FALLEN_FOR, FALLEN_GRAVITY_Z};
 use crate::bus::Robot;
 use crate::gate::{HELD_IN_A_ROW_MAX, Held, PINNED_TICKS_MAX};
@@ -20,7 +20,7 @@ impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
     /// A policy that never went through its trial here and falls is not begun with again. One that did may
     /// have met a stone.
     fn blame_a_fall(&mut self) {
-        if self.runner.is_proved() || self.trial.is_over() {
+        if self.runner.is_proved() || self.trial.is_over(self.plan.period) {
             return;
         }
         self.updates.tell(PolicyEvent::Bad {
@@ -73,12 +73,12 @@ impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
             return;
         }
         let ticks = self.gate.watch_limits(targets);
-        if self.trial.is_over() {
+        if self.trial.is_over(self.plan.period) {
             return;
         }
-        self.trial.count(command, mean_speed(&sensed.servos));
+        self.trial.count(command, &sensed.servos);
         let fails = !self.runner.is_proved() && ticks >= PINNED_TICKS_MAX;
-        if !fails && !self.trial.is_over() {
+        if !fails && !self.trial.is_over(self.plan.period) {
             return;
         }
         let policy = self.runner.policy().clone();

@@ -155,7 +155,7 @@ fn a_bad_policy_is_refused_and_the_last_one_keeps_running() {
 
 /// The robot file with one comment more, which makes it another model, in a folder of its own.
 fn another_robot_file(folder: &Path) -> std::path::PathBuf {
-    let original = Path::new(crate::common::policies::ROBOT_FILE);
+    let original = Path::new(crate::common::policies::ROBOT_FILE.as_str());
     let mjcf = original.with_file_name("polymander.xml");
     std::fs::copy(mjcf, folder.join("polymander.xml")).unwrap();
     let path = folder.join("other.robot.toml");
@@ -563,7 +563,11 @@ fn fault_31_the_child_that_tries_a_candidate_is_held_in_memory_and_time() {
         .unwrap()
         .sha256_hex();
     let mut child = robot_program()
-        .args(["probe", "--robot", crate::common::policies::ROBOT_FILE])
+        .args([
+            "probe",
+            "--robot",
+            crate::common::policies::ROBOT_FILE.as_str(),
+        ])
         .args([
             "--stream",
             "s",

@@ -250,7 +250,7 @@ fn doctor(robot: &Emulated, flags: &[&str]) -> (i32, serde_json::Value, String) 
             "doctor",
             "--json",
             "--robot",
-            ROBOT_FILE,
+            ROBOT_FILE.as_str(),
             "--wiring",
             &patient_wiring(&robot.folder),
         ])
@@ -370,7 +370,14 @@ fn a_log_of_the_flight_recorder_goes_straight_through_check_and_diagnosis() {
     let caudata = Path::new(env!("CARGO_BIN_EXE_caudata-robot")).with_file_name("caudata");
     let mut check = Command::new(&caudata);
     check
-        .args(["gap", "check", "--robot", ROBOT_FILE, "--json", "--log"])
+        .args([
+            "gap",
+            "check",
+            "--robot",
+            ROBOT_FILE.as_str(),
+            "--json",
+            "--log",
+        ])
         .arg(&log);
     let (code, checked, errors) = outcome(check);
     assert_eq!(
@@ -391,7 +398,7 @@ fn a_log_of_the_flight_recorder_goes_straight_through_check_and_diagnosis() {
     // And through the diagnosis: two effects that it may or may not find, but must be able to look for.
     let mut diagnose = Command::new(&caudata);
     diagnose
-        .args(["gap", "diagnose", "--robot", ROBOT_FILE, "--json"])
+        .args(["gap", "diagnose", "--robot", ROBOT_FILE.as_str(), "--json"])
         .args(["--only", "kp_error", "--only", "coulomb_friction", "--log"])
         .arg(&log)
         .arg("--out")

@@ -68,15 +68,15 @@ fn check_one_question(r: &pb::GetManifestRequest) -> Result<(), RegistryError> {
 
 fn check_report(r: &pb::RobotReport) -> Result<(), RegistryError> {
     let state = RobotState::try_from(r.state())?;
-    if !(r.walked_s.is_finite() && r.walked_s >= 0.0) {
+    if !(0.0..=WALKED_MAX_S).contains(&r.walked_s) {
         return Err(RegistryError::Together(
-            "`walked_s` must be a number of seconds",
+            "`walked_s` must be a number of seconds, up to ten years",
         ));
     }
-    // Standing still is no trial: `stable` would follow a robot that never moved.
-    if state == RobotState::Good && r.walked_s == 0.0 {
+    // `stable` would follow a robot that never went through its trial.
+    if state == RobotState::Good && r.walked_s < TRIAL_S {
         return Err(RegistryError::Together(
-            "`good` needs seconds walked: `walked_s` is 0",
+            "`good` needs the ten seconds of walking of a trial: `walked_s` is less",
         ));
     }
     let least = u64::from(!state.went_well());

@@ -248,6 +248,11 @@ impl RobotState {
     }
 }
 
+/// Walking after which a policy that never gave a bad action counts as good, s.
+pub const TRIAL_S: f64 = 10.0;
+/// Most walking that a report may tell of, s: ten years.
+pub(super) const WALKED_MAX_S: f64 = 3.2e8;
+
 /// What a robot says about a version.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RobotReport {

@@ -299,13 +299,14 @@ fn labels_are_safe_as_file_names_and_reasons_are_one_line() {
     wire.reason = "fell".into();
     wire.walked_s = f64::NAN;
     assert!(RobotReport::try_from(wire).is_err());
-    let mut still = pb::RobotReport::from(RobotReport {
-        state: RobotState::Good,
-        ..report()
-    });
-    assert!(RobotReport::try_from(still.clone()).is_ok());
-    still.walked_s = 0.0;
-    assert!(RobotReport::try_from(still).is_err(), "nobody walked");
+    for (walked_s, taken) in [(0.0, false), (9.9, false), (10.0, true), (1e18, false)] {
+        let good = pb::RobotReport::from(RobotReport {
+            state: RobotState::Good,
+            walked_s,
+            ..report()
+        });
+        assert_eq!(RobotReport::try_from(good).is_ok(), taken, "{walked_s}");
+    }
     let mut both = pb::GetManifestRequest::from(ManifestRequest {
         stream: manifest().stream,
         version: Some(1),

@@ -11,6 +11,8 @@
 )]
 // Only the allocator sees every allocation; an allocator cannot be written without `unsafe`.
 #![allow(unsafe_code)]
+// `make fuzz` sets `fuzzing`.
+#![allow(unexpected_cfgs)]
 
 #[cfg(fuzzing)]
 mod guided;
@@ -145,7 +147,7 @@ pub fn fuzz(
     memory: usize,
     mut check: impl FnMut(&[u8]) -> String,
 ) {
-    let mut one = |bytes: &[u8]| {
+    let one = |bytes: &[u8]| {
         let held = HELD.get()[0];
         HELD.set([held, held]);
         let came = catch_unwind(AssertUnwindSafe(|| check(bytes)));
@@ -158,7 +160,7 @@ pub fn fuzz(
     };
     #[cfg(fuzzing)]
     if let Some(corpus) = std::env::var_os("CAUDATA_FUZZ_CORPUS") {
-        return guided(door, &seeds, &Path::new(&corpus).join(door), &mut one);
+        return guided(door, &seeds, &Path::new(&corpus).join(door), one);
     }
     let pool = [seeds, all_in(&kept(door))].concat();
     at_random(door, pool, one);

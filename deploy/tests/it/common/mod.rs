@@ -198,7 +198,13 @@ pub fn program(command: &str, server: SocketAddr, state: &Path) -> Command {
 pub fn program_on(stream: &str, command: &str, server: SocketAddr, state: &Path) -> Command {
     let mut program = robot_program();
     program
-        .args([command, "--robot", policies::ROBOT_FILE, "--stream", stream])
+        .args([
+            command,
+            "--robot",
+            policies::ROBOT_FILE.as_str(),
+            "--stream",
+            stream,
+        ])
         .args(["--policy-server", &server.to_string()])
         .arg("--state")
         .arg(state)
