@@ -319,6 +319,23 @@ fn add(total: &mut Gram, more: &Gram) {
     }
 }
 
+/// One tolerance of a channel, in its unit.
+pub(crate) fn tolerance(kind: Kind) -> Option<f64> {
+    let of = ONE_TOLERANCE.iter().find(|t| t.0 == kind);
+    of.map(|t| t.1)
+}
+
+/// Kinds of channels that a lab records in `trial`.
+pub(crate) fn measured(model: &RobotModel, trial: &excite::Trial, sees_base: bool) -> Vec<Kind> {
+    let free = trial.base != BaseHold::Fixed;
+    let of_base = |kind: Kind| match kind {
+        Kind::Gyro => model.sensors().imu.is_some(),
+        _ => sees_base,
+    };
+    let seen = |kind: &Kind| kind.of_joint() || free && of_base(*kind);
+    ONE_TOLERANCE.iter().map(|t| t.0).filter(seen).collect()
+}
+
 /// Traces of all `terms` in `trial`, multiplied with each other.
 fn gram(
     replayer: &Replayer,
@@ -333,17 +350,7 @@ fn gram(
         loose_s: f64::INFINITY,
         ..SegmentOptions::default()
     };
-    let seen = |kind: &Kind| {
-        let free = trial.base != BaseHold::Fixed;
-        kind.of_joint()
-            || free
-                && if *kind == Kind::Gyro {
-                    model.sensors().imu.is_some()
-                } else {
-                    sees_base
-                }
-    };
-    let kinds: Vec<Kind> = ONE_TOLERANCE.iter().map(|t| t.0).filter(seen).collect();
+    let kinds = measured(model, trial, sees_base);
     let data = Data::new(model, vec![as_run(trial, &kinds)], whole);
     let acts = |effect: &Effect| match effect.layer {
         Layer::Water => trial.base == BaseHold::Water,
@@ -359,7 +366,7 @@ fn gram(
     let (joints, count) = (model.actuated().len(), terms.len());
     let mut gram = vec![vec![0.0; count * count]; joints + 1];
     for piece in data.segments.iter().flat_map(|s| &s.pieces) {
-        let Some((_, tolerance)) = ONE_TOLERANCE.iter().find(|t| t.0 == piece.kind) else {
+        let Some(tolerance) = tolerance(piece.kind) else {
             continue;
         };
         let group = if piece.kind.of_joint() {

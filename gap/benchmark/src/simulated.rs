@@ -5,9 +5,10 @@ use std::path::Path;
 use std::sync::Arc;
 
 use caudata_gap::excite;
+use caudata_gap::plant::carry;
 use caudata_model::RobotModel;
 use caudata_random::{Key, Purpose, Stream};
-use caudata_runlog::{BaseHold, LogMeta, LogWriter, Setting};
+use caudata_runlog::{BaseHold, LogMeta, LogWriter, Payload, Setting};
 use caudata_sim::LaneParams;
 
 use crate::battery::RATE_HZ;
@@ -25,6 +26,8 @@ pub struct Robot<'a> {
     pub lane: &'a LaneParams,
     /// Day: friction, noise, supply.
     pub seed: u64,
+    /// Known weights that are fastened to it, and noted in the log.
+    pub payload: &'a [Payload],
 }
 
 /// Records a trial of the battery into the log folder `dir`. `run` counts the recordings of the day: each has
@@ -64,8 +67,10 @@ pub(crate) fn rows(
         model,
         lane,
         seed,
+        payload,
     } = robot;
-    let session = Session::of_the_day(model, lane, begins.place, seed, run);
+    let mut session = Session::of_the_day(model, lane, begins.place, seed, run);
+    carry(model, payload, &mut session.lane);
     let key = Key {
         seed,
         actor: 13,
@@ -87,6 +92,7 @@ pub(crate) fn rows(
     }
     meta.kp = lab.common_gains().map(|g| g.kp_nm_per_rad);
     meta.kd = lab.common_gains().map(|g| g.kd_nm_s_per_rad);
+    meta.payload = payload.to_vec();
     meta.supply_v = Some((f64::from(session.lane.supply_v) * 10.0).round() / 10.0);
     let mut writer = LogWriter::create(dir, &free::signals(model, channels), &meta)?;
     for (t, row) in &log {
