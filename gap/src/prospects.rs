@@ -43,7 +43,7 @@ const ONE_TOLERANCE: [(Kind, f64); 6] = [
 const LONGEST_S: f64 = 60.0;
 /// Probability, before anything is recorded, that nothing is wrong.
 const NOTHING: f64 = 0.5;
-/// What leaves less than so many tolerances in all trials together cannot matter.
+/// What leaves less than so many tolerances in every trial cannot matter.
 const MATTERS_FROM: f64 = 2.0;
 /// A trial that tells less than this is not worth its time, nats.
 const WORTH_NATS: f64 = 0.01;
@@ -165,10 +165,12 @@ impl Prospects {
             possible,
             effects: terms.len(),
         };
-        let whole = all.sum(|_| true);
-        let matters: Vec<Possible> = (all.possible.iter().copied())
-            .filter(|p| all.inner(&whole, p, p) >= MATTERS_FROM * MATTERS_FROM)
-            .collect();
+        let least = MATTERS_FROM * MATTERS_FROM;
+        let shows = |p: &Possible| {
+            let mut trials = all.trials.iter();
+            trials.any(|t| all.inner(&t.gram, p, p) >= least)
+        };
+        let matters = all.possible.iter().copied().filter(shows).collect();
         all.possible = matters;
         Ok(all)
     }

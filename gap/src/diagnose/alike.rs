@@ -130,6 +130,8 @@ const WIDER: &[(&str, &str)] = &[
     ("load_dependent_friction", "drive_asymmetry"),
     ("load_dependent_friction", "load_stiction"),
     ("coulomb_friction", "stribeck_friction"),
+    // friction that runs in for longer than a run lasts
+    ("coulomb_friction", "friction_drift"),
     ("link_mass", "payload"),
     ("link_mass", "point_mass"),
     ("link_com", "point_mass"),

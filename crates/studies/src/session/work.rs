@@ -200,7 +200,16 @@ impl Own<'_> {
             ),
             None => "no trial of the battery tells more about what is open".to_owned(),
         };
-        Ok(Decision::End(Ending::Unsure, reason))
+        // one that lets a servo go, or is done where this robot cannot be
+        let beyond = report.and_then(asked_for);
+        let beyond = beyond.filter(|asked| prospects.find(&asked.trial).is_none());
+        let beyond = beyond.map_or(String::new(), |asked| {
+            format!(
+                "; {} would tell it, which this session does not do: {}",
+                asked.trial, asked.reason
+            )
+        });
+        Ok(Decision::End(Ending::Unsure, reason + &beyond))
     }
 
     fn next(&self, trial: &excite::Trial, why: String, payload: Option<Payload>) -> Next {
