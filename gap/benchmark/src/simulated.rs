@@ -100,3 +100,52 @@ pub(crate) fn rows(
     }
     Ok(writer.finish()?)
 }
+
+#[cfg(test)]
+mod tests {
+    use caudata_runlog::{RunLog, Signal};
+
+    use super::*;
+
+    #[test]
+    fn a_weight_hangs_on_the_robot_and_stands_in_its_log() {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/rigs/pendulum.robot.toml");
+        let model = Arc::new(RobotModel::load(file.as_ref()).unwrap());
+        let trial = excite::trial(&model, "holds", None, RATE_HZ).unwrap();
+        let weight = Payload {
+            link: "arm".to_owned(),
+            mass_kg: 0.2,
+            at_m: [0.0, 0.0, -0.13],
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let recorded = |name: &str, payload: &[Payload]| {
+            let dir = folder.path().join(name);
+            let robot = Robot {
+                lab: &model,
+                model: &model,
+                lane: &LaneParams::nominal(&model),
+                seed: 5,
+                payload,
+            };
+            record(&robot, &trial, 0, &dir).unwrap();
+            RunLog::read(&dir).unwrap()
+        };
+        let weights = [weight];
+        let (bare, loaded) = (recorded("bare", &[]), recorded("loaded", &weights));
+        assert!(bare.meta.payload.is_empty());
+        assert_eq!(loaded.meta.payload, weights);
+        let angle = |log: &RunLog| -> Vec<f64> {
+            let column = log.table.column(&Signal::Position("swing".to_owned()));
+            column.unwrap().iter().map(|x| x.unwrap()).collect()
+        };
+        let (mut along, mut square) = (0.0, 0.0);
+        for (k, (a, b)) in angle(&bare).iter().zip(angle(&loaded)).enumerate() {
+            let up = trial.commands_rad[k][0].sin();
+            along += up * (a - b);
+            square += up * up;
+        }
+        // it sags by m·g·l·sin/kp: 0.2·9.81·0.13/15
+        let sag_rad = along / square;
+        assert!((sag_rad / 0.017 - 1.0).abs() < 0.2, "{sag_rad}");
+    }
+}
