@@ -59,7 +59,7 @@ pub(crate) fn hang(
 }
 
 /// Fastens the weights that a run notes to their links.
-fn carry(model: &RobotModel, payload: &[Payload], lane: &mut LaneParams) {
+pub fn carry(model: &RobotModel, payload: &[Payload], lane: &mut LaneParams) {
     for (l, link) in model.links().iter().enumerate() {
         let own = payload.iter().filter(|p| p.link == link.name);
         let own: Vec<(f64, [f64; 3])> = own.map(|p| (p.mass_kg, p.at_m)).collect();

@@ -43,7 +43,7 @@ const ONE_TOLERANCE: [(Kind, f64); 6] = [
 const LONGEST_S: f64 = 60.0;
 /// Probability, before anything is recorded, that nothing is wrong.
 const NOTHING: f64 = 0.5;
-/// What leaves less than so many tolerances in all trials together cannot matter.
+/// What leaves less than so many tolerances in every trial cannot matter.
 const MATTERS_FROM: f64 = 2.0;
 /// A trial that tells less than this is not worth its time, nats.
 const WORTH_NATS: f64 = 0.01;
@@ -165,10 +165,12 @@ impl Prospects {
             possible,
             effects: terms.len(),
         };
-        let whole = all.sum(|_| true);
-        let matters: Vec<Possible> = (all.possible.iter().copied())
-            .filter(|p| all.inner(&whole, p, p) >= MATTERS_FROM * MATTERS_FROM)
-            .collect();
+        let least = MATTERS_FROM * MATTERS_FROM;
+        let shows = |p: &Possible| {
+            let mut trials = all.trials.iter();
+            trials.any(|t| all.inner(&t.gram, p, p) >= least)
+        };
+        let matters = all.possible.iter().copied().filter(shows).collect();
         all.possible = matters;
         Ok(all)
     }
@@ -319,6 +321,23 @@ fn add(total: &mut Gram, more: &Gram) {
     }
 }
 
+/// One tolerance of a channel, in its unit.
+pub(crate) fn tolerance(kind: Kind) -> Option<f64> {
+    let of = ONE_TOLERANCE.iter().find(|t| t.0 == kind);
+    of.map(|t| t.1)
+}
+
+/// Kinds of channels that a lab records in `trial`.
+pub(crate) fn measured(model: &RobotModel, trial: &excite::Trial, sees_base: bool) -> Vec<Kind> {
+    let free = trial.base != BaseHold::Fixed;
+    let of_base = |kind: Kind| match kind {
+        Kind::Gyro => model.sensors().imu.is_some(),
+        _ => sees_base,
+    };
+    let seen = |kind: &Kind| kind.of_joint() || free && of_base(*kind);
+    ONE_TOLERANCE.iter().map(|t| t.0).filter(seen).collect()
+}
+
 /// Traces of all `terms` in `trial`, multiplied with each other.
 fn gram(
     replayer: &Replayer,
@@ -333,17 +352,7 @@ fn gram(
         loose_s: f64::INFINITY,
         ..SegmentOptions::default()
     };
-    let seen = |kind: &Kind| {
-        let free = trial.base != BaseHold::Fixed;
-        kind.of_joint()
-            || free
-                && if *kind == Kind::Gyro {
-                    model.sensors().imu.is_some()
-                } else {
-                    sees_base
-                }
-    };
-    let kinds: Vec<Kind> = ONE_TOLERANCE.iter().map(|t| t.0).filter(seen).collect();
+    let kinds = measured(model, trial, sees_base);
     let data = Data::new(model, vec![as_run(trial, &kinds)], whole);
     let acts = |effect: &Effect| match effect.layer {
         Layer::Water => trial.base == BaseHold::Water,
@@ -359,7 +368,7 @@ fn gram(
     let (joints, count) = (model.actuated().len(), terms.len());
     let mut gram = vec![vec![0.0; count * count]; joints + 1];
     for piece in data.segments.iter().flat_map(|s| &s.pieces) {
-        let Some((_, tolerance)) = ONE_TOLERANCE.iter().find(|t| t.0 == piece.kind) else {
+        let Some(tolerance) = tolerance(piece.kind) else {
             continue;
         };
         let group = if piece.kind.of_joint() {

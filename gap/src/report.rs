@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 
+use caudata_runlog::Payload;
 use serde::{Deserialize, Serialize};
 
 /// The outcome of a diagnosis.
@@ -111,6 +112,10 @@ pub struct Cause {
     pub confidence: f64,
     /// Effect ids that explain it as well.
     pub alternatives: Vec<String>,
+    /// Those of `alternatives` that are the very same robot: no reading of any trial of the battery tells them
+    /// from it.
+    #[serde(default)]
+    pub synonyms: Vec<String>,
     /// Other places at which the same effect explains it as well.
     #[serde(default)]
     pub elsewhere: Vec<Vec<String>>,
@@ -128,6 +133,11 @@ impl Cause {
     /// Whether another name, or another place, explains it as well.
     pub fn is_open(&self) -> bool {
         !self.alternatives.is_empty() || !self.elsewhere.is_empty()
+    }
+
+    /// Whether a name that is another robot explains it as well.
+    pub fn has_open_name(&self) -> bool {
+        self.alternatives.iter().any(|a| !self.synonyms.contains(a))
     }
 
     /// All that explain it alike, in words: `a at x or at y or b`.
@@ -278,6 +288,9 @@ pub struct NextExperiment {
     pub reason: String,
     /// Effects that it tells apart or makes visible.
     pub separates: Vec<String>,
+    /// A known weight that has to hang on the robot in this trial.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub payload: Option<Payload>,
 }
 
 /// Smallest size of an effect that would have been seen.

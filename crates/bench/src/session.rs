@@ -236,6 +236,7 @@ impl Lab<'_> {
             model: self.model,
             lane: &self.unknown.lane,
             seed: self.unknown.answer.seed,
+            payload: next.payload.as_slice(),
         };
         let part = self.folder.join("recording");
         simulated::record(&robot, &trial, run, &part).or_exit(ExitCode::Internal)?;

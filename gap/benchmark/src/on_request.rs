@@ -63,6 +63,7 @@ impl Null {
             model,
             lane: &lane,
             seed,
+            payload: &[],
         };
         let mut repeats = [Vec::new(), Vec::new()];
         let known = excite::names(model, None);

@@ -89,6 +89,7 @@ pub fn on_stand(
         model: &model,
         lane: &lane,
         seed,
+        payload: &[],
     };
     for (i, (role, trial)) in ON_STAND.iter().enumerate() {
         for r in 0..STAND_REPEATS {

@@ -120,6 +120,7 @@ pub fn make(
         model: &model,
         lane: &lane,
         seed: plan.seed,
+        payload: &[],
     };
     let scripts = match plan.place {
         BaseHold::Water => swims,

@@ -5,9 +5,10 @@ use std::path::Path;
 use std::sync::Arc;
 
 use caudata_gap::excite;
+use caudata_gap::plant::carry;
 use caudata_model::RobotModel;
 use caudata_random::{Key, Purpose, Stream};
-use caudata_runlog::{BaseHold, LogMeta, LogWriter, Setting};
+use caudata_runlog::{BaseHold, LogMeta, LogWriter, Payload, Setting};
 use caudata_sim::LaneParams;
 
 use crate::battery::RATE_HZ;
@@ -25,6 +26,8 @@ pub struct Robot<'a> {
     pub lane: &'a LaneParams,
     /// Day: friction, noise, supply.
     pub seed: u64,
+    /// Known weights that are fastened to it, and noted in the log.
+    pub payload: &'a [Payload],
 }
 
 /// Records a trial of the battery into the log folder `dir`. `run` counts the recordings of the day: each has
@@ -64,8 +67,10 @@ pub(crate) fn rows(
         model,
         lane,
         seed,
+        payload,
     } = robot;
-    let session = Session::of_the_day(model, lane, begins.place, seed, run);
+    let mut session = Session::of_the_day(model, lane, begins.place, seed, run);
+    carry(model, payload, &mut session.lane);
     let key = Key {
         seed,
         actor: 13,
@@ -87,10 +92,60 @@ pub(crate) fn rows(
     }
     meta.kp = lab.common_gains().map(|g| g.kp_nm_per_rad);
     meta.kd = lab.common_gains().map(|g| g.kd_nm_s_per_rad);
+    meta.payload = payload.to_vec();
     meta.supply_v = Some((f64::from(session.lane.supply_v) * 10.0).round() / 10.0);
     let mut writer = LogWriter::create(dir, &free::signals(model, channels), &meta)?;
     for (t, row) in &log {
         writer.row(*t, row)?;
     }
     Ok(writer.finish()?)
+}
+
+#[cfg(test)]
+mod tests {
+    use caudata_runlog::{RunLog, Signal};
+
+    use super::*;
+
+    #[test]
+    fn a_weight_hangs_on_the_robot_and_stands_in_its_log() {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/rigs/pendulum.robot.toml");
+        let model = Arc::new(RobotModel::load(file.as_ref()).unwrap());
+        let trial = excite::trial(&model, "holds", None, RATE_HZ).unwrap();
+        let weight = Payload {
+            link: "arm".to_owned(),
+            mass_kg: 0.2,
+            at_m: [0.0, 0.0, -0.13],
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let recorded = |name: &str, payload: &[Payload]| {
+            let dir = folder.path().join(name);
+            let robot = Robot {
+                lab: &model,
+                model: &model,
+                lane: &LaneParams::nominal(&model),
+                seed: 5,
+                payload,
+            };
+            record(&robot, &trial, 0, &dir).unwrap();
+            RunLog::read(&dir).unwrap()
+        };
+        let weights = [weight];
+        let (bare, loaded) = (recorded("bare", &[]), recorded("loaded", &weights));
+        assert!(bare.meta.payload.is_empty());
+        assert_eq!(loaded.meta.payload, weights);
+        let angle = |log: &RunLog| -> Vec<f64> {
+            let column = log.table.column(&Signal::Position("swing".to_owned()));
+            column.unwrap().iter().map(|x| x.unwrap()).collect()
+        };
+        let (mut along, mut square) = (0.0, 0.0);
+        for (k, (a, b)) in angle(&bare).iter().zip(angle(&loaded)).enumerate() {
+            let up = trial.commands_rad[k][0].sin();
+            along += up * (a - b);
+            square += up * up;
+        }
+        // it sags by m·g·l·sin/kp: 0.2·9.81·0.13/15
+        let sag_rad = along / square;
+        assert!((sag_rad / 0.017 - 1.0).abs() < 0.2, "{sag_rad}");
+    }
 }

@@ -2,11 +2,15 @@
 
 use nalgebra::DVector;
 
+use super::naming::Named;
 use super::product::{dot, gram, stiffen};
 use super::state::{Context, On, State};
 use crate::effects::Effect;
 use crate::error::GapError;
-use crate::replay::Term;
+use crate::excite::{self, DEFAULT_RATE_HZ};
+use crate::prospects::{as_run, measured, tolerance};
+use crate::replay::{Data, SegmentOptions, Term, Variant};
+use crate::report::Cause;
 
 /// Whether two models predict the same, to a hundredth of what counts.
 pub fn indistinguishable(a: &State, b: &State) -> bool {
@@ -26,7 +30,6 @@ pub fn indistinguishable(a: &State, b: &State) -> bool {
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
 pub fn trades(context: &Context, model: &State, other: &Term) -> Result<bool, GapError> {
-    const LEFT: f64 = 0.1;
     let own: usize = model.terms.iter().map(|t| t.values.len()).sum();
     let mut terms = model.terms.clone();
     terms.push(Term {
@@ -35,10 +38,16 @@ pub fn trades(context: &Context, model: &State, other: &Term) -> Result<bool, Ga
     });
     let (columns, _) = context.jacobian(&context.fit, &terms)?;
     let (own, others) = columns.split_at(own);
+    Ok(spanned(own, others))
+}
+
+/// Whether what `own` spans holds each of `others` that is not nothing, but for a tenth of its mean square.
+fn spanned(own: &[Vec<f32>], others: &[Vec<f32>]) -> bool {
+    const LEFT: f64 = 0.1;
     let mut among = gram(own);
     stiffen(&mut among, 0.0);
     let Some(among) = among.cholesky() else {
-        return Ok(false);
+        return false;
     };
     let within = |c: &Vec<f32>| {
         let along = DVector::from_iterator(own.len(), own.iter().map(|o| dot(o, c)));
@@ -47,7 +56,73 @@ pub fn trades(context: &Context, model: &State, other: &Term) -> Result<bool, Ga
     };
     // where a mass is none, its lever does nothing
     let mut felt = others.iter().filter(|c| dot(c, c) > 0.0).peekable();
-    Ok(felt.peek().is_some() && felt.all(within))
+    felt.peek().is_some() && felt.all(within)
+}
+
+/// Says of `causes`, which are in `best`, which of their alternatives are the very same robot.
+///
+/// # Errors
+/// As [`crate::replay::Replayer::predict`].
+pub fn find_synonyms(
+    context: &Context,
+    causes: &mut [Cause],
+    best: &State,
+    named: &[Named],
+) -> Result<(), GapError> {
+    for cause in causes.iter_mut().filter(|c| !c.alternatives.is_empty()) {
+        let Some(own) = named.iter().find(|n| n.is(best, cause)) else {
+            continue;
+        };
+        let mut without = best.terms.clone();
+        without.remove(own.index);
+        for rival in own.rivals.iter().filter(|r| r.in_set) {
+            let id = rival.state.terms[rival.index].effect.id;
+            let has = |of: &[String]| of.iter().any(|a| a == id);
+            if !has(&cause.alternatives) || has(&cause.synonyms) {
+                continue;
+            }
+            let robots = [
+                without.clone(),
+                best.terms.clone(),
+                rival.state.terms.clone(),
+            ];
+            if one_robot(context, &robots)? {
+                cause.synonyms.push(id.to_owned());
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Whether no channel of any trial of the battery tells the last two of `robots` apart by more than three
+/// hundredths of what the second has beyond the first, or of a tolerance where that is less.
+fn one_robot(context: &Context, robots: &[Variant; 3]) -> Result<bool, GapError> {
+    const SAME: f64 = 0.03;
+    let model = context.replayer.model();
+    let mut shows = false;
+    for trial in excite::battery(model, None, DEFAULT_RATE_HZ).unwrap_or_default() {
+        let run = as_run(&trial, &measured(model, &trial, true));
+        let data = Data::new(model, vec![run], SegmentOptions::default());
+        let predictions = context.replayer.predict(&data, robots)?;
+        for piece in data.segments.iter().flat_map(|s| &s.pieces) {
+            let Some(tolerance) = tolerance(piece.kind) else {
+                continue;
+            };
+            let off = |a: usize, b: usize| {
+                let off = |k: usize| f64::from(predictions[a][k] - predictions[b][k]).powi(2);
+                let square: f64 = piece.range.clone().map(off).sum();
+                (square / piece.range.len().max(1) as f64).sqrt() / tolerance
+            };
+            let size = off(0, 1);
+            shows |= size >= 1.0;
+            // what cannot be simulated is not the same either
+            let same = off(1, 2) <= SAME * size.max(1.0);
+            if !same {
+                return Ok(false);
+            }
+        }
+    }
+    Ok(shows)
 }
 
 /// Effects that are special cases of others: the wider one says what the narrower one says, and more.
@@ -55,6 +130,8 @@ const WIDER: &[(&str, &str)] = &[
     ("load_dependent_friction", "drive_asymmetry"),
     ("load_dependent_friction", "load_stiction"),
     ("coulomb_friction", "stribeck_friction"),
+    // friction that runs in for longer than a run lasts
+    ("coulomb_friction", "friction_drift"),
     ("link_mass", "payload"),
     ("link_mass", "point_mass"),
     ("link_com", "point_mass"),
@@ -68,4 +145,32 @@ pub fn wider(one: &Effect, other: &Effect) -> bool {
 /// Whether either is declared to look like the other.
 pub fn look_alike(one: &Effect, other: &Effect) -> bool {
     one.look_alikes().any(|id| id == other.id) || other.look_alikes().any(|id| id == one.id)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_others_span_but_for_a_tenth_trades_with_them() {
+        let own = [vec![1.0, 0.0, 0.0], vec![1.0, 1.0, 0.0]];
+        let spans = |other: [f32; 3]| spanned(&own, &[other.to_vec()]);
+        assert!(spans([3.0, -2.0, 0.0]));
+        // outside 0.3² of 1 + 0.3²: 8 %; 0.4² of 1 + 0.4²: 14 %
+        assert!(spans([1.0, 0.0, 0.3]));
+        assert!(!spans([1.0, 0.0, 0.4]));
+        // of a mass and its lever both have to be
+        assert!(!spanned(&own, &[vec![1.0, 0.0, 0.0], vec![0.0, 0.0, 1.0]]));
+    }
+
+    #[test]
+    fn what_leaves_no_trace_trades_with_nothing() {
+        let own = [vec![1.0, 0.0]];
+        assert!(!spanned(&own, &[vec![0.0, 0.0]]));
+        assert!(!spanned(&own, &[]));
+        // and a lever that does nothing keeps no mass from it
+        assert!(spanned(&own, &[vec![2.0, 0.0], vec![0.0, 0.0]]));
+        // nothing spans nothing
+        assert!(!spanned(&[], &[vec![1.0, 0.0]]));
+    }
 }

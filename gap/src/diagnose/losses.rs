@@ -157,6 +157,7 @@ impl Losses {
             parameters,
             confidence,
             alternatives: Vec::new(),
+            synonyms: Vec::new(),
             elsewhere: Vec::new(),
             evidence,
             rejected: vec![Rejected {

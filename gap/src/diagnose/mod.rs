@@ -100,6 +100,7 @@ pub fn diagnose(
     let mut found = search::Found::nothing(&context)?;
     let mut named = Vec::new();
     let mut tracking = tracking::Tracking::default();
+    let began = Instant::now();
     let unfinished = explore(
         request,
         &mut context,
@@ -114,11 +115,11 @@ pub fn diagnose(
         search::settle(&mut context, &mut found)?;
     }
     let mut carried = carried::choose(&context, &found.best, &found.supported, &tracking)?;
-    // held-out runs, for the first and last time
-    let terms = found.best.terms.clone();
-    let search::Found { base, best, .. } = &mut found;
-    context.judge_held_out(&terms, &mut [base, best, &mut carried.state])?;
-    carried::refuse(&context, &mut found, &mut named, &mut carried);
+    // held-out runs, for the first time; naming once more has what time is left
+    let end = (request.options.budget_s)
+        .map(|budget_s| began + Duration::from_secs_f64(budget_s.max(0.0)));
+    let go_on = request.options.go_on.until(end);
+    carried::refuse(&mut context, &go_on, &mut found, &mut named, &mut carried)?;
     if let Some(losses) = &context.losses {
         // what was wrong before is said of the robot as its file says
         found.base = context.lossless(losses)?;

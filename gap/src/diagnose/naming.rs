@@ -14,6 +14,7 @@ use super::state::{Context, State};
 use crate::effects::Domain;
 use crate::error::GapError;
 use crate::replay::Variant;
+use crate::report::Cause;
 
 /// Rivals that are fitted per cause, besides the declared look-alikes.
 const RIVALS: usize = 8;
@@ -84,6 +85,14 @@ pub struct Named {
     pub rivals: Vec<Rival>,
     /// Probability of its own name.
     pub probability: f64,
+}
+
+impl Named {
+    /// Whether it is what `cause` tells of `best`.
+    pub fn is(&self, best: &State, cause: &Cause) -> bool {
+        let term = &best.terms[self.index];
+        term.effect.id == cause.effect && term.place.names == cause.location
+    }
 }
 
 /// Finds the rivals of every cause. Causes that turn out to be none, or to have a better name, are put right

@@ -54,10 +54,13 @@ pub fn next(
         Verdict::NoGap | Verdict::Explained | Verdict::DataFault => Ok(None),
         Verdict::Ambiguous => {
             // names first, places after them
-            let of_name = causes.iter().find(|c| !c.alternatives.is_empty());
+            let of_name = causes.iter().find(|c| c.has_open_name());
             match of_name {
                 Some(open) => between_names(context, request, open, found, named),
-                None => Ok(causes.iter().find(|c| c.is_open()).map(between_places)),
+                None => {
+                    let of_place = causes.iter().find(|c| !c.elsewhere.is_empty());
+                    Ok(of_place.map(between_places))
+                }
             }
         }
         Verdict::InsufficientData | Verdict::Unexplained | Verdict::PartlyExplained => {
@@ -82,6 +85,7 @@ fn again(request: &Request, gap: &LocalGap) -> NextExperiment {
             gap.run, gap.from_s, gap.to_s
         ),
         separates: Vec::new(),
+        payload: None,
     }
 }
 
@@ -96,6 +100,7 @@ fn between_places(open: &Cause) -> NextExperiment {
             open.rivals()
         ),
         separates: vec![open.effect.clone()],
+        payload: None,
     }
 }
 
@@ -107,12 +112,12 @@ fn between_names(
     found: &Found,
     named: &[Named],
 ) -> Result<Option<NextExperiment>, GapError> {
-    let own = named.iter().find(|n| {
-        let term = &found.best.terms[n.index];
-        term.effect.id == open.effect && term.place.names == open.location
-    });
+    let own = named.iter().find(|n| n.is(&found.best, open));
     let rival = own.and_then(|n| {
-        let is = |id: &str| open.alternatives.iter().any(|a| a == id);
+        let is = |id: &str| {
+            let has = |of: &[String]| of.iter().any(|a| a == id);
+            has(&open.alternatives) && !has(&open.synonyms)
+        };
         n.rivals
             .iter()
             .find(|r| r.in_set && is(r.state.terms[r.index].effect.id))
@@ -122,7 +127,7 @@ fn between_names(
     let bare = most_telling(context, request, &pair, |_| true, None)?;
     let mut separates = vec![open.effect.clone()];
     separates.extend(open.alternatives.iter().cloned());
-    let told = |trial: String, with: String, apart_rad: f64| NextExperiment {
+    let told = |(trial, apart_rad): (String, f64), with: &str, payload| NextExperiment {
         trial,
         joints: open.location.clone(),
         reason: format!(
@@ -132,22 +137,23 @@ fn between_names(
             1e3 * apart_rad
         ),
         separates: separates.clone(),
+        payload,
     };
     if let Some(weight) = known_weight(context.replayer.model(), &pair) {
         // a weight is not let fall
         let held = |t: &excite::Trial| t.on.is_empty();
         let weighted = most_telling(context, request, &pair, held, Some(&weight))?;
-        if let Some((trial, apart_rad)) = weighted {
+        if let Some(best) = weighted {
             let [x, y, z] = weight.at_m;
             let with = format!(
                 "weigh `{0}`, or hang a known weight on it ({1:.0} g at [{x:.3}, {y:.3}, {z:.3}] m of its frame, say so in the map or log.toml: [[payload]]), and ",
                 weight.link,
                 1e3 * weight.mass_kg
             );
-            return Ok(Some(told(trial, with, apart_rad)));
+            return Ok(Some(told(best, &with, Some(weight))));
         }
     }
-    Ok(bare.map(|(trial, apart_rad)| told(trial, String::new(), apart_rad)))
+    Ok(bare.map(|best| told(best, "", None)))
 }
 
 /// The weight to hang on the link that one of two models makes heavier where the other changes something else.
@@ -265,6 +271,7 @@ fn apart(
         joints: term.place.names.clone(),
         reason: format!("{why} they would differ by {:.1} mrad", 1e3 * apart_rad),
         separates: vec![term.effect.id.to_owned()],
+        payload: None,
     }))
 }
 
@@ -278,6 +285,7 @@ fn told(effect: &Effect, why: &str, trial: String, apart_rad: f64) -> NextExperi
             1e3 * apart_rad
         ),
         separates: vec![effect.id.to_owned()],
+        payload: None,
     }
 }
 
@@ -318,4 +326,41 @@ fn most_telling(
         }
     }
     Ok(best)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+    use crate::place::places;
+
+    #[test]
+    fn a_known_weight_is_hung_where_a_mass_is_in_question_and_nothing_else_that_weighs() {
+        let file = concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/../robots/xl330_pendulum.robot.toml"
+        );
+        let model = RobotModel::load(file.as_ref()).unwrap();
+        let one = |id: &str| {
+            let effect = crate::effects::find(id).unwrap();
+            let place = places(&model, effect.domain).pop().unwrap();
+            let values = effect.neutral(&model, &place);
+            vec![Term {
+                effect,
+                place,
+                values,
+            }]
+        };
+        let hung = |a: &str, b: &str| known_weight(&model, &[one(a), one(b)]);
+        let weight = hung("point_mass", "torque_constant").unwrap();
+        // 0.1 m to the centre, 1.3 of that to the weight; a quarter of 0.77 N·m carries 0.1925/(9.81·0.13)
+        // = 0.151 kg there, less than half of 0.49 kg
+        assert_eq!((weight.link.as_str(), weight.mass_kg), ("arm", 0.15));
+        assert!((weight.at_m[2] + 0.13).abs() < 1e-9, "{weight:?}");
+        assert_eq!(hung("torque_constant", "point_mass"), Some(weight));
+        // two masses, and none
+        assert_eq!(hung("point_mass", "link_mass"), None);
+        assert_eq!(hung("kp_error", "torque_constant"), None);
+    }
 }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use caudata_model::RobotModel;
 
-use super::alike::{indistinguishable, wider};
+use super::alike::{find_synonyms, indistinguishable, wider};
 use super::carried::Model;
 use super::divergence::divergence;
 use super::doubt::{Doubts, meet, sizes};
@@ -183,8 +183,7 @@ pub fn conclude(
     split: Split,
 ) -> Result<Diagnosis, GapError> {
     let (found, named, carried) = (evidence.found, evidence.named, evidence.carried);
-    let (base, best) = (&found.base, &found.best);
-    let model = &carried.state;
+    let (base, best, model) = (&found.base, &found.best, &carried.state);
     let Told {
         all,
         are_leads,
@@ -203,26 +202,27 @@ pub fn conclude(
     let mut unexplained = leftover::leftover(context, found);
     let local = local_gaps(context, &model.fit, &model.holdout);
     let verdict = verdict(context, found, &causes, &doubts, split, &local);
-    let said = (&causes[..], &leads[..]);
-    let told = summary(context, verdict, said, &doubts, &unexplained, split, found);
+    if verdict == Verdict::Ambiguous && !evidence.unfinished {
+        find_synonyms(context, &mut causes, best, named)?;
+    }
+    let told = (&causes[..], &leads[..]);
+    let told = summary(context, verdict, told, &doubts, &unexplained, split, found);
     let errors = evidence.tracking.errors(context, &model.terms)?;
     let listed = carried.listed(&entries);
     let first = words::first(verdict, &carried.state, &errors, evidence.unfinished);
     let last = words::assumed(verdict, &request.data_faults) + &words::last(&listed, &local);
     let summary = [first, told, last].concat();
-    if !matches!(verdict, Verdict::PartlyExplained | Verdict::Unexplained) {
-        unexplained.clear();
-    }
-    let cells = |on: &On| divergence(&context.holdout, on, context.seed);
+    let in_part = matches!(verdict, Verdict::PartlyExplained | Verdict::Unexplained);
+    unexplained.retain(|_| in_part);
     let mut plots = pictures::plots(context, found, model, named);
     plots.correlation = correlation(best, &spread);
     Ok(Diagnosis {
         report: Report {
             verdict,
             summary,
-            divergence: cells(&base.holdout),
+            divergence: divergence(&context.holdout, &base.holdout, context.seed),
             divergence_after: match !model.terms.is_empty() || context.losses.is_some() {
-                true => cells(&model.holdout),
+                true => divergence(&context.holdout, &model.holdout, context.seed),
                 false => Vec::new(),
             },
             doubts: match causes.is_empty() {
@@ -376,6 +376,7 @@ fn cause(
         parameters,
         confidence: (same_name * trust).clamp(0.03, TRUST),
         alternatives,
+        synonyms: Vec::new(),
         elsewhere,
         evidence: evidence(context, term, named),
         rejected,
@@ -506,6 +507,7 @@ mod tests {
             parameters: BTreeMap::new(),
             confidence: 0.9,
             alternatives: Vec::new(),
+            synonyms: Vec::new(),
             elsewhere: Vec::new(),
             evidence: Vec::new(),
             rejected: Vec::new(),

@@ -90,8 +90,15 @@ pub fn summary(
     }
     if let Some((state, _)) = found.refused.first().filter(|(_, w)| w.why == NO_NEARER) {
         let (before, after) = (found.base.holdout.misfit, state.holdout.misfit);
+        let what = match found.best.terms.is_empty() {
+            true => "it is no finding, and the robot is taken as given.".to_owned(),
+            false => format!(
+                "causes were left out until they are nearer, the least sure first. So these runs had a say in how much of it is kept ({}), and what is gained on them flatters it.",
+                found.best.label()
+            ),
+        };
         text.push_str(&format!(
-            " Fitted to the other runs, {} does not bring held-out runs nearer ({before:.2} floors as given, {after:.2} with it): it is no finding, and the robot is taken as given.",
+            " Fitted to the other runs, {} does not bring held-out runs nearer ({before:.2} floors as given, {after:.2} with it): {what}",
             state.label()
         ));
     }
@@ -219,8 +226,15 @@ fn headline(
                 .filter(|c| c.is_open())
                 .map(Cause::rivals)
                 .collect();
+            let another = causes
+                .iter()
+                .any(|c| c.has_open_name() || !c.elsewhere.is_empty());
+            let what_tells = match another {
+                true => "The next experiment tells them apart.",
+                false => "They are one robot by different names: no trial tells them apart.",
+            };
             format!(
-                "The gap is real, its name is open: {}; {fall}. The next experiment tells them apart.",
+                "The gap is real, its name is open: {}; {fall}. {what_tells}",
                 open.join("; ")
             )
         }

@@ -27,7 +27,7 @@ pub static ENCODER_OFFSET: Effect = Effect {
 
 pub static ENCODER_GAIN: Effect = Effect {
     id: "encoder_gain",
-    parameters: &[parameter("gain", "", 0.0, (-0.12, 0.12), 0.005, One)],
+    parameters: &[parameter("gain", "", 0.0, (-0.35, 0.35), 0.005, One)],
     grid: &one(&[-0.1, -0.05, -0.02, 0.02, 0.05, 0.1]),
     apply: |plant, place, v| place.each(|a| plant.sensing.encoders[a].gain += v[0] as f32),
     look_alikes: "link_mass link_com point_mass viscous_friction torque_constant",

@@ -248,6 +248,7 @@ pub fn next(robot: &RobotModel, separates: &[&str], joints: &[String]) -> Option
             shown.join(", ")
         ),
         separates: separates.iter().map(|e| (*e).to_owned()).collect(),
+        payload: None,
     })
 }
 

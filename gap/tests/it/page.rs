@@ -67,6 +67,7 @@ fn sample() -> (Report, Plots) {
         parameters: BTreeMap::from([("friction_nm".to_owned(), parameter(0.084, "N·m", 0.006))]),
         confidence: 0.93,
         alternatives: vec![],
+        synonyms: Vec::new(),
         elsewhere: Vec::new(),
         evidence: vec![
             "The torque jumps by 0.17 N·m at every reversal, at any speed.".to_owned(),
@@ -86,6 +87,7 @@ fn sample() -> (Report, Plots) {
         parameters: BTreeMap::from([("delay_s".to_owned(), parameter(0.0123, "s", 0.0009))]),
         confidence: 0.58,
         alternatives: vec!["command_low_pass".to_owned()],
+        synonyms: Vec::new(),
         elsewhere: vec![vec!["FR_knee".to_owned()]],
         evidence: vec!["Lag is 12 ms at every frequency.".to_owned()],
         rejected: vec![],
@@ -98,6 +100,7 @@ fn sample() -> (Report, Plots) {
         parameters: BTreeMap::from([("way_rad".to_owned(), parameter(0.0088, "rad", 0.001))]),
         confidence: 0.1,
         alternatives: vec![],
+        synonyms: Vec::new(),
         elsewhere: Vec::new(),
         evidence: vec!["takes 39 % off the misfit of held-out runs".to_owned()],
         rejected: vec![],
@@ -134,6 +137,7 @@ fn sample() -> (Report, Plots) {
             joints: vec!["FL_hip".to_owned()],
             reason: "50 mrad, 0.5 to 10 Hz, on a stand, 3 times: made to show command_delay, command_low_pass".to_owned(),
             separates: vec!["command_delay".to_owned(), "command_low_pass".to_owned()],
+            payload: None,
         }),
         detection_floor: BTreeMap::from([
             ("stribeck_friction@FL_hip".to_owned(), Floor { parameter: "stribeck_nm".to_owned(), value: 0.011, unit: "N·m".to_owned(), excited: true }),

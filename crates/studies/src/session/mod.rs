@@ -11,7 +11,7 @@ mod work;
 use std::path::PathBuf;
 
 use caudata_gap::report::Verdict;
-use caudata_runlog::BaseHold;
+use caudata_runlog::{BaseHold, Payload};
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
 
@@ -104,6 +104,9 @@ pub struct Round {
     pub trial: String,
     /// Why this one.
     pub why: String,
+    /// A known weight that hung on the robot.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub payload: Option<Payload>,
     /// Motion up to here, s.
     pub motion_s: f64,
     /// Mean absolute error of the joints' angles as given, rad; none where nothing was diagnosed yet.
@@ -129,6 +132,19 @@ pub struct Next {
     pub commands: PathBuf,
     /// Where the log folder belongs, or a folder of repeats.
     pub log: PathBuf,
+    /// A known weight to hang on the robot, which the log has to note.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub payload: Option<Payload>,
+}
+
+/// A weight as `log.toml` notes it, in one line.
+#[must_use]
+pub fn noted(weight: &Payload) -> String {
+    let [x, y, z] = weight.at_m;
+    format!(
+        "payload = [{{ link = \"{}\", mass_kg = {:.3}, at_m = [{x:.4}, {y:.4}, {z:.4}] }}]",
+        weight.link, weight.mass_kg
+    )
 }
 
 /// `session.json`.

@@ -10,12 +10,12 @@ use caudata_gap::prospects::Prospects;
 use caudata_gap::report::{Cause, Report, Verdict};
 use caudata_gap_benchmark::simulated;
 use caudata_model::RobotModel;
-use caudata_runlog::{Axis, BaseHold, RunLog, Signal};
+use caudata_runlog::{Axis, BaseHold, Payload, RunLog, Signal};
 use caudata_sim::LaneParams;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 
 use super::choose::{asked_for, is_sure, weights};
-use super::{Ending, Next, Plan, Round, SESSION, Session};
+use super::{Ending, Next, Plan, Round, SESSION, Session, noted};
 use crate::adapt::Named;
 use crate::out_folder::{Asked, OutFolder};
 use crate::{Steps, diagnosis, files, flags};
@@ -152,18 +152,29 @@ impl Own<'_> {
         let Some(prospects) = &self.prospects else {
             return Err(Failure::message(ExitCode::Internal, "no prospects"));
         };
-        let recorded: Vec<&str> = self.rounds.iter().map(|r| r.trial.as_str()).collect();
+        // without a weight, which no prospect has
+        let bare = self.rounds.iter().filter(|r| r.payload.is_none());
+        let recorded: Vec<&str> = bare.map(|r| r.trial.as_str()).collect();
         let weights = match report {
             Some(report) => weights(report, prospects, &self.lab, &recorded),
             None => prospects.unseen(&[]),
         };
         let left_s = self.plan.motion - self.motion_s();
-        if let Some((trial, why)) = report.and_then(asked_for)
-            && let Some(found) = prospects.find(trial)
-            && !recorded.contains(&trial)
+        let is_recorded = |trial: &str, weighted: bool| {
+            let mut same = self.rounds.iter().filter(|r| r.trial == trial);
+            same.any(|r| r.payload.is_some() == weighted)
+        };
+        if let Some(asked) = report.and_then(asked_for)
+            && let Some(found) = prospects.find(&asked.trial)
+            && !is_recorded(&asked.trial, asked.payload.is_some())
             && found.duration_s <= left_s
         {
-            return Ok(Decision::Record(self.next(found, why)));
+            let payload = asked.payload.clone();
+            return Ok(Decision::Record(self.next(
+                found,
+                asked.reason.clone(),
+                payload,
+            )));
         }
         let no_gap = report.is_some_and(|r| r.verdict == Verdict::NoGap);
         let best = prospects.best(&weights, &recorded, f64::INFINITY);
@@ -180,7 +191,7 @@ impl Own<'_> {
             return Ok(Decision::End(Ending::Sure, reason));
         }
         if let Some(best) = prospects.best(&weights, &recorded, left_s) {
-            return Ok(Decision::Record(self.next(best.trial, best.why)));
+            return Ok(Decision::Record(self.next(best.trial, best.why, None)));
         }
         let reason = match best {
             Some(best) => format!(
@@ -189,10 +200,19 @@ impl Own<'_> {
             ),
             None => "no trial of the battery tells more about what is open".to_owned(),
         };
-        Ok(Decision::End(Ending::Unsure, reason))
+        // one that lets a servo go, or is done where this robot cannot be
+        let beyond = report.and_then(asked_for);
+        let beyond = beyond.filter(|asked| prospects.find(&asked.trial).is_none());
+        let beyond = beyond.map_or(String::new(), |asked| {
+            format!(
+                "; {} would tell it, which this session does not do: {}",
+                asked.trial, asked.reason
+            )
+        });
+        Ok(Decision::End(Ending::Unsure, reason + &beyond))
     }
 
-    fn next(&self, trial: &excite::Trial, why: String) -> Next {
+    fn next(&self, trial: &excite::Trial, why: String, payload: Option<Payload>) -> Next {
         let name = format!("{:02}_{}", self.rounds.len() + 1, trial.name);
         Next {
             trial: trial.name.clone(),
@@ -200,6 +220,7 @@ impl Own<'_> {
             base: trial.base,
             commands: self.plan.dir.join("next").join(format!("{name}.csv")),
             log: self.plan.dir.join("logs").join(name),
+            payload,
         }
     }
 
@@ -262,7 +283,7 @@ impl Own<'_> {
         let is_there = || diagnosis::log_folders(std::slice::from_ref(&next.log)).is_ok();
         if is_there() {
             steps.is_there("record", &next.log);
-            return Ok(true);
+            return noted_in_log(next);
         }
         let trial = excite::trial(&self.lab, &next.trial, None, excite::DEFAULT_RATE_HZ)
             .or_exit(ExitCode::Internal)?;
@@ -279,6 +300,7 @@ impl Own<'_> {
                     model: truth,
                     lane: &LaneParams::nominal(truth),
                     seed: self.plan.seed,
+                    payload: next.payload.as_slice(),
                 };
                 simulated::record(&robot, &trial, self.rounds.len() as u64, &part)
                     .or_exit(ExitCode::Internal)?;
@@ -301,7 +323,10 @@ impl Own<'_> {
             while !is_there() && Instant::now() < until && !stop.is_set() {
                 stop.wait(LOOK_FOR_LOG_EVERY);
             }
-            Ok(is_there())
+            match is_there() {
+                true => noted_in_log(next),
+                false => Ok(false),
+            }
         })
     }
 
@@ -314,6 +339,7 @@ impl Own<'_> {
             motion_s: self.motion_s() + found.map_or(0.0, |t| t.duration_s),
             trial: next.trial,
             why: next.why,
+            payload: next.payload,
             given_rad: None,
             left_rad: None,
             verdict: None,
@@ -389,4 +415,23 @@ impl Own<'_> {
         files::write_json(&self.plan.dir.join(SESSION), &session)?;
         Ok(session)
     }
+}
+
+/// That the log of `next` notes the weight that was asked for, if one was.
+fn noted_in_log(next: &Next) -> Result<bool, Failure> {
+    let Some(weight) = &next.payload else {
+        return Ok(true);
+    };
+    for dir in diagnosis::log_folders(std::slice::from_ref(&next.log))? {
+        let log = RunLog::read(&dir).or_exit(ExitCode::BadInput)?;
+        if log.meta.payload.is_empty() {
+            let message = format!(
+                "{}: log.toml notes no weight, and one was to hang on the robot",
+                dir.display()
+            );
+            let hint = format!("write down what hung there, as `{}`", noted(weight));
+            return Err(Failure::message(ExitCode::BadInput, message).hint(hint));
+        }
+    }
+    Ok(true)
 }

@@ -121,7 +121,7 @@ pub fn judge(answer: &Answer, given: &Given, joint_links: &[(String, String)]) -
         .as_ref()
         .and_then(|r| r.next_experiment.as_ref());
     // which place it is, a trial alone does not say
-    let open_name = causes.iter().any(|c| !c.alternatives.is_empty());
+    let open_name = causes.iter().any(Cause::has_open_name);
     let next_helps = ((verdict == Some(Verdict::Ambiguous) && open_name)
         || verdict == Some(Verdict::InsufficientData))
     .then(|| {

@@ -241,33 +241,17 @@ fn read(
     channels: Channels,
     s: &mut Stream,
 ) -> Vec<Option<f64>> {
-    let to = |x: f64, lsb: f64| {
-        if lsb > 0.0 {
-            (x / lsb).round() * lsb
-        } else {
-            x
-        }
-    };
-    let mut row: Vec<Option<f64>> = command.iter().map(|&u| Some(to(u, 1e-6))).collect();
+    let mut row: Vec<Option<f64>> = command.iter().map(|&u| Some(counted(u, 1e-6))).collect();
     let servos = model.actuated();
     for (a, &j) in servos.iter().enumerate() {
         let q = f64::from(state.joint_pos_rad[j]) + 0.0002 * s.normal_f64();
-        row.push(Some(to(q, model.servo(a).encoder_lsb_rad())));
+        row.push(Some(counted(q, model.servo(a).encoder_lsb_rad())));
     }
     for (a, &j) in servos.iter().enumerate() {
         let v = f64::from(state.joint_vel_radps[j]) + 0.01 * s.normal_f64();
-        row.push(Some(to(v, model.servo(a).velocity_lsb_radps)));
+        row.push(Some(counted(v, model.servo(a).velocity_lsb_radps)));
     }
-    for a in 0..servos.len() {
-        let servo = model.servo(a);
-        let free = f64::from(state.motor_torque_nm[a]) / servo.torque_per_current_nm_per_a;
-        let shown = free + servo.current_dead_band_a * (free / 0.01).clamp(-1.0, 1.0);
-        row.push(Some(to(
-            shown + 0.004 * s.normal_f64(),
-            servo.current_lsb_a,
-        )));
-    }
-    row.push(Some(to(f64::from(session.lane.supply_v), 0.1)));
+    drives(model, state, &session.lane, &mut row, s);
     if channels.imu {
         let imu = model.sensors().imu.as_ref();
         // noise of a band of half the rate
@@ -311,4 +295,36 @@ fn read(
             .for_each(|x| put(f64::from(*x), MOCAP_NOISE_M));
     }
     row
+}
+
+/// Currents of all servos and the supply, by the robot's own constants, which its lab may not know.
+fn drives(
+    model: &RobotModel,
+    state: &caudata_sim::State,
+    lane: &LaneParams,
+    row: &mut Vec<Option<f64>>,
+    s: &mut Stream,
+) {
+    let mut drawn_a = 0.0;
+    for (a, joint) in lane.joints.iter().enumerate() {
+        let torque_nm = f64::from(state.motor_torque_nm[a]);
+        // a motor that saturates takes more
+        let left = 1.0 - f64::from(joint.torque_saturation_per_nm) * torque_nm.abs();
+        let free = torque_nm / (left.max(1e-3) * f64::from(joint.torque_constant_nm_per_a));
+        drawn_a += free.abs();
+        let idle = f64::from(joint.current_dead_band_a);
+        let shown = free + idle * (free / 0.01).clamp(-1.0, 1.0);
+        let lsb_a = model.servo(a).current_lsb_a;
+        row.push(Some(counted(shown + 0.004 * s.normal_f64(), lsb_a)));
+    }
+    let supply_v = f64::from(lane.supply_v) - f64::from(lane.supply_resistance_ohm) * drawn_a;
+    row.push(Some(counted(supply_v, 0.1)));
+}
+
+/// In whole steps of `lsb`, if it has any.
+fn counted(x: f64, lsb: f64) -> f64 {
+    match lsb > 0.0 {
+        true => (x / lsb).round() * lsb,
+        false => x,
+    }
 }

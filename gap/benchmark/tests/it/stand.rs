@@ -32,6 +32,7 @@ fn report_of(seed: u64, fault: impl Fn(&RobotModel, &mut LaneParams)) -> Report 
             model: &model,
             lane: &lane,
             seed,
+            payload: &[],
         };
         simulated::record(&robot, &made, i as u64, &dir).unwrap();
         Run {
