@@ -92,6 +92,12 @@ settings! {
         /// Height of still water's surface above z = 0, m, 0..=10; any kind can be flooded. Default 0, which
         /// is dry but for `shore` (0.4 m) and `deep_water` (2 m: the robot, 1.1 m long, can dive upright).
         pub water_level_m: f64 = 0.0,
+        /// How hard the ground is along its right edge (smallest y), as a share of what it is along its left
+        /// edge, 0..=1: slopes (their tangents), steps and random heights grow evenly from the one to the
+        /// other. `map`, `mixed` and `slippery` stay as they are. Default 1: the same everywhere. Below it a
+        /// training whose episodes start all over the field meets every grade from the start, and learns the
+        /// hard ones by the easy ones; too small: most of it is easy.
+        pub easiest_share: f64 = 1.0,
         /// File of `map`: a square PNG in shades of grey, whose white is `height_m` high, or a square CSV of
         /// heights in m. Its first row has the largest y. Default empty.
         pub map: PathBuf,
@@ -123,6 +129,7 @@ impl TerrainConfig {
             ("patch_m", self.patch_m, 0.1, 5.0, "must be 0.1 to 5 m"),
             ("patch_share", self.patch_share, 0.0, 1.0, "must be 0 to 1"),
             ("patch_friction", self.patch_friction, 0.0, 1.0, "must be 0 to 1"),
+            ("easiest_share", self.easiest_share, 0.0, 1.0, "must be 0 to 1"),
             ("water_level_m", self.water_level_m, 0.0, 10.0, "must be 0 to 10 m"),
         ];
         check_ranges("terrain", &ranges)?;
@@ -135,13 +142,14 @@ impl TerrainConfig {
             });
         }
         if self.kind == TerrainKind::Shore {
+            let gentlest = self.easiest_share * self.slope_deg.to_radians().tan();
             check_range(
                 "terrain",
                 "slope_deg",
-                self.slope_deg,
+                gentlest.atan().to_degrees(),
                 2.0,
                 40.0,
-                "must be 2 to 40 degrees for a shore, or the land never reaches the water",
+                "must be 2 to 40 degrees everywhere on a shore, or the land never reaches the water",
             )?;
         }
         check_range(

@@ -34,6 +34,10 @@ pub(super) fn grid(config: &TerrainConfig, seed: u64) -> Result<Option<HeightGri
     let plan = Plan {
         points: (config.size_m / cell_m).round() as usize + 1,
         cell_m,
+        easiest_share: match config.kind {
+            TerrainKind::Mixed => 1.0,
+            _ => config.easiest_share,
+        },
     };
     let (roughness_m, slope_deg) = config.grade();
     let slope = slope_deg.to_radians().tan();
@@ -47,7 +51,7 @@ pub(super) fn grid(config: &TerrainConfig, seed: u64) -> Result<Option<HeightGri
         TerrainKind::Valley => plan.valley(slope),
         TerrainKind::Slope => {
             let half = plan.half_m();
-            plan.each(|x, _| (x + half) * slope)
+            plan.each(|x, y| (x + half) * slope * plan.hardness(y))
         }
         TerrainKind::Steps => plan.steps(config.step_length_m, config.height_m),
         TerrainKind::Shore => plan.shore(config.surface_m().unwrap_or(0.0), slope),
@@ -73,8 +77,9 @@ pub(super) fn grid(config: &TerrainConfig, seed: u64) -> Result<Option<HeightGri
             | TerrainKind::RoughHard
     );
     if rugged {
-        for h in &mut heights {
-            *h += stream.uniform_f64(0.0, roughness_m);
+        let hardness = plan.each(|_, y| plan.hardness(y));
+        for (h, hardness) in heights.iter_mut().zip(hardness) {
+            *h += hardness * stream.uniform_f64(0.0, roughness_m);
         }
     }
     // A slope, steps and a map go from edge to edge; everything else ends at 0.
@@ -93,9 +98,16 @@ pub(super) fn grid(config: &TerrainConfig, seed: u64) -> Result<Option<HeightGri
 struct Plan {
     points: usize,
     cell_m: f64,
+    easiest_share: f64,
 }
 
 impl Plan {
+    /// Factor on slopes and heights at y: from `easiest_share` at the right edge evenly to 1 at the left one.
+    fn hardness(&self, y: f64) -> f64 {
+        let share = (y + self.half_m()) / (2.0 * self.half_m());
+        self.easiest_share + (1.0 - self.easiest_share) * share
+    }
+
     fn half_m(&self) -> f64 {
         self.cell_m * (self.points - 1) as f64 / 2.0
     }
@@ -133,15 +145,16 @@ impl Plan {
         });
         let steepest = self.steepest_facet(&heights).max(1e-12);
         let lowest = heights.iter().copied().fold(f64::INFINITY, f64::min);
-        for h in &mut heights {
-            *h = (*h - lowest) * slope / steepest;
+        let hardness = self.each(|_, y| self.hardness(y));
+        for (h, hardness) in heights.iter_mut().zip(hardness) {
+            *h = (*h - lowest) * hardness * slope / steepest;
         }
         heights
     }
 
     /// Floor 1 m wide along x, walls of constant slope.
     fn valley(&self, slope: f64) -> Vec<f64> {
-        self.each(|_, y| (y.abs() - VALLEY_FLOOR_HALF_WIDTH_M).max(0.0) * slope)
+        self.each(|_, y| (y.abs() - VALLEY_FLOOR_HALF_WIDTH_M).max(0.0) * slope * self.hardness(y))
     }
 
     /// Terraces, lowest at 0 at the edge of largest x.
@@ -150,13 +163,13 @@ impl Plan {
         // must not move a riser.
         let number = |x: f64| ((x + self.cell_m / 4.0) / length_m + 0.5).floor();
         let lowest = number(self.half_m());
-        self.each(|x, _| (lowest - number(x)) * drop_m)
+        self.each(|x, y| (lowest - number(x)) * drop_m * self.hardness(y))
     }
 
     /// Land, beach and the pool's floor at 0.
     fn shore(&self, surface_m: f64, slope: f64) -> Vec<f64> {
         let land = surface_m + FREEBOARD_M;
-        self.each(|x, _| (land - (x - BEACH_X_M).max(0.0) * slope).max(0.0))
+        self.each(|x, y| (land - (x - BEACH_X_M).max(0.0) * slope * self.hardness(y)).max(0.0))
     }
 
     /// Flat (−x −y), hills (+x −y), rugged (−x +y) and valley (+x +y), each ramped down to 0 at its border.

@@ -147,6 +147,40 @@ fn the_shore_goes_from_dry_land_into_the_pool() {
 }
 
 #[test]
+fn the_ground_grows_harder_from_right_to_left() {
+    let graded = |kind| {
+        let config = TerrainConfig {
+            easiest_share: 0.5,
+            ..TerrainConfig::of(kind)
+        };
+        Terrain::generate(&config, 3).unwrap()
+    };
+    // 16 m wide: at y = −8 half as hard, at −4 five eighths, at 8 as hard as without
+    let steep = 15f64.to_radians().tan();
+    let shore = graded(TerrainKind::Shore);
+    near(shore.height_m(1.5, -4.0), 0.5 - 0.625 * steep);
+    near(shore.height_m(1.5, 4.0), 0.5 - 0.875 * steep);
+    let (steps, all) = (graded(TerrainKind::Steps), terrain(TerrainKind::Steps));
+    let drop = |t: &Terrain, y| t.height_m(0.0, y) - t.height_m(1.5, y);
+    near(drop(&all, -4.0), 0.04);
+    near(drop(&steps, -4.0), 0.025);
+    near(drop(&steps, 8.0), 0.04);
+    // rugged, away from its margin: nowhere higher than its share of 4 cm, but nearly so somewhere
+    let rugged = grid(
+        &TerrainConfig {
+            easiest_share: 0.5,
+            ..TerrainConfig::of(TerrainKind::Rugged)
+        },
+        3,
+    );
+    let row = |iy: usize| (20..140).map(move |ix| (ix, iy));
+    for (iy, most) in [(20, 0.02 * 1.125), (140, 0.02 * 1.875)] {
+        let highest = row(iy).map(|(x, y)| rugged.at(x, y)).fold(0.0, f32::max);
+        assert!(f64::from(highest) <= most && f64::from(highest) > 0.9 * most);
+    }
+}
+
+#[test]
 fn water_stands_where_it_should() {
     assert_eq!(terrain(TerrainKind::Rough).water_level_m(), None);
     let pool = terrain(TerrainKind::DeepWater);
