@@ -40,6 +40,7 @@ mod search;
 mod signature;
 mod spread;
 mod state;
+mod synonyms;
 mod tracking;
 mod unexplained;
 mod verdict;

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use caudata_model::RobotModel;
 
-use super::alike::{find_synonyms, indistinguishable, wider};
+use super::alike::{indistinguishable, wider};
 use super::carried::Model;
 use super::divergence::divergence;
 use super::doubt::{Doubts, meet, sizes};
@@ -17,6 +17,7 @@ use super::request::{Diagnosis, Request, Split};
 use super::search::Found;
 use super::spread::{Spread, beside, correlation, parameters, spread};
 use super::state::{Context, On, State};
+use super::synonyms::find_synonyms;
 use super::tracking::Tracking;
 use super::words::{self, evidence, summary};
 use super::{gates, leftover, next, pictures};
