@@ -257,6 +257,7 @@ mod tests {
     fn a_learner_stays_out_of_what_operators_release() {
         for (role, stream, may) in [
             (Role::Learner, "release/flat", false),
+            (Role::Learner, "release", false),
             (Role::Learner, "released/flat", true),
             (Role::Learner, "polymander/flat", true),
             (Role::Operator, "release/flat", true),

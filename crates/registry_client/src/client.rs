@@ -361,6 +361,16 @@ mod tests {
     fn addresses_need_a_port() {
         assert!(RegistryClient::new("127.0.0.1").is_err());
         assert!(RegistryClient::new("robot:x").is_err());
+        for (address, here) in [
+            ("192.0.2.1:7401", false),
+            ("http://policies.lab:7401", false),
+            ("0.0.0.0:7401", false),
+            ("127.0.0.1.evil.org:7401", false),
+            ("localhost:7401", true),
+            ("http://[::1]:7401", true),
+        ] {
+            assert_eq!(RegistryClient::new(address).is_ok(), here, "{address}");
+        }
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build()

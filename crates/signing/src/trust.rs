@@ -411,6 +411,30 @@ pub mod tests {
         assert!(roots(0).is_err(), "anybody may name the next file");
         assert!(roots(2).is_err(), "nobody ever could");
         assert!(Trust::parse("format = \"caudata.trust.v2\"\nthreshold = 1\n").is_err());
+        let fresh = |revoked: &str, ids: &[u8]| {
+            let own = key(1).trust_file();
+            let own = own.replacen("\n\n", &format!("\nrevoked = [{revoked}]\n\n"), 1);
+            let lines: String = ids.iter().map(|n| key(*n).fresh_trust_lines()).collect();
+            Trust::parse(&format!("{own}\n{lines}"))
+        };
+        assert!(fresh("", &[2]).unwrap().knows_fresh_keys());
+        assert!(
+            fresh("\"k2\"", &[2]).is_err(),
+            "yesterday's answers would do"
+        );
+        assert!(fresh("\"k2\"", &[2, 3]).unwrap().knows_fresh_keys());
+    }
+
+    #[test]
+    fn a_trust_file_that_anybody_may_write_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("trust.toml");
+        std::fs::write(&path, key(1).trust_file()).unwrap();
+        for (mode, taken) in [(0o644, true), (0o664, true), (0o666, false), (0o646, false)] {
+            let mode = std::os::unix::fs::PermissionsExt::from_mode(mode);
+            std::fs::set_permissions(&path, mode).unwrap();
+            assert_eq!(Trust::read(&path).is_ok(), taken);
+        }
     }
 
     #[test]

@@ -199,3 +199,43 @@ pub(super) fn complete<R: Robot>(
         in_water: robot.in_water(),
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Ticks of 500 (10 s) that count, where each joint moves by `vel_radps` of the tick under `command` of the tick.
+    fn counted(command: impl Fn(u32) -> f32, vel_radps: impl Fn(u32) -> f32) -> u32 {
+        let mut trial = Trial::default();
+        for tick in 0..500 {
+            let servos = ServoReadings {
+                time_s: 0.0,
+                pos_rad: PerJoint::filled(2, 0.0),
+                vel_radps: PerJoint::filled(2, vel_radps(tick)),
+                current_a: PerJoint::filled(2, 0.0),
+                supply_v: 12.0,
+            };
+            trial.count(&[command(tick), 0.0, 0.0], &servos);
+        }
+        trial.ticks
+    }
+
+    #[test]
+    fn only_walking_counts_in_a_trial() {
+        // 0.1 rad of swing at 1.4 Hz: 0.88 rad/s at most
+        let swing = |tick: u32| 0.88 * (std::f32::consts::TAU * 1.4 * 0.02 * tick as f32).sin();
+        let shiver = |tick: u32| if tick % 2 == 0 { 2.0 } else { -2.0 };
+        let there_and_back = |tick: u32| if tick / 2 % 2 == 0 { 0.06 } else { -0.06 };
+        // the mean of a command of 0.1 m/s is above 0.03 after four ticks: 1 − 0.9⁴ = 0.34
+        assert!(counted(|_| 0.1, swing) >= 490);
+        assert_eq!(counted(|_| 0.0, swing), 0);
+        assert_eq!(counted(|_| 1e-6, swing), 0);
+        assert_eq!(counted(there_and_back, swing), 0);
+        // the ticks until it is seen that the joints stand still
+        assert!(counted(|_| 0.1, |_| 0.0) < STILL_TICKS);
+        assert!(
+            counted(|_| 0.1, shiver) < 2 * STILL_TICKS,
+            "2 rad/s, and goes nowhere"
+        );
+    }
+}

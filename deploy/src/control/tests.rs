@@ -393,6 +393,7 @@ fn fault_32_standing_still_passes_no_trial() {
     };
     assert!(good(0.3, stepping(1)));
     assert!(!good(0.0, stepping(1)), "it was told to stand");
+    assert!(!good(1e-6, stepping(1)), "that is no command to walk");
     assert!(!good(0.3, standing(1)), "it was told to move and did not");
 }
 

@@ -69,6 +69,7 @@ pub fn other_bytes(lab: &Lab, times: usize) -> Result<String> {
 /// A device instead of a file, in an address space of 3 GiB.
 pub fn endless_inputs(lab: &Lab, _: usize) -> Result<String> {
     let state = lab.fresh()?.join("state").display().to_string();
+    let key = lab.fresh()?.join("key").display().to_string();
     let robot = ["--robot", ROBOT, "--stream", "s", "--state", &state];
     let bus = ["--bus", "sim:127.0.0.1:1"];
     let zero = "/dev/zero";
@@ -85,6 +86,16 @@ pub fn endless_inputs(lab: &Lab, _: usize) -> Result<String> {
         ),
         ("caudata", vec!["eval", "--policy", zero]),
         ("caudata", vec!["policy", "show", zero]),
+        (
+            "caudata",
+            [
+                &[
+                    "policy", "keygen", "--fresh", "--key-id", "k", "--out", &key,
+                ],
+                &["--trust", zero][..],
+            ]
+            .concat(),
+        ),
         ("caudata-robot", vec!["limp", "--wiring", zero]),
         run("--trust"),
         run("--factory"),
