@@ -361,6 +361,11 @@ mod tests {
     fn addresses_need_a_port() {
         assert!(RegistryClient::new("127.0.0.1").is_err());
         assert!(RegistryClient::new("robot:x").is_err());
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .unwrap();
+        let _context = runtime.enter();
         for (address, here) in [
             ("192.0.2.1:7401", false),
             ("http://policies.lab:7401", false),
@@ -371,11 +376,6 @@ mod tests {
         ] {
             assert_eq!(RegistryClient::new(address).is_ok(), here, "{address}");
         }
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()
-            .unwrap();
-        let _context = runtime.enter();
         let client = RegistryClient::new("http://127.0.0.1:7401").unwrap();
         assert_eq!(client.address(), "127.0.0.1:7401");
     }
