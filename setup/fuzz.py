@@ -2,7 +2,7 @@
 """Knocks at every door that bytes come in by (tests/fuzz), led by the branches of the code that earlier inputs
 reached: builds the doors with LLVM's SanitizerCoverage and libFuzzer, and tells what was reached.
 
-What reached something new lies in target/fuzz/corpus. `--keep` takes as little of it as reaches the same into
+What reached something new lies in target/fuzz/corpus. `--keep` takes small inputs that reach what smaller ones do not into
 tests/fuzz/corpus, which `make test` tries as well.
 """
 
@@ -23,8 +23,6 @@ COVERAGE = (
     " -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table"
     " -Cllvm-args=-sanitizer-coverage-trace-compares -Ccodegen-units=4 -Copt-level=2 -Cstrip=none"
 )
-# Larger inputs are made while it runs; only small ones are worth a place in the repository.
-KEPT_BYTES = 4096
 
 
 def main() -> int:
@@ -42,7 +40,7 @@ def main() -> int:
         left: Dict[str, Tuple[int, int]] = {}
         for door in options.door or doors:
             knock(program, door, options.seconds, options.keep, left)
-        print("\nfunctions with the most branches that nothing reached:")
+        print("\nfunctions with the most branches that nothing reached (what only a panic would take is among them):")
         for name, (reached, total) in sorted(left.items(), key=lambda x: x[1][0] - x[1][1])[:15]:
             print("  %4d of %4d  %s" % (reached, total, name))
     except SetupError as error:
@@ -74,9 +72,7 @@ def knock(program: str, door: str, seconds: int, keep: bool, left: Dict[str, Tup
     flags = "-max_total_time=%d -max_len=65536 -timeout=20 -rss_limit_mb=2048 -artifact_prefix=%s/" % (seconds, HERE)
     told = run(program, door, corpus, flags + " -verbosity=0 -print_final_stats=1")
     inputs = re.search(r"number_of_executed_units: *(\d+)", told)
-    if keep:
-        run(program, door, corpus, "-merge=1 -set_cover_merge=1 -max_len=%d" % KEPT_BYTES)
-    rows = [line.split("\t")[1:] for line in run(program, door, corpus, "").splitlines() if line.startswith("reached\t")]
+    rows = [line.split("\t")[1:] for line in run(program, door, corpus, "", keep).splitlines() if line.startswith("reached\t")]
     counts = {name: (int(reached), int(total)) for reached, total, name in rows}
     for name, both in counts.items():
         left[name] = max(left.get(name, (0, 0)), both)
@@ -86,8 +82,10 @@ def knock(program: str, door: str, seconds: int, keep: bool, left: Dict[str, Tup
     print("%-24s %12s %9d %10d %18s" % row, flush=True)
 
 
-def run(program: str, door: str, corpus: str, flags: str) -> str:
+def run(program: str, door: str, corpus: str, flags: str, keep: bool = False) -> str:
     env = dict(os.environ, CAUDATA_FUZZ_CORPUS=corpus, CAUDATA_FUZZ_FLAGS=flags)
+    if keep:
+        env["CAUDATA_FUZZ_KEEP"] = "1"
     command = [program, "--exact", door, "--nocapture", "--test-threads", "1"]
     cwd = os.path.join(CHECKOUT, "tests", "fuzz")
     done = subprocess.run(command, cwd=cwd, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False)

@@ -70,12 +70,11 @@ pub fn knock(flags: &[String], corpora: &[&Path], mut door: impl FnMut(&[u8])) {
     DOOR.set(None);
 }
 
-/// Branches of our own functions that this process has been in: function, reached, all. Of functions that were
-/// never entered nothing is told.
-pub fn reached() -> BTreeMap<String, [usize; 2]> {
+/// Counter and place of each branch.
+fn tables() -> (&'static [u8], &'static [Branch]) {
     // SAFETY: both sections are arrays that the compiler laid out, one element for each branch, in one order;
     // nothing writes them while this thread is here but this thread.
-    let (counters, branches) = unsafe {
+    let tables = unsafe {
         let (a, b) = (
             &raw const __start___sancov_cntrs,
             &raw const __stop___sancov_cntrs,
@@ -89,7 +88,26 @@ pub fn reached() -> BTreeMap<String, [usize; 2]> {
             std::slice::from_raw_parts(c, d.offset_from_unsigned(c)),
         )
     };
-    assert_eq!(counters.len(), branches.len());
+    assert_eq!(tables.0.len(), tables.1.len());
+    tables
+}
+
+/// Marks the branches that this process has been in; whether one was not marked before. Counters begin again at 256.
+pub fn mark(seen: &mut Vec<bool>) -> bool {
+    let counters = tables().0;
+    seen.resize(counters.len(), false);
+    let mut any = false;
+    for (seen, count) in seen.iter_mut().zip(counters) {
+        any |= *count > 0 && !*seen;
+        *seen |= *count > 0;
+    }
+    any
+}
+
+/// Branches of our own functions that this process has been in: function, reached, all, those among them that only a
+/// panic takes. Of functions that were never entered nothing is told.
+pub fn reached() -> BTreeMap<String, [usize; 2]> {
+    let (counters, branches) = tables();
     let mut by_function = BTreeMap::new();
     let starts = (0..branches.len()).filter(|&i| branches[i].begins_function & 1 == 1);
     let starts: Vec<usize> = starts.chain([branches.len()]).collect();
@@ -99,9 +117,11 @@ pub fn reached() -> BTreeMap<String, [usize; 2]> {
         if reached == 0 {
             continue;
         }
-        backtrace::resolve(branches[pair[0]].address as *mut _, |symbol| {
+        // looked up is the byte before, as of an address to return to
+        backtrace::resolve((branches[pair[0]].address + 1) as *mut _, |symbol| {
             let name = symbol.name().map(|n| format!("{n:#}")).unwrap_or_default();
-            if name.trim_start_matches(['<', '&']).starts_with("caudata") {
+            let own = name.trim_start_matches(['<', '&']);
+            if own.starts_with("caudata") && !own.starts_with("caudata_fuzz") {
                 let all: &mut [usize; 2] = by_function.entry(name).or_default();
                 *all = [all[0].max(reached), all[1].max(of.len())];
             }

@@ -77,6 +77,13 @@ const SPITE: [&[u8]; 14] = [
     "ä\u{202e}".as_bytes(),
 ];
 
+/// Largest input that is worth a place in the repository, bytes.
+#[cfg(fuzzing)]
+const KEPT_BYTES: usize = 2048;
+/// So many at most for each door.
+#[cfg(fuzzing)]
+const KEPT: usize = 32;
+
 fn spoil(dice: &mut Dice, pool: &[Vec<u8>]) -> Vec<u8> {
     let mut below = |end: usize| dice.below(end.max(1) as u64) as usize;
     let mut bytes = pool[below(pool.len())].clone();
@@ -197,7 +204,7 @@ fn at_random(door: &str, mut pool: Vec<Vec<u8>>, mut one: impl FnMut(&[u8]) -> S
 }
 
 /// Lets libFuzzer knock, with its flags of `CAUDATA_FUZZ_FLAGS`. Without any, tells which branches all that it
-/// has found reaches.
+/// has found reaches; with `CAUDATA_FUZZ_KEEP`, small inputs that reach what smaller ones do not are kept.
 #[cfg(fuzzing)]
 fn guided(door: &str, seeds: &[Vec<u8>], found: &Path, mut one: impl FnMut(&[u8]) -> String) {
     for seed in seeds {
@@ -208,18 +215,26 @@ fn guided(door: &str, seeds: &[Vec<u8>], found: &Path, mut one: impl FnMut(&[u8]
     let flags = std::env::var("CAUDATA_FUZZ_FLAGS").unwrap_or_default();
     let flags: Vec<String> = flags.split_whitespace().map(str::to_owned).collect();
     if !flags.is_empty() {
-        let merges = flags.iter().any(|f| f.contains("merge"));
-        let corpora = if merges {
-            [&*kept, found]
-        } else {
-            [found, &*kept]
-        };
-        return guided::knock(&flags, &corpora, |bytes| {
+        return guided::knock(&flags, &[found, &kept], |bytes| {
             one(bytes);
         });
     }
-    for bytes in all_in(found).iter().chain(&all_in(&kept)) {
+    let keeps = std::env::var_os("CAUDATA_FUZZ_KEEP").is_some();
+    let mut all = [seeds.to_vec(), all_in(&kept)].concat();
+    let own = all.len();
+    let mut room = KEPT.saturating_sub(own - seeds.len());
+    let mut new = all_in(found);
+    new.sort_by_key(Vec::len);
+    all.extend(new);
+    let mut seen = Vec::new();
+    for (number, bytes) in all.iter().enumerate() {
         one(bytes);
+        let more = guided::mark(&mut seen);
+        let worth = more && bytes.len() <= KEPT_BYTES && room > 0;
+        if keeps && number >= own && worth {
+            room -= 1;
+            keep(&kept, bytes);
+        }
     }
     for (function, [reached, all]) in guided::reached() {
         println!("reached\t{reached}\t{all}\t{function}");
