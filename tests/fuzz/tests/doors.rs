@@ -41,6 +41,8 @@ use caudata_runlog::ros::messages::{
 };
 use caudata_runlog::ros::{Compression, parse_mcap, write_mcap};
 use caudata_signing::{ReleaseKey, Trust};
+// of `policies`
+use caudata_task as _;
 use policies::standing;
 use prost::Message as _;
 
