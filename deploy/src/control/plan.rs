@@ -226,8 +226,14 @@ mod tests {
         // 0.1 rad of swing at 1.4 Hz: 0.88 rad/s at most
         let swing = |tick: u32| 0.88 * (std::f32::consts::TAU * 1.4 * 0.02 * tick as f32).sin();
         // the mean of what turns round every tick is 1/19 of it: 0.08 rad/s
-        let shiver = |tick: u32| if tick % 2 == 0 { 1.5 } else { -1.5 };
-        let there_and_back = |tick: u32| if tick / 2 % 2 == 0 { 0.06 } else { -0.06 };
+        let shiver = |tick: u32| if tick.is_multiple_of(2) { 1.5 } else { -1.5 };
+        let there_and_back = |tick: u32| {
+            if (tick / 2).is_multiple_of(2) {
+                0.06
+            } else {
+                -0.06
+            }
+        };
         // the mean of a command of 0.1 m/s is above 0.03 after four ticks: 1 − 0.9⁴ = 0.34
         assert!(counted(|_| 0.1, swing) >= 490);
         assert_eq!(counted(|_| 0.0, swing), 0);
