@@ -30,7 +30,7 @@ NEEDS = {
     "mkfs.ext4": "e2fsprogs", "qemu-system-aarch64": "qemu-system-arm",
 }
 SYSTEM = (
-    "linux-image-rt-arm64 raspi-firmware firmware-brcm80211 initramfs-tools systemd-sysv systemd-timesyncd udev dbus kmod "
+    "linux-image-rt-arm64 raspi-firmware firmware-brcm80211 initramfs-tools systemd-sysv systemd-resolved systemd-timesyncd udev dbus kmod "
     "iproute2 wpasupplicant openssh-server ca-certificates rt-tests i2c-tools"
 ).split()
 BOOT_MIB = 256
@@ -45,13 +45,16 @@ FILES = {
     "etc/systemd/network/20-all.network": "[Match]\nName=wlan* en* end*\n[Network]\nDHCP=yes\n",
     "etc/systemd/system/caudata-robot-rt.service.d/core.conf": "[Service]\nCPUAffinity=3\n",
     "etc/ssh/sshd_config.d/keys.conf": "PasswordAuthentication no\n",
+    # Each card makes keys and an identity of its own when it first starts.
+    "etc/systemd/system/ssh.service.d/keys.conf": "[Service]\nExecStartPre=\nExecStartPre=/usr/bin/ssh-keygen -A\nExecStartPre=/usr/sbin/sshd -t\n",
+    "etc/machine-id": "uninitialized\n",
 }
 ASK = (
     "uname -v; test $(cat /sys/kernel/realtime) = 1 && /opt/caudata/bin/caudata-robot --version"
     " && /opt/caudata/bin/caudata-robot doctor --robot /etc/caudata/polymander.robot.toml"
     " --wiring /etc/caudata/robot.wiring.toml; echo doctor ended with $?;"
     " systemd-analyze verify caudata-robot-agent.service caudata-robot-rt.service && echo units are right;"
-    " cat /sys/devices/system/cpu/isolated; cyclictest -q -m -p 90 -i 1000 -l 2000 -a 3"
+    " cat /sys/devices/system/cpu/isolated; systemctl is-active ssh systemd-resolved; ls /etc/ssh/*.pub; cyclictest -q -m -p 90 -i 1000 -l 2000 -a 3"
 )
 ANSWERS = ("PREEMPT_RT", "caudata-robot 0", "doctor ended with 69", "units are right", "P:90", "Power down")
 BOOT_WITHIN_S = 1200.0
@@ -74,7 +77,7 @@ def main() -> int:
         write_image()
         say("image: %s, %d MiB" % (os.path.relpath(IMAGE), os.path.getsize(IMAGE) >> 20))
     except SetupError as error:
-        say("pi image: skipped (%s)" % error)
+        say("pi image: %s (%s)" % ("skipped" if isinstance(error, PlatformError) else "error", error))
         return error.exit_code
     return 0
 
@@ -103,21 +106,31 @@ def system() -> None:
         "--include=" + ",".join(SYSTEM), arm.DEBIAN_SUITE, building, arm.debian_mirror(),
     )
     arm.run("chroot", building, "useradd", "--system", "--no-create-home", "caudata")
-    arm.run("chroot", building, "systemctl", "enable", "systemd-networkd", "wpa_supplicant@wlan0", "ssh")
+    arm.run("chroot", building, "systemctl", "enable", "systemd-networkd", "systemd-resolved", "wpa_supplicant@wlan0", "ssh")
     os.rename(building, ROOT)
 
 
 def lay_out(options: argparse.Namespace) -> None:
     program = os.path.join(HERE, arm.TARGET, "release", "caudata-robot")
     if not os.path.exists(program):
-        raise PlatformError("%s is missing: `make test-arm` builds it" % os.path.relpath(program))
+        raise PlatformError("%s is missing: `make build-arm` builds it" % os.path.relpath(program))
     for path, text in FILES.items():
         put(path, text)
     put("etc/hostname", options.hostname + "\n")
     put("etc/hosts", "127.0.0.1 localhost\n127.0.1.1 %s\n" % options.hostname)
     for path, source in (("root/.ssh/authorized_keys", options.ssh_key), ("etc/wpa_supplicant/wpa_supplicant-wlan0.conf", options.wifi)):
+        # of an image before this one
+        if os.path.exists(os.path.join(ROOT, path)):
+            os.remove(os.path.join(ROOT, path))
         if source:
-            put(path, open(source, encoding="utf-8").read(), 0o600)
+            put(path, read(source), 0o600)
+    for key in glob.glob(os.path.join(ROOT, "etc/ssh/ssh_host_*")):
+        os.remove(key)
+    # this machine's servers of names are not the robot's
+    names = os.path.join(ROOT, "etc/resolv.conf")
+    if os.path.lexists(names):
+        os.remove(names)
+    os.symlink("/run/systemd/resolve/stub-resolv.conf", names)
     copy(program, "opt/caudata/bin/caudata-robot")
     arm.run("aarch64-linux-gnu-strip", os.path.join(ROOT, "opt/caudata/bin/caudata-robot"))
     library = arm.parts.provision(arm.pins.ONNXRUNTIME["aarch64"])
@@ -125,8 +138,7 @@ def lay_out(options: argparse.Namespace) -> None:
     copy(os.path.join(CHECKOUT, "policies/flat.onnx"), "opt/caudata/share/factory.onnx")
     for name in ("polymander.robot.toml", "polymander.xml"):
         copy(os.path.join(CHECKOUT, "robots", name), "etc/caudata/" + name)
-    if not os.path.exists(os.path.join(ROOT, "etc/caudata/robot.wiring.toml")):
-        copy(os.path.join(CHECKOUT, "robots/polymander.wiring.toml"), "etc/caudata/robot.wiring.toml")
+    copy(os.path.join(CHECKOUT, "robots/polymander.wiring.toml"), "etc/caudata/robot.wiring.toml")
     # Not started by themselves: a robot stands up when they are, and its wiring is not known yet.
     for unit in glob.glob(os.path.join(CHECKOUT, "docker/systemd/caudata-robot-*.service")):
         copy(unit, "etc/systemd/system/" + os.path.basename(unit))
@@ -138,6 +150,14 @@ def lay_out(options: argparse.Namespace) -> None:
 
 def kernel() -> str:
     return os.path.basename(glob.glob(os.path.join(ROOT, "boot/vmlinuz-*"))[-1])[len("vmlinuz-"):]
+
+
+def read(path: str) -> str:
+    try:
+        with open(path, encoding="utf-8") as file:
+            return file.read()
+    except (OSError, UnicodeDecodeError) as error:
+        raise SetupError("cannot read %s: %s" % (path, error))
 
 
 def put(path: str, text: str, mode: int = 0o644) -> None:

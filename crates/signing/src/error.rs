@@ -39,7 +39,7 @@ pub enum SigningError {
 }
 
 impl SigningError {
-    /// Whether it is the file that is not there, and not what it holds.
+    /// Whether the file cannot be read or written, and not what it holds is wrong.
     pub fn is_of_reading(&self) -> bool {
         matches!(self, Self::File { .. })
     }

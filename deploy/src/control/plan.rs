@@ -47,7 +47,8 @@ impl Trial {
     }
 
     /// Counts a tick. It is one of walking where the robot was told to move and its joints do: whoever
-    /// stands, shivers, or is held still, shows nothing.
+    /// stands, or is held still, shows nothing. One that swings its joints and goes nowhere is not told from one that
+    /// walks.
     pub(super) fn count(&mut self, command: &[f32; COMMAND_DIM], servos: &ServoReadings) {
         let towards = |mean: &mut f32, now: f32| *mean += (now - *mean) / AVERAGED_TICKS;
         for (mean, now) in self.command.iter_mut().zip(command) {

@@ -104,8 +104,8 @@ pub fn mark(seen: &mut Vec<bool>) -> bool {
     any
 }
 
-/// Branches of our own functions that this process has been in: function, reached, all, those among them that only a
-/// panic takes. Of functions that were never entered nothing is told.
+/// For each of our functions that this process has entered: the branches that it reached, and all of them, with those
+/// that only a panic takes.
 pub fn reached() -> BTreeMap<String, [usize; 2]> {
     let (counters, branches) = tables();
     let mut by_function = BTreeMap::new();
