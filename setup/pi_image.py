@@ -98,10 +98,11 @@ def system() -> None:
         return
     arm.emulation()
     building = ROOT + ".tmp"
-    shutil.rmtree(building, ignore_errors=True)
+    # An image that was broken off may have left file systems mounted there: they are of the machine.
+    arm.run("rm", "-rf", "--one-file-system", building)
     say("pi image: laying out Debian %s for arm64, some minutes" % arm.DEBIAN_SUITE)
     arm.run(
-        "mmdebstrap", "--mode=root", "--architectures=arm64", "--variant=minbase", "--skip=check/qemu",
+        "unshare", "--mount", "mmdebstrap", "--mode=root", "--architectures=arm64", "--variant=minbase", "--skip=check/qemu",
         "--components=main non-free-firmware", "--keyring=/usr/share/keyrings", "--aptopt=Acquire::Languages none",
         "--include=" + ",".join(SYSTEM), arm.DEBIAN_SUITE, building, arm.debian_mirror(),
     )

@@ -1,5 +1,6 @@
 //! The control loop: sense, decide, check, send, fifty times a second.
 
+mod legs;
 mod plan;
 mod swap;
 mod trial;
@@ -27,6 +28,7 @@ use crate::summary::Ended;
 use crate::tap::Tick;
 use crate::updates::{PolicyEvent, Updates};
 
+pub use legs::LegOdometry;
 pub use plan::{Counts, RunPlan, Sensed};
 use plan::{Trial, complete};
 
@@ -63,6 +65,8 @@ pub struct ControlLoop<'a, R: Robot, C: Clock> {
     last_time_s: f64,
     walk_start_s: Option<f64>,
     trial: Trial,
+    /// Velocity by the legs at this tick, m/s, m/s, rad/s; `None`: nothing tells.
+    going: Option<[f64; COMMAND_DIM]>,
     still_ticks: u32,
     /// Ticks for which a newer policy has waited.
     swap_ticks: u32,
@@ -124,6 +128,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             gravity,
             walk_start_s: None,
             trial: Trial::default(),
+            going: None,
             still_ticks: 0,
             swap_ticks: 0,
             stand_ticks: None,
@@ -227,6 +232,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             let policy = self.runner.policy().clone();
             self.updates.tell(PolicyEvent::Ended(policy));
         }
+        self.say_how_the_trial_stands();
         let limp = match self.robot.torque_off() {
             // What stopped the run has named it: a servo that is gone says nothing, ever.
             Err(BusError::Holds { found }) if self.fault.is_some() && found.hold.is_empty() => {
@@ -260,6 +266,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         self.metrics.ticks.inc();
         let dt_s = sensed.servos.time_s - self.last_time_s;
         self.last_time_s = sensed.servos.time_s;
+        self.going = self.plan.going(&sensed, dt_s);
         self.watch_for_the_end(stop, &sensed);
         self.watch_hardware(&sensed);
         let wanted_command = self.wanted_command(&sensed);
@@ -432,7 +439,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         let command = self.runner.trained_command(wanted);
         if self.motion.stage() == Stage::Walk {
             self.counts.walked_s = sensed.servos.time_s - start_s + self.plan.period.as_secs_f64();
-            self.counts.walking(sensed, dt_s, &command);
+            self.counts.walking(sensed, dt_s, &command, self.going);
         }
         let view = View {
             servos: &sensed.servos,

@@ -196,7 +196,8 @@ impl Store {
         reports.map_or(0, Reports::good)
     }
 
-    /// Takes a version out of use for good. Answers what stands there where it is out of use already.
+    /// Takes a version out of use for good, one that retired too. Answers what stands there where it is out of use
+    /// already.
     ///
     /// # Errors
     /// [`StoreError::NotFound`], [`StoreError::ReadOnly`]; what the disk says.
@@ -209,8 +210,15 @@ impl Store {
         if let Some(known) = self.quarantined.get(&key) {
             return Ok(known.state.clone());
         }
-        let record = self.manifest(&state.stream, Some(state.version))?;
-        let sha256 = Some(record.manifest.sha256);
+        let used_up = self.used_up.get(&state.stream);
+        let sha256 = match self.manifest(&state.stream, Some(state.version)) {
+            Ok(record) => Some(record.manifest.sha256),
+            // What is gone from here a robot may still hold.
+            Err(_) if used_up.is_some_and(|used| used.stood(state.version)) => {
+                used_up.and_then(|used| used.damaged.get(&state.version).copied().flatten())
+            }
+            Err(error) => return Err(error),
+        };
         let of_stream = self.quarantines().filter(|q| q.stream == state.stream);
         if of_stream.count() >= QUARANTINED_MAX {
             return Err(StoreError::Full {

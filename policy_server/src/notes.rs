@@ -83,6 +83,11 @@ impl UsedUp {
         }
     }
 
+    /// Whether a version may have stood under this number.
+    pub fn stood(&self, version: u64) -> bool {
+        version < self.below || self.damaged.contains_key(&version)
+    }
+
     /// Versions up to `version` retire.
     pub fn retire(&mut self, version: u64) {
         self.below = self.below.max(version.saturating_add(1));

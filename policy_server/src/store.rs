@@ -673,15 +673,15 @@ mod tests {
         };
         let mut store = Store::open(folder.path(), limits).unwrap();
         store.publish(manifest("s", 1, b"bad"), b"bad").unwrap();
-        let out = caudata_proto::registry::QuarantineState {
+        let out = |version| caudata_proto::registry::QuarantineState {
             stream: name("s"),
-            version: 1,
+            version,
             reason: "falls".into(),
             by: String::new(),
             generation: 0,
             unix_ms: 0,
         };
-        store.quarantine(&Origin::local(), out).unwrap();
+        store.quarantine(&Origin::local(), out(1)).unwrap();
         let error = store.publish(manifest("s", 1, b"bad"), b"bad").unwrap_err();
         assert!(matches!(error, StoreError::NotAllowed { .. }), "{error}");
         for (version, bytes) in [(2, b"two"), (3, b"thr"), (4, b"fou")] {
@@ -704,6 +704,13 @@ mod tests {
             drop(store);
             store = Store::open(folder.path(), limits).unwrap();
         }
+        // A robot may still hold what retired, and hears that it is out of use; what never was is no version.
+        store.quarantine(&Origin::local(), out(2)).unwrap();
+        let error = store.quarantine(&Origin::local(), out(9)).unwrap_err();
+        assert!(matches!(error, StoreError::NotFound { .. }), "{error}");
+        drop(store);
+        let store = Store::open(folder.path(), limits).unwrap();
+        assert!(store.is_quarantined(&name("s"), 2));
         // Nor where the file that says so is damaged.
         drop(store);
         fs::write(folder.path().join("used_up/s.json"), "{").unwrap();

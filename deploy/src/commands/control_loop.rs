@@ -18,7 +18,7 @@ use crate::command_link::random_nonce;
 use crate::commands::run::{BusAddress, RunArgs};
 use crate::commands::say::{json_line, say_within};
 use crate::commands::source::{SourceArgs, load_model};
-use crate::control::{ControlLoop, Counts, READ_DEADLINE, RunPlan};
+use crate::control::{ControlLoop, Counts, LegOdometry, READ_DEADLINE, RunPlan};
 use crate::courier::{Courier, Loader};
 use crate::flight_log::{FlightLog, LogCounts, meta, write_rows};
 use crate::gate::HELD_IN_A_ROW_MAX;
@@ -77,6 +77,7 @@ pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
         read_deadline,
         limits,
         get_up: Duration::from_secs_f64(args.get_up),
+        legs: LegOdometry::new(setting.model.clone()),
         swap_wait: (args.swap_wait > 0.0).then(|| Duration::from_secs_f64(args.swap_wait)),
     };
     match &args.bus {
@@ -281,6 +282,7 @@ fn summary_of(
     rows: LogCounts,
 ) -> RunSummary {
     let commanded = counts.mean_command();
+    let by_legs = counts.by_legs();
     let travel = counts.odometer.result();
     RunSummary {
         robot: robot.to_owned(),
@@ -307,6 +309,7 @@ fn summary_of(
         log_rows: rows.written,
         log_dropped: rows.dropped,
         commanded,
+        by_legs,
         achieved: travel.map(|(velocity, _)| velocity),
         distance_m: travel.map(|(_, distance)| distance),
     }
@@ -405,6 +408,12 @@ fn in_words(summary: &RunSummary, args: &RunArgs) -> String {
             achieved.vx_mps,
             achieved.vy_mps,
             achieved.yaw_rate_radps,
+        ));
+    }
+    if let Some(legs) = summary.by_legs {
+        lines.push(format!(
+            "by its legs {:.3} {:.3} m/s {:.3} rad/s",
+            legs.vx_mps, legs.vy_mps, legs.yaw_rate_radps,
         ));
     }
     if let Some(folder) = &args.log_dir {

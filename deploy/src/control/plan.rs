@@ -6,6 +6,7 @@ use caudata_hardware::wiring::Limits;
 use caudata_proto::registry::TRIAL_S;
 use caudata_task::{COMMAND_DIM, PerJoint};
 
+use super::legs::LegOdometry;
 use crate::DeployError;
 use crate::bus::{GroundTruth, Health, ImuReading, Robot, ServoReadings};
 use crate::orientation::GravityFilter;
@@ -18,9 +19,15 @@ pub const STILL_RADPS: f32 = 0.1;
 /// Ticks in a row of that, with the command at zero, before a newer policy is swapped in (0.2 s).
 pub const STILL_TICKS: u32 = 10;
 
-/// Ticks over which commands and speeds of joints are averaged before they count as walking (0.2 s): what alternates
-/// or vibrates goes nowhere.
-const AVERAGED_TICKS: f32 = 10.0;
+/// Ticks over which velocities of joints are averaged before they count as walking (0.2 s): what vibrates goes
+/// nowhere.
+const SWING_TICKS: f32 = 10.0;
+/// Ticks over which commands and the robot's own velocity are averaged (1 s, longer than a stride): what alternates
+/// goes nowhere.
+const STRIDE_TICKS: f32 = 50.0;
+/// Share of the command that a robot must go by in the mean. The shipped policies' legs tell 0.94 to 1.1 of it; those
+/// of policies of 6 and 12 iterations, which swing in place, 0.05 at most.
+const GOES_SHARE: f32 = 1.0 / 3.0;
 /// Least command that counts as one to walk, norm of m/s and rad/s: three times the one at which the clocks of the
 /// shipped policies stop.
 const WALK_COMMAND: f32 = 0.03;
@@ -36,6 +43,8 @@ pub(super) struct Trial {
     idle_ticks: u32,
     /// Mean command, m/s and rad/s.
     command: [f32; COMMAND_DIM],
+    /// Mean velocity by the legs, m/s and rad/s.
+    going: Option<[f32; COMMAND_DIM]>,
     /// Mean velocities of the joints, rad/s.
     vel_radps: Option<PerJoint>,
 }
@@ -46,34 +55,58 @@ impl Trial {
         f64::from(self.ticks) * period.as_secs_f64() >= TRIAL_S
     }
 
-    /// Counts a tick. It is one of walking where the robot was told to move and its joints do: whoever
-    /// stands, or is held still, shows nothing. One that swings its joints and goes nowhere is not told from one that
-    /// walks.
-    pub(super) fn count(&mut self, command: &[f32; COMMAND_DIM], servos: &ServoReadings) {
-        let towards = |mean: &mut f32, now: f32| *mean += (now - *mean) / AVERAGED_TICKS;
-        for (mean, now) in self.command.iter_mut().zip(command) {
-            towards(mean, *now);
+    /// Counts a tick. It is one of walking where the robot was told to move and does: where its legs tell how fast it
+    /// goes (`going`, m/s and rad/s), it goes where it was told to; else its joints move.
+    pub(super) fn count(
+        &mut self,
+        command: &[f32; COMMAND_DIM],
+        servos: &ServoReadings,
+        going: Option<[f64; COMMAND_DIM]>,
+    ) {
+        follow(&mut self.command, command, STRIDE_TICKS);
+        let swings = self.swings(servos);
+        let moves = match going {
+            Some(going) => {
+                let mean = self.going.get_or_insert_default();
+                follow(mean, &going.map(|v| v as f32), STRIDE_TICKS);
+                dot(mean, &self.command) >= GOES_SHARE * dot(&self.command, &self.command)
+            }
+            None => swings,
+        };
+        let told = dot(command, command).min(dot(&self.command, &self.command))
+            >= WALK_COMMAND * WALK_COMMAND;
+        if told && moves {
+            self.ticks += 1;
+            self.walked_ticks += 1;
         }
+    }
+
+    /// Whether the joints moved of late, averaged so that a shiver does not count.
+    fn swings(&mut self, servos: &ServoReadings) -> bool {
         let speed_radps = match mean_speed(&servos.vel_radps) {
             // no number: nothing is known of it
             speed if !speed.is_finite() => speed,
             _ => {
                 let means = self.vel_radps.get_or_insert(servos.vel_radps.map(|_| 0.0));
-                for (mean, now) in means.iter_mut().zip(servos.vel_radps.iter()) {
-                    towards(mean, *now);
-                }
+                follow(means, &servos.vel_radps, SWING_TICKS);
                 mean_speed(means)
             }
         };
         let still = speed_radps < STILL_RADPS;
         self.idle_ticks = if still { self.idle_ticks + 1 } else { 0 };
-        let norm = |command: &[f32; COMMAND_DIM]| command.iter().map(|c| c * c).sum::<f32>().sqrt();
-        let told = norm(command).min(norm(&self.command)) >= WALK_COMMAND;
-        if told && self.idle_ticks < STILL_TICKS {
-            self.ticks += 1;
-            self.walked_ticks += 1;
-        }
+        self.idle_ticks < STILL_TICKS
     }
+}
+
+/// Moves running means over `ticks` on by one tick.
+fn follow(means: &mut [f32], now: &[f32], ticks: f32) {
+    for (mean, now) in means.iter_mut().zip(now) {
+        *mean += (now - *mean) / ticks;
+    }
+}
+
+fn dot(a: &[f32; COMMAND_DIM], b: &[f32; COMMAND_DIM]) -> f32 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 /// What a run is asked to do.
@@ -96,6 +129,16 @@ pub struct RunPlan {
     /// How long a robot may lie under its policy before it is stopped. Beyond
     /// [`FALLEN_FOR`](super::FALLEN_FOR) it may lie while it rises, too: its policy gets it up.
     pub get_up: Duration,
+    /// What tells how fast the robot goes; `None`: nothing does.
+    pub legs: Option<LegOdometry>,
+}
+
+impl RunPlan {
+    /// Velocity by the legs since the tick `dt_s` ago. Feet that swim tell nothing.
+    pub(super) fn going(&mut self, sensed: &Sensed, dt_s: f64) -> Option<[f64; COMMAND_DIM]> {
+        let going = self.legs.as_mut()?.velocity(sensed, dt_s);
+        going.filter(|_| sensed.in_water != Some(true))
+    }
 }
 
 /// Everything sensed at one tick.
@@ -141,6 +184,9 @@ pub struct Counts {
     /// Sum of the commands over walking ticks, and their number.
     pub(crate) command_sum: [f64; COMMAND_DIM],
     pub(super) walking_ticks: u64,
+    /// Sum of the velocities by the legs, and their number.
+    legs_sum: [f64; COMMAND_DIM],
+    legs_ticks: u64,
     /// From waking to sent.
     pub tick_latency: Latencies,
     /// From due to woken.
@@ -153,7 +199,13 @@ pub struct Counts {
 
 impl Counts {
     /// Adds a tick of walking, `dt_s` after the last one.
-    pub(super) fn walking(&mut self, sensed: &Sensed, dt_s: f64, command: &[f32; COMMAND_DIM]) {
+    pub(super) fn walking(
+        &mut self,
+        sensed: &Sensed,
+        dt_s: f64,
+        command: &[f32; COMMAND_DIM],
+        going: Option<[f64; COMMAND_DIM]>,
+    ) {
         if let (Some(pos), Some(quat)) = (sensed.truth.base_pos_m, sensed.truth.base_quat_wxyz) {
             self.odometer.add(pos, quat, dt_s);
         }
@@ -161,16 +213,31 @@ impl Counts {
             *sum += f64::from(value);
         }
         self.walking_ticks += 1;
+        if let Some(going) = going {
+            for (sum, value) in self.legs_sum.iter_mut().zip(going) {
+                *sum += value;
+            }
+            self.legs_ticks += 1;
+        }
     }
 
     /// Mean of the commands given.
     pub fn mean_command(&self) -> Velocity {
-        let mean = |i: usize| rounded(self.command_sum[i] / self.walking_ticks.max(1) as f64);
-        Velocity {
-            vx_mps: mean(0),
-            vy_mps: mean(1),
-            yaw_rate_radps: mean(2),
-        }
+        mean(&self.command_sum, self.walking_ticks)
+    }
+
+    /// Mean velocity by the legs; `None` where nothing told.
+    pub fn by_legs(&self) -> Option<Velocity> {
+        (self.legs_ticks > 0).then(|| mean(&self.legs_sum, self.legs_ticks))
+    }
+}
+
+fn mean(sum: &[f64; COMMAND_DIM], count: u64) -> Velocity {
+    let [vx_mps, vy_mps, yaw_rate_radps] = sum.map(|sum| rounded(sum / count.max(1) as f64));
+    Velocity {
+        vx_mps,
+        vy_mps,
+        yaw_rate_radps,
     }
 }
 
@@ -206,8 +273,13 @@ pub(super) fn complete<R: Robot>(
 mod tests {
     use super::*;
 
-    /// Ticks of 500 (10 s) that count, where each joint moves by `vel_radps` of the tick under `command` of the tick.
-    fn counted(command: impl Fn(u32) -> f32, vel_radps: impl Fn(u32) -> f32) -> u32 {
+    /// Ticks of 500 (10 s) that count, where each joint moves by `vel_radps` of the tick under `command` of the tick,
+    /// and the legs tell `going`, m/s.
+    fn counted(
+        command: impl Fn(u32) -> f32,
+        vel_radps: impl Fn(u32) -> f32,
+        going: Option<f64>,
+    ) -> u32 {
         let mut trial = Trial::default();
         for tick in 0..500 {
             let servos = ServoReadings {
@@ -217,15 +289,22 @@ mod tests {
                 current_a: PerJoint::filled(2, 0.0),
                 supply_v: 12.0,
             };
-            trial.count(&[command(tick), 0.0, 0.0], &servos);
+            trial.count(
+                &[command(tick), 0.0, 0.0],
+                &servos,
+                going.map(|vx| [vx, 0.3, 0.0]),
+            );
         }
         trial.ticks
     }
 
+    /// 0.1 rad of swing at 1.4 Hz: 0.88 rad/s at most.
+    fn swing(tick: u32) -> f32 {
+        0.88 * (std::f32::consts::TAU * 1.4 * 0.02 * tick as f32).sin()
+    }
+
     #[test]
     fn only_walking_counts_in_a_trial() {
-        // 0.1 rad of swing at 1.4 Hz: 0.88 rad/s at most
-        let swing = |tick: u32| 0.88 * (std::f32::consts::TAU * 1.4 * 0.02 * tick as f32).sin();
         // the mean of what turns round every tick is 1/19 of it: 0.08 rad/s
         let shiver = |tick: u32| if tick.is_multiple_of(2) { 1.5 } else { -1.5 };
         let there_and_back = |tick: u32| {
@@ -235,16 +314,25 @@ mod tests {
                 -0.06
             }
         };
-        // the mean of a command of 0.1 m/s is above 0.03 after four ticks: 1 − 0.9⁴ = 0.34
-        assert!(counted(|_| 0.1, swing) >= 490);
-        assert_eq!(counted(|_| 0.0, swing), 0);
-        assert_eq!(counted(|_| 1e-6, swing), 0);
-        assert_eq!(counted(there_and_back, swing), 0);
+        // the mean of a command of 0.1 m/s is above 0.03 after 18 ticks: 1 − 0.98¹⁸ = 0.305
+        assert_eq!(counted(|_| 0.1, swing, None), 483);
+        assert_eq!(counted(|_| 0.0, swing, None), 0);
+        assert_eq!(counted(|_| 1e-6, swing, None), 0);
+        assert_eq!(counted(there_and_back, swing, None), 0);
         // the ticks until it is seen that the joints stand still
-        assert!(counted(|_| 0.1, |_| 0.0) < STILL_TICKS);
+        assert_eq!(counted(|_| 0.1, |_| 0.0, None), 0);
         assert!(
-            counted(|_| 0.1, shiver) < 2 * STILL_TICKS,
+            counted(|_| 0.1, shiver, None) < 2 * STILL_TICKS,
             "1.5 rad/s, and goes nowhere"
         );
+    }
+
+    #[test]
+    fn where_legs_tell_it_must_go_where_it_is_told() {
+        assert_eq!(counted(|_| 0.1, swing, Some(0.1)), 483);
+        assert_eq!(counted(|_| 0.1, swing, Some(0.034)), 483);
+        assert_eq!(counted(|_| 0.1, swing, Some(0.033)), 0);
+        assert_eq!(counted(|_| 0.1, swing, Some(-0.1)), 0);
+        assert_eq!(counted(|_| 0.0, swing, Some(0.1)), 0);
     }
 }

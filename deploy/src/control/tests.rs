@@ -174,6 +174,7 @@ fn plan(walk_s: Option<f64>, commands: CommandTable) -> RunPlan {
         limits: None,
         swap_wait: None,
         get_up: FALLEN_FOR,
+        legs: None,
     }
 }
 
@@ -366,7 +367,8 @@ fn ten_good_seconds_make_a_good_policy() {
     // It ended in order, so that it is not held against the policy.
     assert!(matches!(told.last(), Some(PolicyEvent::Ended(_))));
     let mut robot = FakeRobot::new();
-    let long = run(&mut robot, 10.0);
+    // one tick until the mean command is one to walk
+    let long = run(&mut robot, 10.02);
     let told = long.told();
     let walked = told.iter().find_map(|event| match event {
         PolicyEvent::Good { walked_s, .. } => Some(*walked_s),
@@ -377,24 +379,27 @@ fn ten_good_seconds_make_a_good_policy() {
 
 #[test]
 fn fault_32_standing_still_passes_no_trial() {
-    let good = |vx_mps: f32, policy: Vec<u8>| {
+    let good_by = |legs: Option<LegOdometry>, vx_mps: f32, policy: Vec<u8>| {
         let mut robot = FakeRobot::new();
         let (policy, stop) = (verified(1, policy), StopFlag::new());
-        let run = run_plan(
-            plan(Some(30.0), forward(vx_mps)),
-            &mut robot,
-            policy,
-            Slot::default(),
-            &stop,
-        );
+        let plan = RunPlan {
+            legs,
+            ..plan(Some(30.0), forward(vx_mps))
+        };
+        let run = run_plan(plan, &mut robot, policy, Slot::default(), &stop);
         assert_eq!(run.result.as_ref().unwrap(), &Ended::Time);
         let good = |event: &PolicyEvent| matches!(event, PolicyEvent::Good { .. });
         run.told().iter().any(good)
     };
+    let good = |vx_mps: f32, policy: Vec<u8>| good_by(None, vx_mps, policy);
     assert!(good(0.3, stepping(1)));
     assert!(!good(0.0, stepping(1)), "it was told to stand");
     assert!(!good(1e-6, stepping(1)), "that is no command to walk");
     assert!(!good(0.3, standing(1)), "it was told to move and did not");
+    // All joints swing as one: each foot comes back to where it was.
+    let legs = LegOdometry::new(model());
+    assert!(legs.is_some());
+    assert!(!good_by(legs, 0.3, stepping(1)), "it goes nowhere");
 }
 
 #[test]

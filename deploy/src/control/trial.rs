@@ -1,5 +1,6 @@
 //! The trial of a policy: what it must show on this robot before it is trusted; and its falls.
 
+use caudata_proto::registry::TRIAL_S;
 use caudata_task::{COMMAND_DIM, PerJoint};
 
 use super::plan::Sensed;
@@ -12,9 +13,22 @@ use crate::summary::{Ended, rounded};
 use crate::updates::PolicyEvent;
 
 impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
-    /// How long the present policy has walked, s.
+    /// How long the present policy has walked as it was told to, s.
     fn walked_s(&self) -> f64 {
         rounded(f64::from(self.trial.walked_ticks) * self.plan.period.as_secs_f64())
+    }
+
+    /// Whoever waits for a version to be reported as good learns what it lacks.
+    pub(super) fn say_how_the_trial_stands(&self) {
+        let walked_s = self.walked_s();
+        if walked_s > 0.0 && !self.runner.is_proved() && !self.trial.is_over(self.plan.period) {
+            tracing::info!(
+                policy = %self.runner.policy(),
+                walked_s,
+                of_s = TRIAL_S,
+                "its trial is not over: only time in which the robot goes where it is told to counts"
+            );
+        }
     }
 
     /// A policy that never went through its trial here and falls is not begun with again. One that did may
@@ -76,7 +90,7 @@ impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
         if self.trial.is_over(self.plan.period) {
             return;
         }
-        self.trial.count(command, &sensed.servos);
+        self.trial.count(command, &sensed.servos, self.going);
         let fails = !self.runner.is_proved() && ticks >= PINNED_TICKS_MAX;
         if !fails && !self.trial.is_over(self.plan.period) {
             return;
