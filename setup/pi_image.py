@@ -54,7 +54,7 @@ ASK = (
     " && /opt/caudata/bin/caudata-robot doctor --robot /etc/caudata/polymander.robot.toml"
     " --wiring /etc/caudata/robot.wiring.toml; echo doctor ended with $?;"
     " systemd-analyze verify caudata-robot-agent.service caudata-robot-rt.service && echo units are right;"
-    " cat /sys/devices/system/cpu/isolated; systemctl is-active ssh systemd-resolved; ls /etc/ssh/*.pub; cyclictest -q -m -p 90 -i 1000 -l 2000 -a 3"
+    " cat /sys/devices/system/cpu/isolated; systemctl start ssh; systemctl is-active ssh systemd-resolved; ls /etc/ssh/*.pub; cyclictest -q -m -p 90 -i 1000 -l 2000 -a 3"
 )
 ANSWERS = ("PREEMPT_RT", "caudata-robot 0", "doctor ended with 69", "units are right", "P:90", "Power down")
 BOOT_WITHIN_S = 1200.0

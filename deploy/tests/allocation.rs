@@ -17,7 +17,7 @@ use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::time::Duration;
 
 use caudata_deploy::bus::{BusError, Imu, ImuReading, Robot, ServoBus, ServoReadings};
-use caudata_deploy::control::{ControlLoop, FALLEN_FOR, READ_DEADLINE, RunPlan};
+use caudata_deploy::control::{ControlLoop, FALLEN_FOR, LegOdometry, READ_DEADLINE, RunPlan};
 use caudata_deploy::flight_log::{FlightLog, meta};
 use caudata_deploy::metrics::RobotMetrics;
 use caudata_deploy::pacing::Clock;
@@ -167,6 +167,7 @@ fn allocations(leaks: bool) -> usize {
         limits: None,
         swap_wait: None,
         get_up: FALLEN_FOR,
+        legs: LegOdometry::new(model.clone()),
     };
     let (updates, _events) = Updates::new(Slot::default());
     let metrics = RobotMetrics::register(&Metrics::new());

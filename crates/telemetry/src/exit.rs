@@ -53,7 +53,7 @@ pub enum ExitCode {
     TorqueOn = 86,
     /// Another process is at work in the run folder.
     InUse = 87,
-    /// Interrupted by a second Ctrl-C: nothing was drained.
+    /// Interrupted by a second Ctrl-C, or before a training had begun: nothing was drained.
     Interrupted = 130,
 }
 

@@ -20,7 +20,8 @@ pub struct LegOdometry {
     imu: (usize, Pose),
     pos_rad: Vec<f64>,
     kinematics: Kinematics,
-    /// `imu_from_link` of the tick before, one per link.
+    /// `imu_from_link` of this tick, one per link, and of the one before; empty until then.
+    now: Vec<Pose>,
     last: Vec<Pose>,
 }
 
@@ -49,6 +50,7 @@ impl LegOdometry {
             imu,
             pos_rad: vec![0.0; model.joints().len()],
             kinematics: Kinematics::default(),
+            now: Vec::new(),
             last: Vec::new(),
             model,
         })
@@ -72,19 +74,19 @@ impl LegOdometry {
             .ok()?;
         let (link, link_from_imu) = self.imu;
         let imu_from_base = kinematics.links[link].compose(&link_from_imu).inverse();
-        let now = kinematics
-            .links
-            .iter()
-            .map(|pose| imu_from_base.compose(pose))
-            .collect();
-        let last = std::mem::replace(&mut self.last, now);
+        std::mem::swap(&mut self.now, &mut self.last);
+        self.now.clear();
+        let poses = kinematics.links.iter();
+        self.now
+            .extend(poses.map(|pose| imu_from_base.compose(pose)));
         let up = sensed.gravity.map(|g| -f64::from(g));
         let gyro_radps = sensed.imu.gyro_radps.map(f64::from);
         let yaw_radps = dot(gyro_radps, up);
         let (link, on_foot, point_m) = self.lowest(up)?;
-        let before = last
+        let before = self
+            .last
             .get(link)?
-            .point(self.last[link].inverse().point(point_m));
+            .point(self.now[link].inverse().point(point_m));
         let velocity = match on_foot && dt_s > 0.0 {
             true => {
                 let shift = sub(before, point_m).map(|m| m / dt_s);
@@ -94,7 +96,7 @@ impl LegOdometry {
         };
         let (hind, front) = self.model.heading_sites()?;
         let place =
-            |site: &caudata_model::Site| self.last[site.link].point(site.link_from_site.pos_m);
+            |site: &caudata_model::Site| self.now[site.link].point(site.link_from_site.pos_m);
         let along = sub(place(front), place(hind));
         let along = sub(along, up.map(|u| u * dot(along, up)));
         let size = dot(along, along).sqrt();
@@ -110,7 +112,7 @@ impl LegOdometry {
     /// The lowest point, IMU frame, m; its link; whether it is a foot's.
     fn lowest(&self, up: [f64; 3]) -> Option<(usize, bool, [f64; 3])> {
         let points = self.touching.iter().flat_map(|(link, foot, balls)| {
-            let pose = &self.last[*link];
+            let pose = &self.now[*link];
             balls.iter().map(move |ball| {
                 let point = add(pose.point(ball.centre_m), up.map(|u| -u * ball.radius_m));
                 (*link, *foot, point)

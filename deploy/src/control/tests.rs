@@ -367,8 +367,8 @@ fn ten_good_seconds_make_a_good_policy() {
     // It ended in order, so that it is not held against the policy.
     assert!(matches!(told.last(), Some(PolicyEvent::Ended(_))));
     let mut robot = FakeRobot::new();
-    // one tick until the mean command is one to walk
-    let long = run(&mut robot, 10.02);
+    // a tick or two go by until the mean command is one to walk
+    let long = run(&mut robot, 10.1);
     let told = long.told();
     let walked = told.iter().find_map(|event| match event {
         PolicyEvent::Good { walked_s, .. } => Some(*walked_s),

@@ -1,6 +1,7 @@
 //! Starting, watching and stopping the processes of a run.
 
 use std::net::SocketAddr;
+use std::os::unix::process::ExitStatusExt;
 use std::path::PathBuf;
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -217,6 +218,12 @@ impl<'a> Supervisor<'a> {
     /// What the end of a learner that did not finish amounts to.
     fn learner_failure(&mut self) -> Failure {
         let status = self.learner.ended();
+        // One that has only just started does not listen for signals yet.
+        let by_signal = status.and_then(|status| status.signal());
+        if self.stopping_since.is_some() && by_signal == Some(Signal::SIGTERM as i32) {
+            let message = "stopped before the learner had begun";
+            return Failure::message(ExitCode::Interrupted, message);
+        }
         let (code, how) = match status {
             Some(status) if !status.success() => {
                 (children::exit_code(status), children::describe(status))

@@ -284,6 +284,21 @@ fn a_stop_reaches_the_learner_which_saves_and_says_so() {
 }
 
 #[test]
+fn a_stop_before_the_learner_listens_is_no_fault() {
+    let stage = Stage::new("touch $RUN/ready; exec sleep 600", "exec sleep 600");
+    let (stop, ready) = (stage.stop.clone(), stage.folder.root().join("ready"));
+    let stopper = std::thread::spawn(move || {
+        while !ready.exists() {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        stop.request("test");
+    });
+    let failure = stage.run().err().unwrap();
+    stopper.join().unwrap();
+    assert_eq!(failure.code(), ExitCode::Interrupted);
+}
+
+#[test]
 fn a_server_that_cannot_start_passes_its_exit_code_on() {
     let stage = Stage::new("exit 0", "exit 0");
     let server = stage.dir.path().join("caudata-policy-server");
