@@ -64,14 +64,41 @@ pub fn standing(version: u64) -> Vec<u8> {
     })
 }
 
-/// A policy whose joints swing with the gait's phase.
+/// A policy whose joints all swing as one with the gait's phase: it goes nowhere.
+pub fn swinging(version: u64) -> Vec<u8> {
+    following_the_phase(version, |_, _| Some((0, 0.5)))
+}
+
+/// A policy that trots on ideal servos: each leg comes forward in the air and goes back on the ground.
 pub fn stepping(version: u64) -> Vec<u8> {
+    following_the_phase(version, |leg, joint| {
+        let sin_or_cos = match joint {
+            "hip" => 0,
+            "knee" => 1,
+            _ => return None,
+        };
+        // of its diagonal: cos and sin of the one, then of the other
+        let diagonal = usize::from(matches!(leg, "FR" | "HL"));
+        Some((2 * diagonal + sin_or_cos, 0.4))
+    })
+}
+
+/// One layer that takes of the gait's phase, for the joint of a leg, a number and its weight.
+fn following_the_phase(
+    version: u64,
+    column: impl Fn(&str, &str) -> Option<(usize, f32)>,
+) -> Vec<u8> {
     policy_file(version, |spec, metadata| {
         let phase = metadata.contract.observation.slice("phase").unwrap();
         let input = spec.layers[0].input;
         spec.layers[0].weight.fill(0.0);
-        for row in spec.layers[0].weight.chunks_mut(input) {
-            row[phase.start] = 0.5;
+        spec.layers[0].bias.fill(0.0);
+        let rows = spec.layers[0].weight.chunks_mut(input);
+        for (row, name) in rows.zip(model().actuated_names()) {
+            let (leg, joint) = name.split_once('_').unwrap();
+            if let Some((number, weight)) = column(leg, joint) {
+                row[phase.start + number] = weight;
+            }
         }
     })
 }

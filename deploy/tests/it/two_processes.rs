@@ -311,7 +311,7 @@ fn fault_49_a_loop_that_is_killed_is_started_again_and_its_third_death_in_a_tria
     // Version 1 is good; version 2 takes the loop down with it.
     let lab = Lab::with([stepping(1)]);
     let state = lab.state();
-    let first = lab.command("60000", &["--seconds", "10.5", "--command", "0.3,0,0"]);
+    let first = lab.command("60000", &["--seconds", "12", "--command", "0.3,0,0"]);
     let (code, _, errors) = crate::common::outcome(first);
     assert_eq!(code, 0, "{errors}");
     assert_eq!(status_of(&state)["last_good"]["version"], 1);
