@@ -26,11 +26,11 @@ impl Drop for File {
     }
 }
 
-fn read(name: &str, text: &str) -> Result<Imported, ImportError> {
+pub(crate) fn read(name: &str, text: &str) -> Result<Imported, ImportError> {
     import::import(&File::new(name, text).0, &ImportOptions::default())
 }
 
-fn model(made: &Imported) -> RobotModel {
+pub(crate) fn model(made: &Imported) -> RobotModel {
     RobotModel::from_bytes("made", made.robot_toml.as_bytes(), made.mjcf.as_bytes()).unwrap()
 }
 
