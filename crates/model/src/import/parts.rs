@@ -181,8 +181,18 @@ fn merge_welded(robot: &mut Robot) {
             host.inertial = Some(host.inertial.map_or(own, |rest| rest.with(&own)));
         }
     }
+    // an MJCF has a world already
+    if let Some(body) = bodies.iter_mut().find(|b| b.name == WORLD) {
+        body.name = format!("{WORLD}_link");
+        robot.merged.insert(WORLD.to_owned(), body.name.clone());
+        for host in robot.merged.values_mut().filter(|h| *h == WORLD) {
+            host.clone_from(&body.name);
+        }
+    }
     robot.bodies = bodies;
 }
+
+const WORLD: &str = "world";
 
 /// A held root that is nothing but a place gives way to the one body that hangs on it.
 fn drop_empty_root(robot: &mut Robot) {

@@ -175,7 +175,7 @@ fn own(document: &Document<'_>, node: Node<'_, '_>, file: &str) -> Element {
 fn include(element: &mut Element, file: &Path, remarks: &mut Remarks, depth: usize) {
     let mut children = Vec::with_capacity(element.children.len());
     for mut child in std::mem::take(&mut element.children) {
-        if child.tag != "include" {
+        if child.tag != "include" || child.namespaced {
             include(&mut child, file, remarks, depth);
             children.push(child);
             continue;

@@ -203,6 +203,8 @@ fn a_urdf_arm_by_hand() {
     let made = read("arm.urdf", ARM).unwrap();
     let m = model(&made);
     assert_eq!((m.base(), m.links().len()), (BaseKind::Fixed, 2));
+    // an MJCF has a body of that name already
+    assert!(!made.mjcf.contains("name=\"world\""), "{}", made.mjcf);
     assert_eq!(m.joint_limits_rad(), [(-1.5, 2.0)]);
     assert_eq!(m.servo(0).tau_max_nm, 7.0);
     let joint = &m.joints()[0];

@@ -259,7 +259,7 @@ fn every_fault_of_a_urdf_is_said_at_once() {
 #[test]
 fn a_xacro_says_what_to_do_with_it() {
     for text in [
-        "<robot xmlns:xacro=\"http://www.ros.org/wiki/xacro\" name=\"x\">\n<xacro:leg name=\"fl\"/></robot>",
+        "<robot xmlns:xacro=\"http://www.ros.org/wiki/xacro\" name=\"x\">\n<xacro:include filename=\"leg.xacro\"/></robot>",
         "<robot name=\"x\">\n<link name=\"base\"><inertial><mass value=\"${m}\"/></inertial></link></robot>",
     ] {
         let said = refused("x.urdf.xacro", text);
