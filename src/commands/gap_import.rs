@@ -130,7 +130,10 @@ fn failure(error: ImportError) -> Failure {
         ImportError::Io { source, .. } => ExitCode::of_io(source, false),
         ImportError::Log(LogError::Io { source, .. }) => ExitCode::of_io(source, true),
         ImportError::Log(LogError::Exists { .. }) => ExitCode::CannotCreate,
-        ImportError::Format { message, .. } if caudata_runlog::python::is_missing(message) => {
+        ImportError::Format { message, .. }
+        | ImportError::Log(LogError::Recording { message, .. })
+            if caudata_runlog::python::is_missing(message) =>
+        {
             ExitCode::Unavailable
         }
         _ => ExitCode::BadInput,

@@ -182,17 +182,19 @@ fn merge_welded(robot: &mut Robot) {
         }
     }
     // an MJCF has a world already
-    if let Some(body) = bodies.iter_mut().find(|b| b.name == WORLD) {
-        body.name = format!("{WORLD}_link");
-        robot.merged.insert(WORLD.to_owned(), body.name.clone());
-        for host in robot.merged.values_mut().filter(|h| *h == WORLD) {
+    if let Some(body) = bodies.iter_mut().find(|b| b.name == MJCF_WORLD) {
+        body.name = format!("{MJCF_WORLD}_link");
+        robot
+            .merged
+            .insert(MJCF_WORLD.to_owned(), body.name.clone());
+        for host in robot.merged.values_mut().filter(|h| *h == MJCF_WORLD) {
             host.clone_from(&body.name);
         }
     }
     robot.bodies = bodies;
 }
 
-const WORLD: &str = "world";
+const MJCF_WORLD: &str = "world";
 
 /// A held root that is nothing but a place gives way to the one body that hangs on it.
 fn drop_empty_root(robot: &mut Robot) {
