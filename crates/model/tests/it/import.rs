@@ -1,6 +1,7 @@
 //! Robots from what other tools write.
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::common::near;
 use caudata_model::import::{self, ImportError, ImportOptions, Imported};
@@ -11,8 +12,10 @@ struct File(PathBuf);
 
 impl File {
     fn new(name: &str, text: &str) -> Self {
-        let folder =
-            std::env::temp_dir().join(format!("caudata-import-{}-{name}", std::process::id()));
+        // tests run at once, and some give their files the same name
+        static COUNT: AtomicUsize = AtomicUsize::new(0);
+        let (process, count) = (std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
+        let folder = std::env::temp_dir().join(format!("caudata-import-{process}-{count}"));
         std::fs::create_dir_all(&folder).unwrap();
         let path = folder.join(name);
         std::fs::write(&path, text).unwrap();
