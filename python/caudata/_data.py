@@ -45,6 +45,8 @@ def _find(what: "str | os.PathLike[str]", folder: str, end: str, known: List[str
         if path.is_file():
             return path.resolve()
         raise FileNotFoundError("%s: there is no such file" % path)
+    if path.suffix in (".xml", ".urdf") and path.is_file():
+        raise ValueError("%s is no robot file: `caudata robot import %s` makes one of it" % (path, path))
     packaged = HOME / folder / (str(what) + end)
     if packaged.is_file():
         return packaged

@@ -106,7 +106,11 @@ class VecEnv(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
         observations = self._arrays()[0]
         self._core.reset(observations, None if seed is None else int(seed) & _SEED_MAX)
         if command is not None:
-            commands = np.broadcast_to(np.asarray(command, np.float32), (self.num_envs, 3))
+            commands = np.asarray(command, np.float32)
+            if commands.shape not in ((3,), (self.num_envs, 3)):
+                wanted = "a command is vx, vy (m/s) and yaw rate (rad/s), or [N, 3] of them"
+                raise ValueError("%s; not of shape %s" % (wanted, commands.shape))
+            commands = np.broadcast_to(commands, (self.num_envs, 3))
             self._core.hold_commands(np.ascontiguousarray(commands), observations)
         return self._observed(observations), {}
 
@@ -119,7 +123,12 @@ class VecEnv(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
         ended = self._core.step(actions, observations, rewards, terminated, truncated)
         if self._reward is not None:
             assert self.signals is not None
-            rewards[:] = self._reward(self.signals, actions)
+            own = np.asarray(self._reward(self.signals, actions), np.float32)
+            fits = own.shape in ((), rewards.shape)
+            if not fits or not np.isfinite(own).all():
+                what = "what is no finite number" if fits else "shape %s" % (own.shape,)
+                raise ValueError("reward= gives %s; a number for each of the %d lanes is wanted" % (what, self.num_envs))
+            rewards[:] = own
         infos = {} if ended is None else self._infos(ended, observations)
         return self._observed(observations), rewards, terminated, truncated, infos
 
@@ -131,7 +140,10 @@ class VecEnv(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
         if self._observe is None:
             return observations
         assert self.signals is not None
-        return np.asarray(self._observe(observations, self.signals), np.float32)
+        own = np.asarray(self._observe(observations, self.signals), np.float32)
+        if own.ndim != 2 or own.shape[0] != self.num_envs:
+            raise ValueError("observation= gives shape %s; [%d, K] is wanted" % (own.shape, self.num_envs))
+        return own
 
     def _infos(self, ended: Dict[str, Any], observations: Array) -> Dict[str, Any]:
         lanes = ended["lane"]
@@ -190,13 +202,16 @@ def make_vec(
     :param threads: processor threads that step the lanes; results do not depend on it.
     :param settings: single settings by their key, for instance ``{"task.episode_steps": 500}``;
         ``caudata config show`` lists them.
-    :param reward: rewards of your own instead of the task's.
-    :param observation: observations of your own instead of the task's.
+    :param reward: rewards of your own instead of the task's, of signals and actions.
+    :param observation: observations of your own instead of the task's, of the task's observations and signals.
     :param signals: whether to fill :attr:`VecEnv.signals` after every step.
     :param copy: with ``False`` every step writes into the same arrays instead of new ones.
     """
     signals = signals or reward is not None or observation is not None
     named = task is not None and str(task) in presets()
+    if task is not None and not named and not os.path.isfile(task):
+        known = ", ".join(presets())
+        raise FileNotFoundError("there is no task '%s': give a preset (%s) or a TOML file of settings" % (task, known))
     overrides = ["%s=%s" % (key, _toml(value)) for key, value in (settings or {}).items()]
     core = Environments(
         num_envs,
@@ -256,6 +271,8 @@ def make(
 
 def _toml(value: Any) -> str:
     """A value as TOML."""
+    if isinstance(value, np.generic):
+        value = value.item()
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, (int, float)):

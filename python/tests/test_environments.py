@@ -142,10 +142,23 @@ class Environments(unittest.TestCase):
             self.assertIn('name = "%s"' % name, envs.configuration)
             self.assertIn("\ncommand_mps = %s" % speed_mps, envs.configuration)
 
+    def test_settings_may_be_numbers_of_numpy(self):
+        settings = {"task.episode_steps": np.int64(7), "task.command.vx_mps": np.float32([0.25, 0.5])}
+        self.assertEqual(caudata.make_vec(num_envs=1, settings=settings).episode_steps, 7)
+
     def test_what_is_wrong_is_said_in_one_line(self):
+        def one_step(**own):
+            envs = caudata.make_vec("polymander", "flat", 2, **own)
+            envs.step(np.zeros((2, 16), np.float32))
+
         cases = [
             (lambda: caudata.make_vec("unicorn"), FileNotFoundError, "unicorn"),
-            (lambda: caudata.make_vec("polymander", "sprint.toml"), ValueError, "sprint.toml"),
+            (lambda: caudata.make_vec("polymander", "sprint.toml"), FileNotFoundError, "sprint.toml"),
+            (lambda: caudata.make_vec("polymander", "quik"), FileNotFoundError, "quick, flat"),
+            (lambda: one_step(reward=lambda signals, actions: np.ones(3)), ValueError, "shape (3,)"),
+            (lambda: one_step(reward=lambda signals, actions: None), ValueError, "no finite number"),
+            (lambda: one_step(observation=lambda task, signals: task[0]), ValueError, "[2, K] is wanted"),
+            (lambda: caudata.make_vec(num_envs=1).reset(options={"command": (0.3, 0.0)}), ValueError, "yaw rate"),
             (lambda: caudata.make_vec(settings={"task.episode_stepz": 3}), ValueError, "episode_steps"),
             (lambda: caudata.make_vec(num_envs=0), ValueError, "lanes"),
             (lambda: caudata.make_vec(num_envs=1).step(np.zeros((1, 3), np.float32)), ValueError, "actions"),

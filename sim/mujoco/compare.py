@@ -131,12 +131,12 @@ def gaits(req):
         def report():
             mujoco.mj_kinematics(m, d)
             mujoco.mj_comPos(m, d)
-            if hind == front:  # the x axis of one site
+            if not sites:
+                line = (1.0, 0.0)
+            elif hind == front:  # the x axis of one site
                 line = d.site_xmat[hind].reshape(3, 3)[:, 0]
             else:
                 line = d.site_xpos[front] - d.site_xpos[hind]
-            if not sites:
-                line = (1.0, 0.0)
             path.append(d.subtree_com[0].tolist() + [float(np.arctan2(line[1], line[0]))] + d.qpos[:3].tolist())
 
         report()

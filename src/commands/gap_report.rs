@@ -48,9 +48,26 @@ pub fn word(verdict: &Verdict) -> String {
 
 /// Faults of the data, a line each.
 pub fn faults(faults: &[DataFault]) {
+    // what is the same in several runs is said once
+    let mut rows: Vec<(&DataFault, &str, Vec<&str>)> = Vec::new();
     for f in faults {
+        let (run, what) = f.location.split_once(' ').unwrap_or(("", &f.location));
+        let same = |r: &&mut (&DataFault, &str, Vec<&str>)| {
+            (&r.0.kind, &r.0.detail, r.1, r.0.fatal) == (&f.kind, &f.detail, what, f.fatal)
+        };
+        match rows.iter_mut().find(same) {
+            Some(row) => row.2.push(run),
+            None => rows.push((f, what, vec![run])),
+        }
+    }
+    for (f, what, runs) in rows {
         let word = if f.fatal { "FAULT" } else { "note " };
-        say::line(format!("{word} {}: {}: {}", f.kind, f.location, f.detail));
+        let place = match runs.as_slice() {
+            [_] => f.location.clone(),
+            [first, .., last] => format!("{what} in {} runs ({first} to {last})", runs.len()),
+            [] => String::new(),
+        };
+        say::line(format!("{word} {}: {place}: {}", f.kind, f.detail));
     }
 }
 

@@ -10,6 +10,7 @@ use caudata_model::{Pose, RobotModel};
 use caudata_runlog::ros::{Compression, Frame, Scene, parse_mcap, write_mcap};
 use caudata_runlog::{
     Axis, LogError, LogMeta, LogWriter, META_NAME, QuatPart, RunLog, Signal, Table, TableWriter,
+    python,
 };
 use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
@@ -131,9 +132,10 @@ fn read(path: &Path) -> Result<(Option<LogMeta>, Table), Failure> {
 }
 
 fn wrong(error: LogError, path: &Path) -> Failure {
-    let code = match path.exists() {
-        true => ExitCode::BadInput,
-        false => ExitCode::NoInput,
+    let code = match &error {
+        LogError::Recording { message, .. } if python::is_missing(message) => ExitCode::Unavailable,
+        _ if path.exists() => ExitCode::BadInput,
+        _ => ExitCode::NoInput,
     };
     Failure::new(code, error)
 }

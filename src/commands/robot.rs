@@ -168,8 +168,11 @@ fn stand(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, 
         .find(|(((low, high), angle), _)| (*angle - low).min(high - *angle) < AT_STOP_RAD);
     let weight_n = model.total_mass_kg() * STANDARD_GRAVITY_MPS2;
     let lies = f64::from(state.trunk_force_n[0]) / weight_n;
-    let off_rad = (pose.iter().zip(&state.joint_pos_rad))
-        .map(|(&wanted, &is)| (wanted - f64::from(is)).abs());
+    let angles = model
+        .actuated()
+        .iter()
+        .map(|&joint| state.joint_pos_rad[joint]);
+    let off_rad = (pose.iter().zip(angles)).map(|(&wanted, is)| (wanted - f64::from(is)).abs());
     let worst = (model.actuated_names().into_iter().zip(off_rad))
         .max_by(|a, b| a.1.total_cmp(&b.1))
         .filter(|(_, off_rad)| *off_rad > SAG_MAX_RAD);
@@ -378,4 +381,25 @@ fn print(model: &RobotModel, summary: &Summary<'_>) {
 
 fn or_none(list: &str) -> &str {
     if list.is_empty() { "none" } else { list }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A joint without a drive that stands before all others in the file.
+    #[test]
+    fn a_robot_with_a_passive_joint_is_seen_to_stand() {
+        let robots = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots");
+        let read = |name: &str| std::fs::read_to_string(robots.join(name)).unwrap();
+        let toml = read("quadruped.robot.toml")
+            + "\n[passive]\nlocked = false\n[passive.joint.ear]\nstiffness_nm_per_rad = 1.0\n\
+               damping_nm_s_per_rad = 0.01\nfriction_loss_nm = 0.0\n";
+        let ear = "<freejoint/>\n<body name=\"ear\" pos=\"0.2 0 0.1\"><inertial pos=\"0 0 0.03\" mass=\"0.05\" \
+                   diaginertia=\"1e-4 1e-4 1e-4\"/><joint name=\"ear\" axis=\"0 1 0\" range=\"-1 1\"/></body>";
+        let xml = read("quadruped.xml").replace("<freejoint/>", ear);
+        let model = RobotModel::from_bytes("eared", toml.as_bytes(), xml.as_bytes()).unwrap();
+        assert!(model.actuated()[0] > 0, "the ear is first");
+        assert_eq!(check(&model).unwrap(), None);
+    }
 }

@@ -171,6 +171,25 @@ impl ContractDifference {
     }
 }
 
+/// Whether a policy file and its robot can carry these names of joints.
+///
+/// # Errors
+/// [`TaskError::Contract`] names the first that is not 1 to 32 printable ASCII characters without a comma.
+pub fn check_joint_names<N: AsRef<str>>(names: &[N]) -> Result<(), TaskError> {
+    let good = |n: &str| {
+        (1..=32).contains(&n.len()) && n.bytes().all(|b| b.is_ascii_graphic() && b != b',')
+    };
+    match names.iter().map(AsRef::as_ref).find(|n| !good(n)) {
+        None => Ok(()),
+        Some(name) => Err(TaskError::Contract {
+            what: "joint_names",
+            reason: format!(
+                "has `{name}`; a name is 1 to 32 printable ASCII characters without space or comma"
+            ),
+        }),
+    }
+}
+
 impl PolicyContract {
     /// The contract of `task` on `model`.
     ///
@@ -235,6 +254,7 @@ impl PolicyContract {
             let reason = format!("has {joints} entries, expected 1 to {MAX_JOINTS}");
             return refuse("joint_names", reason);
         }
+        check_joint_names(&self.joint_names)?;
         let values = self.nominal_pos_rad.len();
         if joints != values && self.lower_limit_rad.len() == values {
             let reason = format!("has {joints} entries, expected {values}");

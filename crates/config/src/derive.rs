@@ -7,7 +7,7 @@
 use std::fmt::Write;
 
 use caudata_model::{BaseKind, Pose, RobotModel};
-use caudata_task::{Mirror, ObservationLayout};
+use caudata_task::{Mirror, ObservationLayout, check_joint_names};
 
 use crate::ConfigError;
 
@@ -113,15 +113,23 @@ fn round(x: f64) -> f64 {
 /// Whether a robot can be trained to walk at all; training and `caudata robot check` ask the same.
 ///
 /// # Errors
-/// [`ConfigError::Robot`] for a robot that is held.
+/// [`ConfigError::Robot`] for a robot that is held, touches nothing, or has a joint that no policy can name.
 pub fn can_walk(model: &RobotModel) -> Result<(), ConfigError> {
-    match model.base() {
-        BaseKind::Free => Ok(()),
-        BaseKind::Fixed => Err(ConfigError::Robot(format!(
-            "robot '{}' is held (base = \"fixed\"), so it cannot be trained to walk",
-            model.name()
-        ))),
-    }
+    let mut geoms = model.links().iter().flat_map(|l| &l.geoms);
+    let why = if model.base() == BaseKind::Fixed {
+        "is held (base = \"fixed\"), so it cannot be trained to walk".to_owned()
+    } else if !geoms.any(|g| g.collides()) {
+        "has no shape that touches the ground, so it falls through it; give its feet and its trunk shapes in the MJCF"
+            .to_owned()
+    } else if let Err(error) = check_joint_names(&model.actuated_names()) {
+        format!("cannot be trained: {error}")
+    } else {
+        return Ok(());
+    };
+    Err(ConfigError::Robot(format!(
+        "robot '{}' {why}",
+        model.name()
+    )))
 }
 
 /// Whether the networks of a training may treat left and right alike: the robot is its own mirror image, and

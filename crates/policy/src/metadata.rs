@@ -52,15 +52,6 @@ impl PolicyMetadata {
     /// [`PolicyError::Metadata`] names the first that is wrong.
     pub fn check(&self) -> Result<(), PolicyError> {
         self.contract.validate().map_err(problem)?;
-        let names = &self.contract.joint_names;
-        if names
-            .iter()
-            .any(|n| !printable(n, 1, 32) || n.contains(','))
-        {
-            return Err(problem(
-                "joint names must be 1 to 32 printable characters, no comma",
-            ));
-        }
         if !printable(&self.contract.robot, 1, 64) {
             return Err(problem(
                 "`robot` must be 1 to 64 printable ASCII characters",

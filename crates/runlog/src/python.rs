@@ -7,6 +7,14 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 /// Names the Python; otherwise it is the `python3` of the path.
 const PYTHON: &str = "CAUDATA_PYTHON";
 
+/// How a script begins to say what it lacks.
+const NEEDED: &str = "needs a Python";
+
+/// Whether an error of a reader says that the Python that it takes, or a library of it, is not there.
+pub fn is_missing(message: &str) -> bool {
+    message.starts_with(NEEDED)
+}
+
 /// A script that runs. What it prints is read from it; it ends with this value.
 pub(crate) struct Script {
     child: Child,
@@ -22,7 +30,7 @@ impl Script {
         let python = std::env::var_os(PYTHON).unwrap_or_else(|| "python3".into());
         let failed = |e: io::Error| {
             let python = python.display();
-            format!("needs Python, and `{python}` does not start ({e}); {PYTHON} may name another")
+            format!("{NEEDED}, and `{python}` does not start ({e}); {PYTHON} may name another")
         };
         let mut child = Command::new(&python)
             .arg("-c")

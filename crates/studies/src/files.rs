@@ -46,7 +46,8 @@ pub fn robot(path: &Path) -> Result<RobotModel, Failure> {
             ModelError::Read { .. } => ExitCode::NoInput,
             _ => ExitCode::BadInput,
         };
-        Failure::new(code, error).context(format!("robot file {}", path.display()))
+        let failure = Failure::new(code, error).context(format!("robot file {}", path.display()));
+        meant(failure, path, "robots", ".robot.toml")
     })
 }
 
@@ -66,8 +67,35 @@ pub fn policy(path: &Path) -> Result<PolicyFile, Failure> {
     }
     let bytes =
         caudata_durable::read_at_most(&shipped(path), caudata_policy::MAX_FILE_BYTES as u64)
-            .or_exit_with(ExitCode::NoInput, || format!("cannot read {}", shown()))?;
+            .or_exit_with(ExitCode::NoInput, || format!("cannot read {}", shown()))
+            .map_err(|failure| meant(failure, path, "policies", ".onnx"))?;
     PolicyFile::parse(bytes.into()).or_exit_with(ExitCode::BadInput, shown)
+}
+
+/// Adds which file was most likely meant by one that is not there: of those beside it, or of those that came
+/// with the program, in `folder`.
+fn meant(failure: Failure, path: &Path, folder: &str, ending: &str) -> Failure {
+    /// Names less alike (0 to 1, Jaro–Winkler) confuse more than they help.
+    const ALIKE: f64 = 0.85;
+    let stem = |name: &str| name.split('.').next().unwrap_or_default().to_lowercase();
+    let Some(asked) = path.file_name().filter(|_| !shipped(path).exists()) else {
+        return failure;
+    };
+    let asked = stem(&asked.to_string_lossy());
+    let near = |parent: &Path| {
+        let files = std::fs::read_dir(shipped(parent)).ok()?.flatten();
+        let names = files
+            .filter_map(|f| f.file_name().into_string().ok())
+            .filter(|n| n.ends_with(ending));
+        let scored = names.map(|n| (strsim::jaro_winkler(&stem(&n), &asked), n));
+        let best = scored.max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)))?;
+        (best.0 >= ALIKE).then(|| parent.join(best.1))
+    };
+    let beside = path.parent().filter(|p| *p != Path::new(""));
+    match beside.and_then(near).or_else(|| near(Path::new(folder))) {
+        Some(file) => failure.hint(format!("did you mean {}?", file.display())),
+        None => failure,
+    }
 }
 
 /// Writes a file that was asked for by name; it may be a pipe or a terminal.
@@ -155,4 +183,33 @@ pub fn sha256(path: &Path) -> Result<String, Failure> {
 /// Bytes as lower-case hexadecimal.
 pub fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+
+    /// A name with a letter wrong, and one as Python has it.
+    #[test]
+    fn a_file_that_is_not_there_is_guessed() {
+        for asked in ["robots/polymandr.robot.toml", "polymander"] {
+            let failure = robot(Path::new(asked)).unwrap_err();
+            assert!(
+                format!("{failure:?}").contains("did you mean robots/polymander.robot.toml?"),
+                "{failure:?}"
+            );
+        }
+        let failure = policy(Path::new("policies/flt.onnx")).unwrap_err();
+        assert!(
+            format!("{failure:?}").contains("did you mean policies/flat.onnx?"),
+            "{failure:?}"
+        );
+        let failure = policy(Path::new("policies/zebra.onnx")).unwrap_err();
+        assert!(
+            !format!("{failure:?}").contains("did you mean"),
+            "{failure:?}"
+        );
+    }
 }

@@ -15,6 +15,8 @@ const RESTS_RADPS: f64 = 0.1;
 const LONG_ENOUGH_S: f64 = 1.0;
 /// A joint may be read beyond its range by this factor and this angle (rad): stops yield, zeros are off.
 const BEYOND: (f64, f64) = (1.3, 0.2);
+/// A stop yields by less than this, rad.
+const PAST_RAD: f64 = 0.15;
 /// A reading of which its command leaves less than this share follows it.
 const FOLLOWS: f64 = 0.02;
 /// Each of two readings must leave at most this share with the other's command of what it leaves with its
@@ -79,6 +81,19 @@ fn units(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
                 ),
             ));
         }
+    }
+    let past = |v: &f64| (low - v).max(v - high);
+    let positions = joint.pos.iter().flatten().copied();
+    let farthest = positions.max_by(|a, b| past(a).total_cmp(&past(b)));
+    if let Some(at_rad) = farthest.filter(|v| past(v) > PAST_RAD && beyond(&joint.pos).is_none()) {
+        out.push(Finding::note(
+            "range",
+            format!("pos.{}", joint.name),
+            format!(
+                "reaches {at_rad:.2} rad, past the joint's range of {low:.2} to {high:.2} rad, where the simulated \
+                 robot has an end stop: are range and zero right?"
+            ),
+        ));
     }
     let Some(t) = follows(run, joint, joint) else {
         return;

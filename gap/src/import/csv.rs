@@ -51,9 +51,19 @@ struct Table {
 
 impl Table {
     fn parse(file: &str, text: &str) -> Result<Self, ImportError> {
-        let mut lines = text.lines().enumerate();
-        let header = lines.next().map_or("", |(_, l)| l);
-        let header = header.trim_start_matches('\u{feff}');
+        let mut lines = text.lines().enumerate().peekable();
+        let mut header = lines.next().map_or("", |(_, l)| l);
+        header = header.trim_start_matches('\u{feff}');
+        // remarks stand in front; the last of them is the header where numbers follow it (NumPy writes it so)
+        while let (true, Some((_, next))) = (header.starts_with('#'), lines.peek()) {
+            let first = fields(next, separator(next)).swap_remove(0);
+            if number(&first, true).is_some() {
+                header = header.trim_start_matches(['#', ' ']);
+            } else {
+                header = next;
+                lines.next();
+            }
+        }
         let separator = separator(header);
         let table = Self {
             file: file.to_owned(),
@@ -110,17 +120,56 @@ impl Sheet for Table {
             if text.is_empty() {
                 return Ok(None);
             }
-            let x = match self.decimal_comma {
-                true => text.replace(',', ".").parse(),
-                false => text.parse::<f64>(),
-            };
-            let x = x.map_err(|_| {
+            let x = number(text, self.decimal_comma).ok_or_else(|| {
                 self.wrong(format!("line {line}: `{column}`: `{text}` is no number"))
             })?;
             Ok(x.is_finite().then_some(x))
         };
         self.rows.iter().map(value).collect()
     }
+}
+
+/// A number, or a date (`2026-03-04T09:15:00.123Z`, with a space, without a zone) as seconds since 1970.
+fn number(text: &str, decimal_comma: bool) -> Option<f64> {
+    let text = text.trim();
+    let text = if decimal_comma {
+        text.replace(',', ".")
+    } else {
+        text.to_owned()
+    };
+    text.parse().ok().or_else(|| date_s(&text))
+}
+
+/// Seconds since 1970 of a date of ISO 8601; one without a zone counts as of Greenwich.
+fn date_s(text: &str) -> Option<f64> {
+    let (date, clock) = text.split_once(['T', ' '])?;
+    let mut date = date.splitn(3, '-').map(|n| n.parse::<i64>().ok());
+    let (year, month, day) = (date.next()??, date.next()??, date.next()??);
+    let clock = clock.trim_end_matches('Z');
+    let zone_at = clock.rfind(['+', '-']).unwrap_or(clock.len());
+    let (clock, zone) = clock.split_at(zone_at);
+    let seconds = |text: &str| {
+        let parts = text.split(':').zip([3600.0, 60.0, 1.0]);
+        parts
+            .map(|(n, unit)| Some(unit * n.parse::<f64>().ok()?))
+            .sum::<Option<f64>>()
+    };
+    let zone_s = match zone.split_at_checked(1) {
+        Some(("-", rest)) => -seconds(rest)?,
+        Some((_, rest)) => seconds(rest)?,
+        None => 0.0,
+    };
+    if !((1970..10_000).contains(&year) && (1..=12).contains(&month) && (1..=31).contains(&day)) {
+        return None;
+    }
+    // days of the Gregorian calendar, with the year beginning in March
+    let (y, m) = if month > 2 {
+        (year, month - 3)
+    } else {
+        (year - 1, month + 9)
+    };
+    let days = 365 * y + y / 4 - y / 100 + y / 400 + (153 * m + 2) / 5 + day - 719_469;
+    Some(86_400.0 * days as f64 + seconds(clock)? - zone_s)
 }
 
 /// What parts the fields of a file with this header: comma, semicolon or tab, whichever is there most.
@@ -202,6 +251,33 @@ mod tests {
                 assert!((x.unwrap_or(0.0) - want.unwrap_or(0.0)).abs() < 1e-12);
             }
         }
+    }
+
+    #[test]
+    fn dates_are_seconds_and_remarks_are_passed_over() {
+        for (text, want) in [
+            ("1970-01-02T00:00:01.5Z", 86_401.5),
+            ("2026-03-04 09:15:00.25", 1_772_615_700.25),
+            ("2026-03-04T09:15:00+01:00", 1_772_612_100.0),
+            ("2024-02-29T00:00:00", 1_709_164_800.0),
+        ] {
+            assert_eq!(number(text, false), Some(want), "{text}");
+        }
+        assert_eq!(number("2026-13-04T00:00:00", false), None);
+        assert_eq!(number("2026-03-04Tnoon", false), None);
+        for text in [
+            "# bench 3\n#\nt,q\n0,1\n",
+            "# bench 3\n# t,q\n0,1\n",
+            "\u{feff}#t,q\n0,1\n",
+        ] {
+            let table = Table::parse("remarks.csv", text).unwrap();
+            assert_eq!(
+                (table.header.join(","), table.rows.len()),
+                ("t,q".to_owned(), 1),
+                "{text}"
+            );
+        }
+        assert!(Table::parse("empty.csv", "# nothing\n").is_err());
     }
 
     #[test]

@@ -323,6 +323,12 @@ impl Draft<'_> {
                     "column = {}\nunit = \"{unit_name}\"",
                     quoted(column)
                 );
+                if let Some(word) = Words::of(column).strange_unit {
+                    let _ = writeln!(
+                        self.out,
+                        "# its unit, `{word}`, is not known here: this one is guessed by the size of its numbers"
+                    );
+                }
                 if let (Some(joint), true) =
                     (joint, name.starts_with("cmd.") || name.starts_with("pos."))
                 {

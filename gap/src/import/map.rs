@@ -29,7 +29,10 @@ use serde::Deserialize;
 
 use super::run::{ImportError, Imported};
 use super::sheet::{Recording, Sheet};
+use super::words::unit_word;
 
+/// Later than this a stamp is of the calendar (1970 and some months), not of a run, s.
+const CALENDAR_S: f64 = 1e7;
 /// Stamps nearer to each other than this are one row, s.
 const SAME_STAMP_S: f64 = 1e-6;
 
@@ -94,6 +97,7 @@ const UNITS: &[(&str, f64)] = &[
     ("mA", 1e-3),
     ("N·m", 1.0),
     ("Nm", 1.0),
+    ("mNm", 1e-3),
     ("V", 1.0),
     ("mV", 1e-3),
     ("m", 1.0),
@@ -131,7 +135,8 @@ pub(super) fn unit(text: &str) -> Result<f64, String> {
             false => Err(format!("unit `{text}`: a turn has more than no counts")),
         };
     }
-    let known = UNITS.iter().find(|u| u.0 == text);
+    let called = |name: &str| UNITS.iter().find(|u| u.0 == name);
+    let known = called(text).or_else(|| called(unit_word(&text.to_lowercase())?));
     known.map(|u| u.1).ok_or_else(|| {
         let all = UNITS.iter().map(|u| u.0);
         let all: Vec<&str> = all.chain(SHARE_UNITS.iter().map(|s| s.0)).collect();
@@ -249,7 +254,11 @@ pub fn apply(
         let signal = column.signal.parse();
         signals.push(signal.map_err(|e| wrong(format!("{}: {e}", column.signal)))?);
     }
-    let rows = rows(samples, signals.len());
+    let mut rows = rows(samples, signals.len());
+    // stamps of the calendar count from the first
+    if let Some(first_s) = rows.first().map(|r| r.0).filter(|t| *t > CALENDAR_S) {
+        rows.iter_mut().for_each(|row| row.0 -= first_s);
+    }
     let (Some(first), Some(last)) = (rows.first(), rows.last()) else {
         return Err(wrong("has no row with a stamp and a value".to_owned()));
     };

@@ -84,7 +84,9 @@ pub(super) const CLOCKS: &[&str] = &[
     "stamp",
     "clock",
     "seconds",
+    "datetime",
     "zeit",
+    "zeitstempel",
     "temps",
     "tiempo",
 ];
@@ -100,11 +102,19 @@ const UNIT_WORDS: &[(&str, &str)] = &[
     ("rev", "turn"),
     ("rad/s", "rad/s"),
     ("deg/s", "deg/s"),
+    ("°/s", "deg/s"),
     ("rpm", "rev/min"),
     ("rev/min", "rev/min"),
+    ("r/min", "rev/min"),
+    ("u/min", "rev/min"),
+    ("1/min", "rev/min"),
+    ("min-1", "rev/min"),
+    ("ticks", "counts/4096"),
+    ("counts", "counts/4096"),
     ("a", "A"),
     ("ma", "mA"),
     ("nm", "Nm"),
+    ("mnm", "mNm"),
     ("n·m", "Nm"),
     ("v", "V"),
     ("mv", "mV"),
@@ -141,6 +151,8 @@ pub(super) struct Words {
     words: Vec<String>,
     whole: String,
     pub(super) unit: Option<&'static str>,
+    /// What brackets say and no unit is called.
+    pub(super) strange_unit: Option<String>,
 }
 
 impl Words {
@@ -164,7 +176,15 @@ impl Words {
         if said.is_none() && unit.is_some() {
             words.pop();
         }
-        Self { words, whole, unit }
+        let strange =
+            in_brackets.filter(|(_, word)| said.is_none() && word.parse::<usize>().is_err());
+        let strange_unit = strange.map(|(_, word)| word.to_owned());
+        Self {
+            words,
+            unit,
+            strange_unit,
+            whole,
+        }
     }
 
     pub(super) fn has(&self, any: &[&str]) -> bool {
@@ -199,7 +219,7 @@ impl Words {
     }
 }
 
-fn unit_word(word: &str) -> Option<&'static str> {
+pub(super) fn unit_word(word: &str) -> Option<&'static str> {
     let found = UNIT_WORDS.iter().find(|(said, _)| *said == word);
     found.map(|(_, unit)| *unit)
 }

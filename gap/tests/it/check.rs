@@ -155,6 +155,24 @@ fn other_units_are_found() {
     }
 }
 
+/// The knee's range ends at −1.26 rad; so far off the zero may be right.
+#[test]
+fn an_angle_past_the_end_stop_is_noted() {
+    let robot = robot("polymander");
+    let log = &logs(&robot, "chirp_medium", &[5])[0];
+    let knee: Signal = "pos.FL_knee".parse().unwrap();
+    let past = |s: &Signal, k: usize, _, v| {
+        if *s == knee && (200..220).contains(&k) {
+            Some(-1.6)
+        } else {
+            v
+        }
+    };
+    let checked = one(&robot, &changed(log, past));
+    found(&checked, "range", "pos.FL_knee");
+    assert!(checked.faults.iter().all(|f| f.kind != "range" || !f.fatal));
+}
+
 #[test]
 fn exchanged_joints_are_found() {
     let robot = robot("polymander");

@@ -113,33 +113,24 @@ fn episodes(r: &ScenarioResult) -> String {
     format!("{} episodes, falls {falls:.1} %{reasons}", r.episodes)
 }
 
+/// Slower than this share of its command a robot stands.
+const STANDS_SHARE: f64 = 0.1;
+
+/// Whether it keeps on its feet and hardly moves, though it is told to.
+fn stands(r: &ScenarioResult) -> bool {
+    let [vx_mps, vy_mps, yaw_radps] = r.command;
+    let told = vx_mps.hypot(vy_mps);
+    let moves = r.vx_mps.mean.hypot(r.vy_mps.mean) > STANDS_SHARE * told;
+    let turns = r.yaw_rate_radps.mean.abs() > STANDS_SHARE * yaw_radps.abs().max(1.0);
+    told > 0.0 && r.fall_share.mean < 0.5 && !moves && !turns
+}
+
 fn body(r: &ScenarioResult) {
-    say::line(format!(
-        "  velocity {} m/s forward, {} left, yaw {} rad/s; rms off the command {:.3}, {:.3} m/s, {:.3} rad/s",
-        pm(r.vx_mps, 3),
-        pm(r.vy_mps, 3),
-        pm(r.yaw_rate_radps, 3),
-        r.rmse_of_means[0],
-        r.rmse_of_means[1],
-        r.rmse_of_means[2]
-    ));
-    say::line(format!(
-        "  power {} W, cost of transport {:.2}, torque {:.2} N·m rms, {:.2} peak, at the servo's limit {:.1} %",
-        pm(r.power_w, 1),
-        r.cost_of_transport.mean,
-        r.torque_rms_nm,
-        r.torque_peak_nm,
-        100.0 * r.servo_limit_share
-    ));
-    say::line(format!(
-        "  stride {:.2} Hz, duty {}, clearance {} cm, slip {:.1} cm/s, vibration {:.1} %, trunk down {:.1} %",
-        r.stride_hz.mean,
-        each(&r.duty_factor, |d| format!("{d:.2}")),
-        each(&r.clearance_m, |c| format!("{:.1}", 100.0 * c)),
-        100.0 * r.slip_mps.mean,
-        100.0 * r.vibration_share.mean,
-        100.0 * r.trunk_contact_share.mean
-    ));
+    if r.falls.values().sum::<usize>() == r.episodes && r.power_w.mean == 0.0 {
+        say::line("  it falls in every episode before its gait can be measured");
+    } else {
+        figures(r);
+    }
     if r.gates.is_none() && r.speed_share_least < 1.0 {
         let least = 100.0 * r.speed_share_least;
         say::line(format!(
@@ -162,11 +153,49 @@ fn body(r: &ScenarioResult) {
     if let (Some(gates), Some(walks)) = (&r.gates, r.walks()) {
         let verdict = match (walks, gates.missed()) {
             (true, _) => "walks: every gate is met".to_owned(),
+            (false, _) if stands(r) => {
+                "stands still: `caudata explain` of its run folder says why".to_owned()
+            }
             (false, missed) if missed.is_empty() => "misses a gate: it falls too often".to_owned(),
             (false, missed) => format!("misses gates: {}", missed.join("; ")),
         };
         say::line(format!("  {verdict}"));
     }
+}
+
+fn figures(r: &ScenarioResult) {
+    say::line(format!(
+        "  velocity {} m/s forward, {} left, yaw {} rad/s; rms off the command {:.3}, {:.3} m/s, {:.3} rad/s",
+        pm(r.vx_mps, 3),
+        pm(r.vy_mps, 3),
+        pm(r.yaw_rate_radps, 3),
+        r.rmse_of_means[0],
+        r.rmse_of_means[1],
+        r.rmse_of_means[2]
+    ));
+    say::line(format!(
+        "  power {} W,{} torque {:.2} N·m rms, {:.2} peak, at the servo's limit {:.1} %",
+        pm(r.power_w, 1),
+        match stands(r) {
+            true => String::new(),
+            false => format!(" cost of transport {:.2},", r.cost_of_transport.mean),
+        },
+        r.torque_rms_nm,
+        r.torque_peak_nm,
+        100.0 * r.servo_limit_share
+    ));
+    if stands(r) {
+        return;
+    }
+    say::line(format!(
+        "  stride {:.2} Hz, duty {}, clearance {} cm, slip {:.1} cm/s, vibration {:.1} %, trunk down {:.1} %",
+        r.stride_hz.mean,
+        each(&r.duty_factor, |d| format!("{d:.2}")),
+        each(&r.clearance_m, |c| format!("{:.1}", 100.0 * c)),
+        100.0 * r.slip_mps.mean,
+        100.0 * r.vibration_share.mean,
+        100.0 * r.trunk_contact_share.mean
+    ));
 }
 
 fn shore(t: &TransitionResult) {

@@ -6,6 +6,7 @@
 //! follows as in MuJoCo.
 
 mod actuators;
+mod doubts;
 mod geometry;
 mod mesh;
 mod mjcf;
@@ -15,6 +16,7 @@ mod mjcf_shape;
 mod parts;
 mod remark;
 mod robot_toml;
+mod stance;
 mod tree;
 mod urdf;
 mod write;
@@ -24,7 +26,7 @@ use std::path::Path;
 use crate::error::ModelError;
 use crate::model::RobotModel;
 
-use tree::Remarks;
+use tree::{Element, Remarks};
 
 pub use remark::Remark;
 pub use urdf::ImportOptions;
@@ -68,26 +70,40 @@ pub fn import(file: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
     let root = tree::read(file, &mut remarks)?;
     let robot = match root.tag.as_str() {
         "mujoco" => mjcf::read(&root, file, &mut remarks),
-        "robot" => urdf::read(&root, file, options, &mut remarks),
+        "robot" => {
+            unexpanded(&root, file, &mut remarks)?;
+            urdf::read(&root, file, options, &mut remarks)
+        }
         other => {
             remarks.refuse(&root, format!("<{other}> is neither <mujoco> nor <robot>"));
             None
         }
     };
-    let Some(mut robot) = robot.filter(|_| remarks.refusals.is_empty()) else {
+    let read = remarks.refusals.is_empty();
+    if let (false, Some(robot)) = (read, &robot) {
+        doubts::say(robot, &root, &mut remarks);
+    }
+    let Some(mut robot) = robot.filter(|_| read) else {
         return Err(ImportError::Refused(remarks.refusals));
     };
     let stem = file.file_stem().map(|s| s.to_string_lossy().into_owned());
     let name = options.name.clone().or(robot.name.take()).or(stem);
     let name = plain(&name.unwrap_or_default());
-    if robot.home.is_empty() && robot.free_base {
-        let message = "no pose to stand in: the nominal pose is 0, or what a joint can do nearest to it; put angles \
-                       in which it stands into [pose.nominal_rad]";
-        remarks.note(&root, message);
-    }
     parts::finish(&mut robot, &root, &mut remarks);
+    doubts::say(&robot, &root, &mut remarks);
     if !remarks.refusals.is_empty() {
         return Err(ImportError::Refused(remarks.refusals));
+    }
+    if robot.home.is_empty() && robot.free_base {
+        robot.home_is_ours = stance::find(&mut robot);
+        let message = if robot.home_is_ours {
+            "no pose to stand in: one was worked out, legs bent and feet below the hips; look at it (`caudata sim show`), \
+             or put angles of yours into [pose.nominal_rad]"
+        } else {
+            "no pose to stand in: the nominal pose is 0, or what a joint can do nearest to it; put angles in which it \
+             stands into [pose.nominal_rad]"
+        };
+        remarks.note(&root, message);
     }
     if robot.free_base && robot_toml::feet(&robot).is_empty() {
         let message = "no foot: no shape at the end of a leg touches the ground (a mesh that is missing does not); \
@@ -111,17 +127,32 @@ pub fn import(file: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
     })
 }
 
-/// Letters, digits, _ and - only.
-fn plain(name: &str) -> String {
-    let keep = |c: char| {
-        if c.is_ascii_alphanumeric() || c == '-' {
-            c
-        } else {
-            '_'
-        }
+/// Macros that nobody expanded are no robot yet.
+fn unexpanded(root: &Element, file: &Path, remarks: &mut Remarks) -> Result<(), ImportError> {
+    let Some(macros) =
+        root.find(&|e| e.namespaced || e.attributes.values().any(|v| v.contains("${")))
+    else {
+        return Ok(());
     };
-    let name: String = name.chars().map(keep).collect();
-    let name = name.trim_matches('_').to_lowercase();
+    let name = file.display();
+    let plain = file.with_extension("");
+    let plain = if plain.extension().is_some() {
+        plain
+    } else {
+        file.with_extension("urdf")
+    };
+    let message = format!(
+        "{} is of xacro, whose macros are to be expanded first: `xacro {name} > {}`, then import that",
+        macros.label(),
+        plain.display()
+    );
+    remarks.refuse(macros, message);
+    Err(ImportError::Refused(std::mem::take(&mut remarks.refusals)))
+}
+
+/// Letters, digits, _ and - only, in small letters.
+fn plain(name: &str) -> String {
+    let name = parts::word(name).trim_matches('_').to_lowercase();
     if name.is_empty() {
         "robot".to_owned()
     } else {

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::geometry::{Inertial, Solid};
 use super::tree::{Element, Remarks};
-use crate::pose::Pose;
+use crate::pose::{self, Pose};
 use crate::types::{JointMotion, Shape, Softness};
 
 /// A robot as it was read.
@@ -20,6 +20,8 @@ pub(super) struct Robot {
     pub excluded: Vec<[String; 2]>,
     /// Joint positions of a named pose.
     pub home: BTreeMap<String, f64>,
+    /// Whether that pose stands in no file.
+    pub home_is_ours: bool,
     /// Sites that a gyroscope or an accelerometer sits at.
     pub sensed: BTreeSet<String>,
     /// Bodies that became part of others, and of which.
@@ -100,7 +102,7 @@ pub(super) fn finish(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
         drive_all(robot, root, remarks);
     }
     limit_actuated(robot, remarks);
-    strengthen(robot, root, remarks);
+    name_plainly(robot, remarks);
     for (i, body) in robot.bodies.iter_mut().enumerate() {
         if body.inertial.is_none_or(|i| i.mass_kg <= 0.0) {
             let label = body.element.label();
@@ -115,6 +117,7 @@ pub(super) fn finish(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
             }
         }
     }
+    strengthen(robot, root, remarks);
     name_uniquely(robot);
     if robot.actuators.is_empty() {
         remarks.refuse(
@@ -178,8 +181,20 @@ fn merge_welded(robot: &mut Robot) {
             host.inertial = Some(host.inertial.map_or(own, |rest| rest.with(&own)));
         }
     }
+    // an MJCF has a world already
+    if let Some(body) = bodies.iter_mut().find(|b| b.name == MJCF_WORLD) {
+        body.name = format!("{MJCF_WORLD}_link");
+        robot
+            .merged
+            .insert(MJCF_WORLD.to_owned(), body.name.clone());
+        for host in robot.merged.values_mut().filter(|h| *h == MJCF_WORLD) {
+            host.clone_from(&body.name);
+        }
+    }
     robot.bodies = bodies;
 }
+
+const MJCF_WORLD: &str = "world";
 
 /// A held root that is nothing but a place gives way to the one body that hangs on it.
 fn drop_empty_root(robot: &mut Robot) {
@@ -221,8 +236,33 @@ fn limit_actuated(robot: &mut Robot, remarks: &mut Remarks) {
     }
 }
 
-/// Torque that is written where nothing limits any drive, N·m.
-pub(super) const UNSAID_TORQUE_NM: f64 = 100.0;
+pub(super) const GRAVITY_MPS2: f64 = 9.81;
+
+/// Weight of all of it.
+pub(super) fn weight_n(robot: &Robot) -> f64 {
+    let masses = robot.bodies.iter().filter_map(|b| b.inertial);
+    GRAVITY_MPS2 * masses.map(|i| i.mass_kg).sum::<f64>()
+}
+
+/// How far the longest limb's outermost mass is from the root, along the limb.
+pub(super) fn reach_m(robot: &Robot) -> f64 {
+    let mut along_m: Vec<f64> = Vec::new();
+    let mut farthest_m = 0.0f64;
+    for body in &robot.bodies {
+        let own = pose::norm(body.parent_from_body.pos_m);
+        let at = body.parent.map_or(0.0, |p| along_m[p] + own);
+        along_m.push(at);
+        let centre = body.inertial.map_or(0.0, |i| pose::norm(i.com_m));
+        farthest_m = farthest_m.max(at + centre);
+    }
+    farthest_m.max(0.01)
+}
+
+/// Torque that is written where nothing limits any drive: it carries the weight at the end of the longest limb.
+pub(super) fn unsaid_torque_nm(robot: &Robot) -> f64 {
+    two_digits(weight_n(robot) * reach_m(robot)).max(0.01)
+}
+
 /// Inertia of rotor and gears at the joint for each N·m of the drive, s²: a URDF has no word for it, and a light
 /// link without it is too quick for the time step. The least of the servos in `robots/polymander.robot.toml`
 /// (XM430-W350: 0.0025 kg·m², 2.95 N·m).
@@ -239,7 +279,10 @@ fn strengthen(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
     known.sort_by(f64::total_cmp);
     let (torque_nm, source) = match known.get(known.len() / 2) {
         Some(median) => (*median, "the median of the others"),
-        None => (UNSAID_TORQUE_NM, "a guess"),
+        None => (
+            unsaid_torque_nm(robot),
+            "a guess: the weight times the reach of its limbs",
+        ),
     };
     let mut weak: Vec<&str> = Vec::new();
     for drive in &mut robot.actuators {
@@ -259,8 +302,8 @@ fn strengthen(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
         for drive in &robot.actuators {
             let mut joints = robot.bodies.iter_mut().flat_map(|b| &mut b.joints);
             if let Some(joint) = joints.find(|j| j.name == drive.joint) {
-                let armature = ROTOR_S2 * drive.force_limit.unwrap_or(UNSAID_TORQUE_NM);
-                joint.armature = two_digits(armature);
+                // every drive of a URDF has a torque by now
+                joint.armature = two_digits(ROTOR_S2 * drive.force_limit.unwrap_or(torque_nm));
             }
         }
     }
@@ -270,6 +313,68 @@ fn strengthen(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
 pub(super) fn two_digits(x: f64) -> f64 {
     format!("{x:.1e}").parse().unwrap_or(x)
 }
+
+/// Letters, digits, _ and - only.
+pub(super) fn word(text: &str) -> String {
+    let mut out = String::new();
+    for c in text.chars() {
+        match c {
+            'a'..='z' | 'A'..='Z' | '0'..='9' | '-' => out.push(c),
+            'ä' | 'ö' | 'ü' | 'ß' | 'Ä' | 'Ö' | 'Ü' => {
+                let two = ["ae", "oe", "ue", "ss", "Ae", "Oe", "Ue"];
+                out.push_str(
+                    "äöüßÄÖÜ"
+                        .chars()
+                        .position(|u| u == c)
+                        .map_or("_", |i| two[i]),
+                );
+            }
+            _ => out.push('_'),
+        }
+    }
+    out
+}
+
+/// Gives joints names that policies and logs can carry.
+fn name_plainly(robot: &mut Robot, remarks: &mut Remarks) {
+    let all = robot.bodies.iter().flat_map(|b| &b.joints);
+    let mut taken: BTreeSet<String> = all.map(|j| j.name.clone()).collect();
+    for joint in robot.bodies.iter_mut().flat_map(|b| &mut b.joints) {
+        let mut short = word(&joint.name);
+        if short.len() > NAME_MAX {
+            short = short.trim_end_matches("_joint").to_owned();
+        }
+        if short.len() > NAME_MAX {
+            short.replace_range(NAME_MAX / 2..short.len() - NAME_MAX / 2 + 1, "_");
+        }
+        if short == joint.name {
+            continue;
+        }
+        let mut count = 2;
+        let stem = short.clone();
+        while taken.contains(&short) {
+            let end = format!("_{count}");
+            short = format!("{}{end}", &stem[..stem.len().min(NAME_MAX - end.len())]);
+            count += 1;
+        }
+        taken.insert(short.clone());
+        let message = format!(
+            "{} is called `{short}` here: a name is 1 to {NAME_MAX} letters (a to z), digits, _ and -",
+            joint.element.label()
+        );
+        remarks.note(&joint.element, message);
+        if let Some(q) = robot.home.remove(&joint.name) {
+            robot.home.insert(short.clone(), q);
+        }
+        for drive in robot.actuators.iter_mut().filter(|a| a.joint == joint.name) {
+            drive.joint.clone_from(&short);
+        }
+        joint.name = short;
+    }
+}
+
+/// The longest name of a joint that a policy can carry.
+const NAME_MAX: usize = 32;
 
 /// Gives shapes of the same name others, so that each can be spoken of.
 fn name_uniquely(robot: &mut Robot) {

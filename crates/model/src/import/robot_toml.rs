@@ -5,7 +5,9 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
-use super::parts::{Actuator, Joint, Robot, UNSAID_TORQUE_NM, nominal, two_digits};
+use super::parts::{
+    Actuator, Body, Geom, Joint, Robot, nominal, two_digits, unsaid_torque_nm, word,
+};
 use super::remark::Remark;
 use super::tree::{Element, Remarks};
 use crate::pose::{self, Pose};
@@ -22,10 +24,14 @@ const FULL_TORQUE_SHARE: f64 = 2.0 / 3.0;
 /// How much higher than the lowest a shape may end and still be a foot, m.
 const FOOT_LEVEL_M: f64 = 0.03;
 
-/// A shape that is taken for a foot.
+/// The same among the shapes of one foot.
+const SOLE_LEVEL_M: f64 = 0.01;
+
+/// What is taken for a foot.
 pub(super) struct Foot {
     name: String,
-    geom: String,
+    /// Its lowest shape, and those that are alike and end as low: the balls under the corners of a sole.
+    geoms: Vec<String>,
     friction: f64,
 }
 
@@ -68,7 +74,12 @@ pub(super) fn write(name: &str, file: &Path, robot: &Robot, notes: &[Remark]) ->
     for joint in &driven {
         let _ = writeln!(w, "    {},", quoted(&joint.name));
     }
-    let _ = writeln!(w, "]\n\n# [mjcf] the named pose, or 0\n[pose.nominal_rad]");
+    let source = if robot.home_is_ours {
+        "[ours] worked out: it stands so"
+    } else {
+        "[mjcf] the named pose, or 0"
+    };
+    let _ = writeln!(w, "]\n\n# {source}\n[pose.nominal_rad]");
     for joint in &driven {
         let _ = writeln!(w, "{} = {:?}", quoted(&joint.name), nominal(robot, joint));
     }
@@ -90,9 +101,12 @@ pub(super) fn write(name: &str, file: &Path, robot: &Robot, notes: &[Remark]) ->
     for foot in &feet {
         let _ = writeln!(
             w,
-            "[[feet]]\nname = {}\ngeom = {}",
+            "[[feet]]\nname = {}\n{}",
             quoted(&foot.name),
-            quoted(&foot.geom)
+            match foot.geoms.as_slice() {
+                [geom] => format!("geom = {}", quoted(geom)),
+                geoms => format!("geoms = {}", toml::Value::from(geoms.to_vec())),
+            }
         );
     }
     frames(w, robot);
@@ -163,11 +177,12 @@ struct DriveType {
 
 /// One type for all drives that are alike, and which each drive is.
 fn drive_types(robot: &Robot, driven: &[&Joint]) -> (Vec<DriveType>, Vec<usize>) {
+    let unsaid_nm = unsaid_torque_nm(robot);
     let mut types: Vec<DriveType> = Vec::new();
     let mut of = Vec::new();
     for (joint, drive) in driven.iter().zip(&robot.actuators) {
         let own = DriveType {
-            torque_nm: drive.force_limit.unwrap_or(UNSAID_TORQUE_NM),
+            torque_nm: drive.force_limit.unwrap_or(unsaid_nm),
             speed_radps: drive.speed_limit.unwrap_or(UNSAID_SPEED_RADPS),
             armature_kgm2: joint.armature,
             damping: joint.damping,
@@ -187,6 +202,13 @@ fn drive_types(robot: &Robot, driven: &[&Joint]) -> (Vec<DriveType>, Vec<usize>)
 
 /// Gains.
 fn gains(w: &mut String, robot: &Robot, driven: &[&Joint]) {
+    // where a drive has no gains, it has a torque by now
+    let gains_of = |drive: &Actuator| {
+        drive.gains.unwrap_or_else(|| {
+            let kp = two_digits(drive.force_limit.unwrap_or_default() / UNSAID_ERROR_RAD);
+            (kp, two_digits(kp * UNSAID_DAMPING_S))
+        })
+    };
     let gains: Vec<(f64, f64)> = robot.actuators.iter().map(gains_of).collect();
     let common = gains.first().copied().unwrap_or_default();
     let source = if robot.actuators.iter().all(|a| a.gains.is_some()) {
@@ -241,14 +263,6 @@ fn drives(w: &mut String, driven: &[&Joint], types: &[DriveType], of: &[usize]) 
     }
 }
 
-fn gains_of(drive: &Actuator) -> (f64, f64) {
-    drive.gains.unwrap_or_else(|| {
-        let torque_nm = drive.force_limit.unwrap_or(UNSAID_TORQUE_NM);
-        let kp = two_digits(torque_nm / UNSAID_ERROR_RAD);
-        (kp, two_digits(kp * UNSAID_DAMPING_S))
-    })
-}
-
 fn frames(w: &mut String, robot: &Robot) {
     let root = &robot.bodies[0];
     let _ = writeln!(w, "\n[frames]\ntorso = {}", quoted(&root.name));
@@ -268,8 +282,8 @@ fn frames(w: &mut String, robot: &Robot) {
 
 /// Joints without a drive.
 fn passive(w: &mut String, robot: &Robot, joints: &BTreeMap<&str, &Joint>) {
-    let driven = |name: &str| robot.actuators.iter().any(|a| a.joint == name);
-    let free: Vec<&&Joint> = joints.values().filter(|j| !driven(&j.name)).collect();
+    let moved = |name: &str| robot.actuators.iter().any(|a| a.joint == name);
+    let free: Vec<&&Joint> = joints.values().filter(|j| !moved(&j.name)).collect();
     if free.is_empty() {
         return;
     }
@@ -296,38 +310,47 @@ pub(super) fn feet(robot: &Robot) -> Vec<Foot> {
         return Vec::new();
     }
     let places = places(robot);
-    // its middle, the height of its lowest point, its name and friction
+    let bottom = |i: usize, geom: &Geom| {
+        let at = places[i].compose(&geom.link_from_geom);
+        let up = at.inverse().rotate([0.0, 0.0, 1.0]);
+        (at.pos_m, at.pos_m[2] - geom.shape.half_extent_m(up))
+    };
+    // its middle, the height of its lowest point, and itself
     let lowest = |i: usize| {
-        let touching = robot.bodies[i]
-            .geoms
-            .iter()
-            .filter(|g| g.collides() && !matches!(g.shape, Shape::Ellipsoid { .. } | Shape::Plane));
-        let measured = touching.filter_map(|geom| {
-            let at = places[i].compose(&geom.link_from_geom);
-            let up = at.inverse().rotate([0.0, 0.0, 1.0]);
-            let z = at.pos_m[2] - geom.shape.half_extent_m(up);
-            Some((at.pos_m, z, geom.name.clone()?, geom.friction))
-        });
-        measured.min_by(|a, b| a.1.total_cmp(&b.1))
+        let measured = reaching(&robot.bodies[i]).map(|geom| (bottom(i, geom), geom));
+        let ((at, z), geom) = measured.min_by(|a, b| a.0.1.total_cmp(&b.0.1))?;
+        Some((at, z, geom))
     };
     let mut found: Vec<([f64; 3], f64, Foot)> = Vec::new();
-    for (i, body) in robot.bodies.iter().enumerate() {
-        let ends = !robot.bodies.iter().any(|b| b.parent == Some(i));
-        if let Some((at, z, geom, friction)) = lowest(i).filter(|_| ends && i > 0) {
-            let name = body.name.clone();
-            found.push((
-                at,
-                z,
-                Foot {
-                    name,
-                    geom,
-                    friction,
-                },
-            ));
+    for end in 1..robot.bodies.len() {
+        if robot.bodies.iter().any(|b| b.parent == Some(end)) {
+            continue;
+        }
+        let Some((_, toe_z, _)) = lowest(end) else {
+            continue;
+        };
+        // toes without a drive belong to the foot that stands on the ground before them
+        let foot = robot.bodies[end]
+            .parent
+            .filter(|&p| p > 0 && !driven(robot, end));
+        let stands = |&p: &usize| lowest(p).is_some_and(|(_, z, _)| z - toe_z < FOOT_LEVEL_M);
+        let i = foot.filter(stands).unwrap_or(end);
+        let Some((at, z, geom)) = lowest(i) else {
+            continue;
+        };
+        let alike = |g: &&Geom| g.shape == geom.shape && bottom(i, g).1 - z < SOLE_LEVEL_M;
+        let geoms = reaching(&robot.bodies[i]).filter(alike);
+        let foot = Foot {
+            name: word(&robot.bodies[i].name),
+            geoms: geoms.filter_map(|g| g.name.clone()).collect(),
+            friction: geom.friction,
+        };
+        if !found.iter().any(|(_, _, f)| f.name == foot.name) {
+            found.push((at, z, foot));
         }
     }
     let ground = found.iter().map(|f| f.1).fold(f64::INFINITY, f64::min);
-    let lies = lowest(0).is_some_and(|root| root.1 - ground <= FOOT_LEVEL_M);
+    let lies = lowest(0).is_some_and(|(_, z, _)| z - ground <= FOOT_LEVEL_M);
     found.retain(|f| !lies && f.1 - ground <= FOOT_LEVEL_M);
     // front to hind in steps of a hand's breadth, left before right
     let row = |x: f64| (-x / 0.1).round() as i64;
@@ -352,9 +375,7 @@ pub(super) fn raise(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
         };
         origins_m.push(parent + body.joints.iter().map(travel).sum::<f64>());
         moves.push(!body.joints.is_empty() || body.parent.is_some_and(|p| moves[p]));
-        let touching = body.geoms.iter().filter(|g| moves[i] && g.collides());
-        for geom in touching.filter(|g| !matches!(g.shape, Shape::Ellipsoid { .. } | Shape::Plane))
-        {
+        for geom in reaching(body).filter(|_| moves[i]) {
             let at = places[i].compose(&geom.link_from_geom);
             let extent_m = |axis| geom.shape.half_extent_m(axis);
             let z = at.pos_m[2] - extent_m(at.inverse().rotate([0.0, 0.0, 1.0]));
@@ -380,8 +401,16 @@ pub(super) fn raise(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
     remarks.note(root, message);
 }
 
+/// Whether a drive moves a body against its parent.
+pub(super) fn driven(robot: &Robot, body: usize) -> bool {
+    let joints = robot.bodies[body].joints.iter();
+    joints
+        .into_iter()
+        .any(|j| robot.actuators.iter().any(|a| a.joint == j.name))
+}
+
 /// Where each body is in the nominal pose.
-fn places(robot: &Robot) -> Vec<Pose> {
+pub(super) fn places(robot: &Robot) -> Vec<Pose> {
     let mut out: Vec<Pose> = Vec::new();
     for body in &robot.bodies {
         let mut at = match body.parent {
@@ -391,25 +420,32 @@ fn places(robot: &Robot) -> Vec<Pose> {
             None => body.parent_from_body,
         };
         for joint in &body.joints {
-            let q = nominal(robot, joint);
-            let moved = match joint.motion {
-                JointMotion::Slide => Pose::from_pos(joint.axis.map(|a| a * q)),
-                JointMotion::Hinge => {
-                    let quat_wxyz = crate::pose::quat_from_axis_angle(joint.axis, q);
-                    let turn = Pose {
-                        pos_m: [0.0; 3],
-                        quat_wxyz,
-                    };
-                    let back = crate::pose::sub(joint.anchor_m, turn.rotate(joint.anchor_m));
-                    Pose {
-                        pos_m: back,
-                        ..turn
-                    }
-                }
-            };
-            at = at.compose(&moved);
+            at = at.compose(&moved(joint, nominal(robot, joint)));
         }
         out.push(at);
     }
     out
+}
+
+/// How a joint at `q` moves its body.
+pub(super) fn moved(joint: &Joint, q: f64) -> Pose {
+    match joint.motion {
+        JointMotion::Slide => Pose::from_pos(joint.axis.map(|a| a * q)),
+        JointMotion::Hinge => {
+            let turn = Pose {
+                pos_m: [0.0; 3],
+                quat_wxyz: pose::quat_from_axis_angle(joint.axis, q),
+            };
+            Pose {
+                pos_m: pose::sub(joint.anchor_m, turn.rotate(joint.anchor_m)),
+                ..turn
+            }
+        }
+    }
+}
+
+/// Shapes that can touch the ground.
+pub(super) fn reaching(body: &Body) -> impl Iterator<Item = &Geom> {
+    let solid = |g: &&Geom| !matches!(g.shape, Shape::Ellipsoid { .. } | Shape::Plane);
+    body.geoms.iter().filter(|g| g.collides()).filter(solid)
 }

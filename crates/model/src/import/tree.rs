@@ -22,6 +22,8 @@ pub(super) struct Element {
     pub children: Vec<Element>,
     pub file: String,
     pub line: u32,
+    /// Whether its tag is of a namespace, as the macros of xacro are.
+    pub namespaced: bool,
 }
 
 /// All that was said.
@@ -86,6 +88,14 @@ impl Element {
 
     pub fn first(&self, tag: &str) -> Option<&Element> {
         self.children.iter().find(|c| c.tag == tag)
+    }
+
+    /// The first of it and what it holds that is such.
+    pub fn find(&self, such: &impl Fn(&Self) -> bool) -> Option<&Self> {
+        if such(self) {
+            return Some(self);
+        }
+        self.children.iter().find_map(|c| c.find(such))
     }
 
     /// Numbers of an attribute; `None`: absent, or refused.
@@ -157,6 +167,7 @@ fn own(document: &Document<'_>, node: Node<'_, '_>, file: &str) -> Element {
         children: children.map(|c| own(document, c, file)).collect(),
         file: file.to_owned(),
         line: document.text_pos_at(node.range().start).row,
+        namespaced: node.tag_name().namespace().is_some(),
     }
 }
 
@@ -164,7 +175,7 @@ fn own(document: &Document<'_>, node: Node<'_, '_>, file: &str) -> Element {
 fn include(element: &mut Element, file: &Path, remarks: &mut Remarks, depth: usize) {
     let mut children = Vec::with_capacity(element.children.len());
     for mut child in std::mem::take(&mut element.children) {
-        if child.tag != "include" {
+        if child.tag != "include" || child.namespaced {
             include(&mut child, file, remarks, depth);
             children.push(child);
             continue;

@@ -1,6 +1,6 @@
 //! URDF: links, joints, shapes.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use super::geometry::Inertial;
@@ -57,7 +57,16 @@ pub(super) fn read(
             ..Robot::default()
         },
     };
-    let base = reader.base()?;
+    let Some(base) = reader.base() else {
+        // what else is wrong is said all the same
+        for element in root.all("link").filter_map(|l| l.first("inertial")) {
+            reader.inertial(element);
+        }
+        for element in root.all("joint") {
+            reader.joint(element);
+        }
+        return None;
+    };
     reader.link(base, None, Pose::IDENTITY, None, 0);
     let robot = &mut reader.robot;
     let on_world = matches!(base, "world" | "map");
@@ -88,26 +97,62 @@ fn chains(robot: &Robot) -> usize {
 const WORLD: &[&str] = &["world", "map", "base_footprint"];
 
 impl<'a> Reader<'a> {
-    /// The link that no joint carries.
+    /// The link that no joint carries, if all joints lie between links.
     fn base(&mut self) -> Option<&'a str> {
-        let child = |j: &'a Element| j.first("child").and_then(|c| c.get("link"));
-        let carried: Vec<&str> = self.root.all("joint").filter_map(child).collect();
+        let before = self.remarks.refusals.len();
+        let mut carried: Vec<&str> = Vec::new();
+        for joint in self.root.all("joint") {
+            let label = joint.label();
+            for tag in ["parent", "child"] {
+                match joint.first(tag).and_then(|e| e.get("link")) {
+                    Some(link) if self.links.contains_key(link) => {
+                        if tag == "child" && carried.contains(&link) {
+                            let message =
+                                format!("{label}: `{link}` hangs on another joint already");
+                            self.remarks.refuse(joint, message);
+                        } else if tag == "child" {
+                            carried.push(link);
+                        }
+                    }
+                    Some(link) => self
+                        .remarks
+                        .refuse(joint, format!("{label}: there is no link `{link}`")),
+                    None => self
+                        .remarks
+                        .refuse(joint, format!("{label}: <{tag}> names no link")),
+                }
+            }
+        }
+        for tag in ["link", "joint"] {
+            let mut names = BTreeSet::new();
+            for element in self.root.all(tag).filter(|e| !names.insert(e.get("name"))) {
+                let message = format!("{}: there is another of this name", element.label());
+                self.remarks.refuse(element, message);
+            }
+        }
         let roots: Vec<&str> = self
             .links
             .keys()
             .filter(|l| !carried.contains(l))
             .copied()
             .collect();
-        let [one] = roots.as_slice() else {
-            let message = format!(
-                "needs one link that no joint carries; found {}: {}",
-                roots.len(),
-                roots.join(", ")
-            );
-            self.remarks.refuse(self.root, message);
-            return None;
-        };
-        Some(one)
+        match roots.as_slice() {
+            [one] if self.remarks.refusals.len() == before => return Some(one),
+            [] => self.remarks.refuse(
+                self.root,
+                "every link hangs on a joint: there is a loop, or no link",
+            ),
+            [_] => {}
+            [_, _, ..] => {
+                let message = format!(
+                    "has {} links that no joint carries: {}; one belongs",
+                    roots.len(),
+                    roots.join(", ")
+                );
+                self.remarks.refuse(self.root, message);
+            }
+        }
+        None
     }
 
     /// Says what becomes of a link that has no mass of its own.
@@ -131,8 +176,6 @@ impl<'a> Reader<'a> {
         depth: usize,
     ) {
         let Some(element) = self.links.get(name).copied() else {
-            self.remarks
-                .refuse(self.root, format!("there is no link `{name}`"));
             return;
         };
         if depth > CHAIN_LIMIT {
@@ -178,10 +221,6 @@ impl<'a> Reader<'a> {
         let children: Vec<&'a Element> = self.root.all("joint").filter(own).collect();
         for element in children {
             let Some(child) = element.first("child").and_then(|c| c.get("link")) else {
-                self.remarks.refuse(
-                    element,
-                    format!("{}: <child> names no link", element.label()),
-                );
                 continue;
             };
             let at = self.origin(element);
@@ -227,20 +266,12 @@ impl<'a> Reader<'a> {
         let of = |remarks: &mut Remarks, tag: &str, key: &str| {
             e.first(tag).and_then(|l| l.number(key, remarks))
         };
+        // as MuJoCo and Bullet have it: an end that is not below the other, or none, is no limit
         let range = limited.then(|| {
             let low = of(self.remarks, "limit", "lower").unwrap_or(0.0);
             (low, of(self.remarks, "limit", "upper").unwrap_or(0.0))
         });
-        let range = range.filter(|(low, high)| {
-            let fine = low < high;
-            if !fine {
-                self.remarks.refuse(
-                    e,
-                    format!("{label}: its lower limit is not below its upper limit"),
-                );
-            }
-            fine
-        });
+        let range = range.filter(|(low, high)| low < high);
         let effort = of(self.remarks, "limit", "effort").filter(|t| *t > 0.0);
         let name = e.get("name").unwrap_or("joint").to_owned();
         self.robot.actuators.push(Actuator {

@@ -368,7 +368,7 @@ pub(super) fn inertial(e: &Element<'_, '_>, compiler: &Compiler) -> Result<Inert
 /// The second moments Σ = ½·tr(I)·E − I = ∫ r rᵀ dm must be positive semi-definite: that is the triangle
 /// inequality of the principal moments (each at most the sum of the other two). A 3×3 matrix is, when all its
 /// principal minors are ≥ 0.
-fn check_inertia(i: [[f64; 3]; 3]) -> Result<(), String> {
+pub(crate) fn check_inertia(i: [[f64; 3]; 3]) -> Result<(), String> {
     let half_trace = 0.5 * (i[0][0] + i[1][1] + i[2][2]);
     if !(i[0][0] > 0.0 && i[1][1] > 0.0 && i[2][2] > 0.0) {
         return Err("the moments of inertia must be above zero".to_owned());

@@ -1,6 +1,7 @@
 //! Robots from what other tools write.
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::common::near;
 use caudata_model::import::{self, ImportError, ImportOptions, Imported};
@@ -11,8 +12,10 @@ struct File(PathBuf);
 
 impl File {
     fn new(name: &str, text: &str) -> Self {
-        let folder =
-            std::env::temp_dir().join(format!("caudata-import-{}-{name}", std::process::id()));
+        // tests run at once, and some give their files the same name
+        static COUNT: AtomicUsize = AtomicUsize::new(0);
+        let (process, count) = (std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
+        let folder = std::env::temp_dir().join(format!("caudata-import-{process}-{count}"));
         std::fs::create_dir_all(&folder).unwrap();
         let path = folder.join(name);
         std::fs::write(&path, text).unwrap();
@@ -26,11 +29,11 @@ impl Drop for File {
     }
 }
 
-fn read(name: &str, text: &str) -> Result<Imported, ImportError> {
+pub(crate) fn read(name: &str, text: &str) -> Result<Imported, ImportError> {
     import::import(&File::new(name, text).0, &ImportOptions::default())
 }
 
-fn model(made: &Imported) -> RobotModel {
+pub(crate) fn model(made: &Imported) -> RobotModel {
     RobotModel::from_bytes("made", made.robot_toml.as_bytes(), made.mjcf.as_bytes()).unwrap()
 }
 
@@ -203,6 +206,8 @@ fn a_urdf_arm_by_hand() {
     let made = read("arm.urdf", ARM).unwrap();
     let m = model(&made);
     assert_eq!((m.base(), m.links().len()), (BaseKind::Fixed, 2));
+    // an MJCF has a body of that name already
+    assert!(!made.mjcf.contains("name=\"world\""), "{}", made.mjcf);
     assert_eq!(m.joint_limits_rad(), [(-1.5, 2.0)]);
     assert_eq!(m.servo(0).tau_max_nm, 7.0);
     let joint = &m.joints()[0];

@@ -1,0 +1,79 @@
+//! What a file says that can hardly be so: degrees, grams and millimetres where radians, kilograms and metres
+//! belong, and inertias that no body has.
+
+use super::geometry::principal;
+use super::parts::{Body, GRAVITY_MPS2, Robot, reach_m, weight_n};
+use super::tree::{Element, Remarks};
+use crate::mjcf::check_inertia;
+use crate::types::JointMotion;
+
+/// Two turns: farther off a limit is in degrees, or of a joint that turns without end.
+const FAR_RAD: f64 = 4.0 * std::f64::consts::PI;
+/// The strongest drive's share of weight times reach, beyond which either is in another unit. Legged robots and
+/// arms have 0.1 to 3.
+const TORQUE_SHARE: (f64, f64) = (0.01, 100.0);
+/// How far from its centre the mass of a link lies, of the reach of the whole robot, and m.
+const GYRATION_SHARE: f64 = 2.0;
+const GYRATION_LEAST_M: f64 = 1e-4;
+
+/// Refuses what no body can have, and notes what is hardly meant.
+pub(super) fn say(robot: &Robot, root: &Element, remarks: &mut Remarks) {
+    let reach_m = reach_m(robot);
+    for body in &robot.bodies {
+        inertia(body, reach_m, remarks);
+        for joint in body
+            .joints
+            .iter()
+            .filter(|j| j.motion == JointMotion::Hinge)
+        {
+            if let Some((low, high)) = joint.range.filter(|(l, h)| l.min(-h) < -FAR_RAD) {
+                let label = joint.element.label();
+                let message =
+                    format!("{label}: limits of {low} and {high} rad: are they degrees? {RADIANS}");
+                remarks.note(&joint.element, message);
+            }
+        }
+    }
+    let strongest_nm = robot
+        .actuators
+        .iter()
+        .filter_map(|a| a.force_limit)
+        .fold(0.0, f64::max);
+    let load_nm = weight_n(robot) * reach_m;
+    let share = strongest_nm / load_nm;
+    if strongest_nm > 0.0 && !(TORQUE_SHARE.0..TORQUE_SHARE.1).contains(&share) {
+        let message = format!(
+            "{:.3} kg that reach {reach_m:.3} m, and {strongest_nm} N·m at the strongest joint: is a mass in grams, a \
+             length in mm, a torque in another unit? kg, m and N·m belong",
+            weight_n(robot) / GRAVITY_MPS2
+        );
+        remarks.note(root, message);
+    }
+}
+
+const RADIANS: &str = "A URDF has radians, an MJCF what its <compiler angle> says";
+
+fn inertia(body: &Body, reach_m: f64, remarks: &mut Remarks) {
+    let Some(inertial) = body.inertial.filter(|i| i.mass_kg > 0.0) else {
+        return;
+    };
+    let label = body.element.label();
+    let moments = principal(inertial.inertia_kgm2).0;
+    let shown = moments.map(|m| format!("{m:.3e}")).join(", ");
+    if let Err(why) = check_inertia(inertial.inertia_kgm2) {
+        let message = format!(
+            "{label}: {why}; its principal moments are {shown} kg·m², with what is fixed to it"
+        );
+        remarks.refuse(&body.element, message);
+        return;
+    }
+    let radius_m = (moments.into_iter().fold(0.0, f64::max) / inertial.mass_kg).sqrt();
+    if radius_m > GYRATION_SHARE * reach_m || radius_m < GYRATION_LEAST_M {
+        let message = format!(
+            "{label}: {} kg with moments of {shown} kg·m² lie {radius_m:.1e} m from their centre: is one in another \
+             unit (g, g·mm²)?",
+            inertial.mass_kg
+        );
+        remarks.note(&body.element, message);
+    }
+}

@@ -1,0 +1,271 @@
+//! What an imported file does not say or hardly means: a pose, feet, names, units.
+
+use std::fmt::Write;
+
+use caudata_model::import::{ImportError, Imported};
+use caudata_model::{Pose, RobotModel};
+
+use crate::import::{model, read};
+
+/// A URDF out of a drawing program: four straight legs of two joints, a ball at the end of each, no pose.
+fn quadruped() -> String {
+    let inertia = |i: f64| {
+        format!("<inertia ixx=\"{i}\" iyy=\"{i}\" izz=\"{i}\" ixy=\"0\" ixz=\"0\" iyz=\"0\"/>")
+    };
+    let mut out = format!(
+        "<robot name=\"Hündchen\"><link name=\"base\"><inertial><mass value=\"0.8\"/>{}</inertial>\
+         <collision><geometry><box size=\"0.2 0.1 0.05\"/></geometry></collision></link>\n",
+        inertia(1e-3)
+    );
+    for (leg, x, y) in [
+        ("fl", 0.1, 0.06),
+        ("fr", 0.1, -0.06),
+        ("rl", -0.1, 0.06),
+        ("rr", -0.1, -0.06),
+    ] {
+        // one knee turns the other way round
+        let (axis, low, high) = if leg == "fr" {
+            (-1, -0.2, 2.5)
+        } else {
+            (1, -2.5, 0.2)
+        };
+        write!(
+            out,
+            "<link name=\"{leg}_thigh\"><inertial><mass value=\"0.08\"/>{}</inertial></link>\n\
+             <joint name=\"{leg}_hüfte\" type=\"revolute\"><origin xyz=\"{x} {y} 0\"/><parent link=\"base\"/>\
+             <child link=\"{leg}_thigh\"/><axis xyz=\"0 1 0\"/><limit lower=\"-1.57\" upper=\"1.57\" effort=\"1.5\" velocity=\"6\"/></joint>\n\
+             <link name=\"{leg}_shank\"><inertial><mass value=\"0.04\"/>{}</inertial>\
+             <collision><origin xyz=\"0 0 -0.085\"/><geometry><sphere radius=\"0.012\"/></geometry></collision></link>\n\
+             <joint name=\"{leg}_knee_of_a_name_that_is_much_too_long_joint\" type=\"revolute\"><origin xyz=\"0 0 -0.08\"/>\
+             <parent link=\"{leg}_thigh\"/><child link=\"{leg}_shank\"/><axis xyz=\"0 {axis} 0\"/>\
+             <limit lower=\"{low}\" upper=\"{high}\" effort=\"1.5\" velocity=\"6\"/></joint>\n",
+            inertia(5e-5),
+            inertia(3e-5)
+        )
+        .unwrap();
+    }
+    out + "</robot>"
+}
+
+fn told(made: &Imported, word: &str) -> bool {
+    made.notes.iter().any(|n| n.to_string().contains(word))
+}
+
+/// Refusals, each as `LINE MESSAGE`.
+fn refused(name: &str, text: &str) -> Vec<String> {
+    match read(name, text) {
+        Err(ImportError::Refused(all)) => all
+            .iter()
+            .map(|r| format!("{} {}", r.line, r.message))
+            .collect(),
+        other => panic!("{other:?}"),
+    }
+}
+
+/// Feet in the nominal pose, seen from the root.
+fn feet(m: &RobotModel) -> Vec<[f64; 3]> {
+    let q = m.full_pos_rad(m.nominal_pos_rad()).unwrap();
+    let places = m.kinematics(&Pose::IDENTITY, &q).unwrap();
+    m.feet()
+        .iter()
+        .map(|f| places.links[f.link].point(f.centre_m))
+        .collect()
+}
+
+#[test]
+fn straight_legs_are_bent_and_stand_below_their_hips() {
+    let made = read("dog.urdf", &quadruped()).unwrap();
+    let m = model(&made);
+    assert!(told(&made, "one was worked out"), "{:?}", made.notes);
+    let feet = feet(&m);
+    assert_eq!(feet.len(), 4);
+    for (foot, (x, y)) in feet
+        .iter()
+        .zip([(0.1, 0.06), (0.1, -0.06), (-0.1, 0.06), (-0.1, -0.06)])
+    {
+        // three quarters of 0.165 m, though one knee's axis is turned round
+        let off = [foot[0] - x, foot[1] - y, foot[2] + 0.124];
+        assert!(off.iter().all(|d| d.abs() < 0.02), "{feet:?}");
+    }
+    let knees: Vec<f64> = m
+        .nominal_pos_rad()
+        .iter()
+        .skip(1)
+        .step_by(2)
+        .map(|q| q.abs())
+        .collect();
+    assert!(knees.iter().all(|q| (1.2..1.7).contains(q)), "{knees:?}");
+    // what bends already stays as it is
+    let bent = quadruped().replace("xyz=\"0 0 -0.085\"", "xyz=\"-0.05 0 -0.06\"");
+    let bent = bent.replace("xyz=\"0 0 -0.08\"", "xyz=\"0.05 0 -0.06\"");
+    assert!(
+        model(&read("bent.urdf", &bent).unwrap())
+            .nominal_pos_rad()
+            .iter()
+            .all(|q| *q == 0.0)
+    );
+}
+
+#[test]
+fn legs_that_the_file_stretches_out_stand_spread() {
+    let mut text = quadruped();
+    for (old, new) in [
+        ("xyz=\"0 0 -0.085\"", "xyz=\"0.11 0 0\""),
+        ("xyz=\"0 0 -0.08\"", "xyz=\"0.07 0 0\""),
+    ] {
+        text = text.replace(old, new);
+    }
+    for (y, yaw) in [("0.06", "1.5708"), ("-0.06", "-1.5708")] {
+        text = text.replace(
+            &format!(" {y} 0\"/><parent"),
+            &format!(" {y} 0\" rpy=\"0 0 {yaw}\"/><parent"),
+        );
+    }
+    let text = text
+        .replace("\"-2.5\" upper=\"0.2\"", "\"-0.2\" upper=\"2.5\"")
+        .replace("0 -1 0", "0 1 0");
+    let m = model(&read("spider.urdf", &text).unwrap());
+    let feet = feet(&m);
+    assert_eq!(feet.len(), 4, "{feet:?}");
+    assert!(
+        feet.iter().all(|f| f[2] < -0.1 && f[1].abs() > 0.12),
+        "{feet:?}"
+    );
+}
+
+#[test]
+fn names_are_those_that_policies_and_logs_can_carry() {
+    let made = read("dog.urdf", &quadruped()).unwrap();
+    assert_eq!(made.name, "huendchen");
+    let m = model(&made);
+    let names = m.actuated_names();
+    assert_eq!(names[0], "fl_huefte");
+    assert!(
+        names[1].len() <= 32 && names[1].starts_with("fl_knee_of_a_nam"),
+        "{names:?}"
+    );
+    assert!(told(&made, "is called `fl_huefte` here"));
+}
+
+#[test]
+fn a_sole_is_all_its_balls_and_its_toes_need_no_drive() {
+    let leg = |name: &str, y: f64| {
+        let corner =
+            |x: f64, y: f64| format!("<geom size=\"0.01\" pos=\"{x} {y} -0.02\" mass=\"0.01\"/>");
+        let balls = [
+            corner(0.04, 0.02),
+            corner(0.04, -0.02),
+            corner(-0.04, 0.02),
+            corner(-0.04, -0.02),
+        ]
+        .concat();
+        format!(
+            "<body name=\"{name}_shin\" pos=\"0 {y} -0.2\"><joint name=\"{name}_knee\" axis=\"0 1 0\" range=\"-1 1\"/>\
+             <geom size=\"0.02\" mass=\"0.2\"/><body name=\"{name}_foot\" pos=\"0 0 -0.2\">\
+             <joint name=\"{name}_ankle\" axis=\"0 1 0\" range=\"-1 1\"/>{balls}\
+             <body name=\"{name}_toe\" pos=\"0.05 0 -0.02\"><joint name=\"{name}_toe\" axis=\"0 1 0\" range=\"-1 1\" stiffness=\"1\"/>\
+             <geom type=\"box\" size=\"0.02 0.02 0.01\" pos=\"0.02 0 0\" mass=\"0.02\"/></body></body></body>"
+        )
+    };
+    let motors: String = ["l_knee", "l_ankle", "r_knee", "r_ankle"]
+        .map(|j| format!("<motor joint=\"{j}\"/>"))
+        .concat();
+    let text = format!(
+        "<mujoco><compiler angle=\"radian\"/><worldbody><body name=\"hips\"><freejoint/><geom size=\"0.05\" mass=\"1\"/>{}{}\
+         </body></worldbody><actuator>{motors}</actuator></mujoco>",
+        leg("l", 0.06),
+        leg("r", -0.06)
+    );
+    let m = model(&read("toes.xml", &text).unwrap());
+    let names: Vec<(&str, usize)> = m
+        .feet()
+        .iter()
+        .map(|f| (f.name.as_str(), f.geoms.len()))
+        .collect();
+    assert_eq!(names, [("l_foot", 4), ("r_foot", 4)]);
+    // the toes hang as the file has them
+    assert!(m.joints().len() == 6 && feet(&m)[0][2] < -0.3);
+    // no drive says its torque: 1.52 kg that reach 0.46 m
+    let torque_nm = m.servo(0).tau_max_nm;
+    assert!((4.0..9.0).contains(&torque_nm), "{torque_nm}");
+}
+
+#[test]
+fn units_that_are_hardly_meant_are_told() {
+    let plain = quadruped();
+    let quiet = read("dog.urdf", &plain).unwrap();
+    assert!(
+        !told(&quiet, "degrees") && !told(&quiet, "unit"),
+        "{:?}",
+        quiet.notes
+    );
+    for (old, new, word) in [
+        (
+            "lower=\"-1.57\" upper=\"1.57\"",
+            "lower=\"-90\" upper=\"90\"",
+            "are they degrees?",
+        ),
+        ("mass value=\"0.", "mass value=\"80", "mass in grams"),
+        (
+            "ixx=\"0.00003\" iyy=\"0.00003\" izz=\"0.00003\"",
+            "ixx=\"30000\" iyy=\"30000\" izz=\"30000\"",
+            "in another unit (g, g·mm²)",
+        ),
+    ] {
+        assert!(plain.contains(old), "{old}");
+        let made = read("units.urdf", &plain.replace(old, new)).unwrap();
+        assert!(told(&made, word), "{word}: {:?}", made.notes);
+    }
+    // no body has this; the line is that of the link in the file
+    let wrong = plain.replacen("ixx=\"0.001\"", "ixx=\"0.01\"", 1);
+    let said = refused("wrong.urdf", &wrong);
+    assert!(
+        said.len() == 1
+            && said[0].starts_with("1 <link name=\"base\">")
+            && said[0].contains("triangle"),
+        "{said:?}"
+    );
+}
+
+#[test]
+fn every_fault_of_a_urdf_is_said_at_once() {
+    let said = refused(
+        "faults.urdf",
+        r#"<robot name="faults">
+  <link name="base"/>
+  <link name="a"><inertial><mass value="abc"/></inertial></link>
+  <joint name="j" type="revolute"><parent link="base"/><child link="b"/><axis xyz="0 0 0"/></joint>
+  <joint name="k" type="floating"><parent link="bsae"/><child link="a"/></joint>
+  <joint name="k" type="planar"><parent link="a"/><child link="a"/></joint>
+</robot>"#,
+    );
+    for (line, part) in [
+        (3, "`abc` is not a usable number"),
+        (4, "there is no link `b`"),
+        (4, "no direction"),
+        (5, "there is no link `bsae`"),
+        (5, "floating joint"),
+        (6, "hangs on another joint already"),
+        (6, "another of this name"),
+        (6, "a planar joint"),
+    ] {
+        let found = said
+            .iter()
+            .any(|s| s.starts_with(&format!("{line} ")) && s.contains(part));
+        assert!(found, "line {line}, {part}: {said:#?}");
+    }
+}
+
+#[test]
+fn a_xacro_says_what_to_do_with_it() {
+    for text in [
+        "<robot xmlns:xacro=\"http://www.ros.org/wiki/xacro\" name=\"x\">\n<xacro:include filename=\"leg.xacro\"/></robot>",
+        "<robot name=\"x\">\n<link name=\"base\"><inertial><mass value=\"${m}\"/></inertial></link></robot>",
+    ] {
+        let said = refused("x.urdf.xacro", text);
+        assert!(
+            said.len() == 1 && said[0].starts_with("2 ") && said[0].contains("x.urdf.xacro > "),
+            "{said:?}"
+        );
+    }
+}
