@@ -45,3 +45,25 @@ fn a_robot_that_is_held_cannot_walk() {
         "{check}"
     );
 }
+
+/// The quadruped with `change` made in both of its files.
+fn changed_quadruped(change: impl Fn(&str) -> String) -> RobotModel {
+    let robots = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../robots");
+    let folder = tempfile::tempdir().unwrap();
+    for file in ["quadruped.robot.toml", "quadruped.xml"] {
+        let text = std::fs::read_to_string(robots.join(file)).unwrap();
+        std::fs::write(folder.path().join(file), change(&text)).unwrap();
+    }
+    RobotModel::load(&folder.path().join("quadruped.robot.toml")).unwrap()
+}
+
+#[test]
+fn a_robot_that_falls_through_the_ground_or_has_no_name_for_a_joint_cannot_walk() {
+    assert!(can_walk(&changed_quadruped(str::to_owned)).is_ok());
+    let ghost = |text: &str| text.replace("conaffinity=\"1\"", "conaffinity=\"0\"");
+    let why = can_walk(&changed_quadruped(ghost)).unwrap_err().to_string();
+    assert!(why.contains("no shape that touches the ground"), "{why}");
+    let comma = |text: &str| text.replace("FL_thigh", "FL,thigh");
+    let why = can_walk(&changed_quadruped(comma)).unwrap_err().to_string();
+    assert!(why.contains("`FL,thigh`"), "{why}");
+}
