@@ -31,6 +31,8 @@ pub struct Plan {
     pub without: Vec<String>,
     /// The salamander instead of a bench rig.
     pub salamander: Option<(BaseHold, Hides, Channels)>,
+    /// Whether the robot also follows, faintly, laws that no catalogue has.
+    pub other_laws: bool,
 }
 
 /// The sets of cases.
@@ -151,6 +153,7 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
         decoy: None,
         without: Vec::new(),
         salamander: None,
+        other_laws: false,
     };
     let rig = |i: usize| {
         if set == SetName::Quick || i % 3 != 2 {
@@ -220,7 +223,7 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
 
 /// What the diagnosis has to do without where `h` is left out of its catalogue: it, and whatever says the
 /// same or more.
-fn left_out_with(h: &Hidden, rig: &str) -> Vec<String> {
+pub(crate) fn left_out_with(h: &Hidden, rig: &str) -> Vec<String> {
     let of_one: &[(&str, &str)] = if rig == "pendulum" { WIDER_OF_ONE } else { &[] };
     let wider = WIDER.iter().chain(of_one).filter(|(id, _)| *id == h.id);
     let same = h.equivalent.0.iter().chain(h.equivalent.1).copied();
@@ -231,7 +234,7 @@ fn left_out_with(h: &Hidden, rig: &str) -> Vec<String> {
 }
 
 /// Two effects of d = 4: three in ten pairs look alike, six in ten are at one joint.
-fn pair(i: usize, rig: &str, s: &mut Stream) -> Vec<(&'static Hidden, usize, f64)> {
+pub(crate) fn pair(i: usize, rig: &str, s: &mut Stream) -> Vec<(&'static Hidden, usize, f64)> {
     let first_joint = joint(rig, s);
     let (a, b) = match i % 10 {
         0..3 => LOOK_ALIKE[s.below(LOOK_ALIKE.len() as u64) as usize],
@@ -261,6 +264,7 @@ fn singles(set: SetName, amount: Amount, s: &mut Stream) -> Vec<Plan> {
         decoy: None,
         without: Vec::new(),
         salamander: None,
+        other_laws: false,
     };
     let mut plans = Vec::new();
     match set {
@@ -358,11 +362,11 @@ fn in_water(i: usize, s: &mut Stream) -> (BaseHold, Hides, Channels) {
     (BaseHold::Water, hidden, ALL)
 }
 
-fn joint(rig: &str, s: &mut Stream) -> usize {
+pub(crate) fn joint(rig: &str, s: &mut Stream) -> usize {
     if rig == "arm" { s.below(2) as usize } else { 0 }
 }
 
-fn any(s: &mut Stream, fits: impl Fn(&Hidden) -> bool) -> &'static Hidden {
+pub(crate) fn any(s: &mut Stream, fits: impl Fn(&Hidden) -> bool) -> &'static Hidden {
     let all: Vec<&'static Hidden> = CATALOGUE.iter().filter(|h| fits(h)).collect();
     all[s.below(all.len() as u64) as usize]
 }

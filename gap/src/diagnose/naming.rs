@@ -4,7 +4,6 @@
 use std::collections::BTreeSet;
 
 use super::alike::{indistinguishable, trades, wider};
-use super::doubt::{much_is_left, one_place};
 use super::fits::{penalised, single, swapped};
 use super::gates::{self, Worth};
 use super::refine::refine;
@@ -27,21 +26,6 @@ const MARGIN_FLOORS: f64 = 0.06;
 /// A rival that fails to explain this share of what the cause does is none, even if what it does could as well be
 /// done by other sizes of the model's effects ([`trades`]).
 const TRADES_AT_MOST: f64 = 0.03;
-/// A cause with less than this probability of its name is none …
-const UNNAMED: f64 = 0.2;
-/// … unless its layer (friction, motor, timing …) has this one.
-const LAYER_KNOWN: f64 = 0.6;
-/// Where much is left unexplained, a cause must take this share off the misfit of its joint, …
-const LEAST_SHARE_IN_PART: f64 = 0.08;
-/// … and where it takes less than this one off, be sure to take any. What takes less off than this of what a
-/// careful lab would not leave, beside a greater cause, is a lead and no finding ([`is_a_lead`]): of the
-/// benchmark's second names (seeds 73, 79 and 83) 23 such were wrong and 2 right; of those with more, 13 (8
-/// of them beside what is not in the catalogue) and 29.
-const GREAT_SHARE: f64 = 0.5;
-/// The same of the runs that are fitted, where they ask for it more: of 19 wrong leads (pairs and laws
-/// outside the catalogue, seeds 101 to 113) none took more than 0.51 off those, and three of four right ones
-/// 0.69 to 0.82.
-const GREAT_SHARE_OF_FIT: f64 = 0.6;
 /// Two look-alikes are both there if together they take this share off what the cause alone leaves of the
 /// runs that are fitted …
 const MORE_TOGETHER: f64 = 0.25;
@@ -115,7 +99,7 @@ pub fn name(context: &Context, found: &mut Found, out: &mut Vec<Named>) -> Resul
             if steps < MOST_STEPS {
                 better = put_right(context, found, &named, &seen)?;
             }
-            if better.is_none() && !is_a_cause(context, found, &named) {
+            if better.is_none() && named.worth.cross <= 0.0 {
                 better = Some(named.without.clone());
             }
             if let Some(better) = better {
@@ -142,8 +126,8 @@ fn put_right(
     let rivals: Vec<&Rival> = named.rivals.iter().filter(|r| new(&r.state)).collect();
     let other = simpler(context, best, named, &rivals)
         .or(less_of_each(context, best, &rivals)?)
-        .or_else(|| more_probable(context, found, named, &rivals));
-    if other.is_some() || !is_a_cause(context, found, named) {
+        .or_else(|| more_probable(context, best, named, &rivals));
+    if other.is_some() || named.worth.cross <= 0.0 {
         return Ok(other);
     }
     Ok(both(context, best, named)?.filter(new))
@@ -164,7 +148,7 @@ fn simpler(context: &Context, best: &State, named: &Named, rivals: &[&Rival]) ->
             // what the wider law has beyond its special case must earn its place as a further cause beside it
             // would
             let more = gates::worth(context, &r.state, best, Some(&own.place));
-            return !more.passed || is_a_lead(gates::quiet(context), &more);
+            return !more.passed;
         }
         // what is clearly worse does not say the same
         let more = gates::worth(context, &r.state, best, None);
@@ -240,12 +224,11 @@ fn chances(state: &State) -> usize {
 /// be a cause in its place.
 fn more_probable(
     context: &Context,
-    found: &Found,
+    best: &State,
     named: &Named,
     rivals: &[&Rival],
 ) -> Option<State> {
     let model = context.replayer.model();
-    let best = &found.best;
     let takes_over = |r: &&&Rival| {
         let term = &r.state.terms[r.index];
         let worth = || gates::worth(context, &named.without, &r.state, Some(&term.place));
@@ -255,37 +238,9 @@ fn more_probable(
             && gates::matters(context, term)
             && !by_chance()
             && worth().passed
-            && enough_in_part(context, found, &r.state, &worth())
     };
     let first = rivals.iter().find(takes_over)?;
     Some(first.state.clone())
-}
-
-/// Whether what is in `named` deserves to be called a cause.
-fn is_a_cause(context: &Context, found: &Found, named: &Named) -> bool {
-    // one of which nobody can tell the name, nor even the layer, is a leftover, unless its size and theirs are one
-    let traded = named.rivals.iter().filter(|r| r.traded);
-    let traded: f64 = traded.map(|r| r.probability).sum();
-    let own = named.probability + same_name(found, named) + traded;
-    if own < UNNAMED && same_layer(found, named) < LAYER_KNOWN {
-        return false;
-    }
-    enough_in_part(context, found, &found.best, &named.worth)
-}
-
-/// Whether a cause that is worth `worth` in `best` explains enough: what takes little off where much is left,
-/// or is not sure to take any off a joint of which much is left, stands in for what is not in the catalogue.
-fn enough_in_part(context: &Context, found: &Found, best: &State, worth: &Worth) -> bool {
-    if worth.cross <= 0.0 {
-        return false;
-    }
-    if !much_is_left(context, &found.base, best) {
-        return true;
-    }
-    let share = worth.cross / worth.of.max(1e-9);
-    let well_explained = worth.of - worth.cross < gates::quiet(context);
-    let sure = worth.interval.0 > 0.0 || share >= GREAT_SHARE || well_explained;
-    share >= LEAST_SHARE_IN_PART && sure
 }
 
 /// The model with a rival of the answer set beside the cause in `named`, if there is one with which it says
@@ -333,50 +288,6 @@ fn both(context: &Context, best: &State, named: &Named) -> Result<Option<State>,
         .into_iter()
         .filter(more)
         .min_by(|a, b| penalised(context, a).total_cmp(&penalised(context, b))))
-}
-
-/// Whether what is worth `worth` on top of a greater cause at its place makes the model better and may as
-/// well make up for what that one's law lacks: of what careful labs would not leave (`quiet` floors they do)
-/// it takes less off than it leaves, in cross-validation and of the runs as they are fitted.
-fn is_a_lead(quiet: f64, worth: &Worth) -> bool {
-    worth.cross < GREAT_SHARE * (worth.of - quiet)
-        && worth.fit < GREAT_SHARE_OF_FIT * (worth.fit_of - quiet)
-}
-
-/// Which of the causes in `order`, greatest first, are leads and no findings ([`is_a_lead`], with all others
-/// in the model): beside one that is surely greater. Of two that take as much nobody knows which makes up for
-/// the other.
-pub fn leads(context: &Context, best: &State, order: &[&Named]) -> Vec<bool> {
-    let mut out: Vec<bool> = Vec::new();
-    let place = |n: &Named| &best.terms[n.index].place;
-    for (k, n) in order.iter().enumerate() {
-        let greater = order[..k].iter().zip(&out).any(|(greater, is_lead)| {
-            !is_lead
-                && greater.worth.interval.0 > n.worth.cross
-                && one_place(context, place(greater), place(n))
-        });
-        out.push(greater && is_a_lead(gates::quiet(context), &n.worth));
-    }
-    out
-}
-
-/// Probability of the same effect at other places.
-fn same_name(found: &Found, named: &Named) -> f64 {
-    let effect = found.best.terms[named.index].effect;
-    named
-        .rivals
-        .iter()
-        .filter(|r| r.state.terms[r.index].effect == effect)
-        .map(|r| r.probability)
-        .sum()
-}
-
-/// Probability of all effects of the same layer.
-fn same_layer(found: &Found, named: &Named) -> f64 {
-    let layer = found.best.terms[named.index].effect.layer;
-    let rivals = named.rivals.iter();
-    let of_layer = rivals.filter(|r| r.state.terms[r.index].effect.layer == layer);
-    named.probability + of_layer.map(|r| r.probability).sum::<f64>()
 }
 
 /// Everything that could stand in the place of term `index` of the best model, fitted.
@@ -477,40 +388,4 @@ fn rivals<'a>(term: &crate::replay::Term, screened: &'a [Screened]) -> Vec<&'a S
         chosen.push(s);
     }
     chosen
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Takes `cross` of 1 off in cross-validation and `fit` of 1 off the runs as they are fitted.
-    fn worth(cross: f64, fit: f64) -> Worth {
-        Worth {
-            fit,
-            fit_of: 1.0,
-            cross,
-            of: 1.0,
-            low: 0.0,
-            interval: (0.0, 0.0),
-            beyond_doubt: false,
-            passed: true,
-            why: "",
-        }
-    }
-
-    #[test]
-    fn runs_that_ask_for_a_cause_most_say_whether_it_takes_most() {
-        assert!(!is_a_lead(0.0, &worth(0.5, 0.1)));
-        // parts that are left out hardly ask for an integral part, and all of them together do
-        assert!(!is_a_lead(0.0, &worth(0.18, 0.69)));
-        assert!(is_a_lead(0.0, &worth(0.46, 0.51)));
-    }
-
-    #[test]
-    fn what_careful_labs_leave_is_nothing_that_a_cause_should_have_taken() {
-        // 0.37 of 1, and of 0.6 that need an explanation more than half
-        assert!(is_a_lead(0.0, &worth(0.37, 0.37)));
-        assert!(!is_a_lead(0.4, &worth(0.37, 0.37)));
-        assert!(!is_a_lead(1.0, &worth(0.01, 0.01)));
-    }
 }
