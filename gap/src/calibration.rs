@@ -2,80 +2,57 @@
 //! doubted. The numbers are data, which `caudata bench calibrate` makes from robots whose laws are not the
 //! catalogue's own.
 
-use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
 
 use crate::error::GapError;
 use crate::report::Grounds;
 
 /// The file that the program has.
-const SHIPPED: &str = include_str!("calibration.toml");
+const SHIPPED: &str = include_str!("calibration.json");
 /// Version of the file's form.
-pub const VERSION: u32 = 1;
+const VERSION: u64 = 1;
 
 /// What is known of names by their evidence.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
-    /// [`VERSION`].
-    pub version: u32,
     /// The command that made it.
     pub command: String,
     /// Seed of its cases.
     pub seed: u64,
     /// How many cases gave a report.
-    pub cases: usize,
+    pub cases: u64,
     /// How many names they gave, leads included.
-    pub names: usize,
+    pub names: u64,
     /// How many of these were right.
-    pub right: usize,
+    pub right: u64,
     /// Nobody is surer than this: of the surest third of the names, what was right, by the rule of succession.
     pub surest: f64,
-    /// A name is told as a finding if it is as probable as this once its look-alikes count as the same; else it
-    /// is a lead.
-    pub finding: f64,
-    /// From evidence to log odds.
-    pub log_odds: Weights,
-    /// From what on a model is doubted.
-    pub doubts: Thresholds,
-    /// The same before any of the cases.
-    pub by_hand: ByHand,
+    /// From evidence to a probability.
+    pub map: Map,
+    /// The same before any of the cases: what rules by hand said of evidence from all over its range.
+    pub by_hand: Map,
 }
 
-/// What rules by hand said: where a fit begins.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ByHand {
-    /// What they said of evidence from all over its range.
+/// From evidence to a probability.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Map {
+    /// Log odds that a name is right.
     pub log_odds: Weights,
-    /// Their limits.
+    /// From what on a model is doubted.
     pub doubts: Thresholds,
 }
 
 /// Log odds that a name is right: a constant and a weight for each [feature](features).
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Weights {
-    /// Without evidence.
+    /// Log odds where all features are 0.
     pub constant: f64,
-    /// Of the log odds of the name among its look-alikes.
-    pub among_look_alikes: f64,
-    /// Of the share that the cause takes off.
-    pub gain: f64,
-    /// Of ln(1 + its distance from nothing).
-    pub distance: f64,
-    /// Where much is left.
-    pub much_left: f64,
-    /// Where it has no one size.
-    pub inconstant: f64,
-    /// Where a size is at its bound.
-    pub at_bound: f64,
-    /// Where its interval holds nothing.
-    pub may_be_nothing: f64,
+    /// In the order of [`FEATURES`].
+    pub each: [f64; FEATURE_COUNT],
 }
 
 /// From what on something speaks against a model.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Thresholds {
     /// Floors left times their share of what there was.
     pub left: f64,
@@ -84,16 +61,24 @@ pub struct Thresholds {
 }
 
 /// How many features there are.
-pub const FEATURES: usize = 7;
-/// Which way each may only count.
-pub const SIGNS: [f64; FEATURES] = [1.0, 1.0, 1.0, -1.0, -1.0, -1.0, -1.0];
+pub const FEATURE_COUNT: usize = 7;
+/// Name of each feature, and which way it may only count.
+pub const FEATURES: [(&str, f64); FEATURE_COUNT] = [
+    ("among_look_alikes", 1.0),
+    ("gain", 1.0),
+    ("distance", 1.0),
+    ("much_left", -1.0),
+    ("inconstant", -1.0),
+    ("at_bound", -1.0),
+    ("may_be_nothing", -1.0),
+];
 /// A probability among look-alikes is never told nearer to 0 or 1 than this: their number is finite.
-const FINEST: f64 = 0.02;
+const FINEST_TOLD: f64 = 0.02;
 
-/// Grounds as the numbers that weights count, in the order of [`Weights`].
+/// Grounds as the numbers that weights count, in the order of [`FEATURES`].
 #[must_use]
-pub fn features(g: &Grounds, doubts: &Thresholds) -> [f64; FEATURES] {
-    let p = g.among_look_alikes.clamp(FINEST, 1.0 - FINEST);
+pub fn features(g: &Grounds, doubts: &Thresholds) -> [f64; FEATURE_COUNT] {
+    let p = g.among_look_alikes.clamp(FINEST_TOLD, 1.0 - FINEST_TOLD);
     let flag = |x: bool| if x { 1.0 } else { 0.0 };
     [
         (p / (1.0 - p)).ln(),
@@ -115,51 +100,79 @@ impl Thresholds {
 }
 
 impl Weights {
-    /// A constant and weights in the order of [`features`].
-    #[must_use]
-    pub fn of(constant: f64, w: [f64; FEATURES]) -> Self {
-        let [
-            among_look_alikes,
-            gain,
-            distance,
-            much_left,
-            inconstant,
-            at_bound,
-            may_be_nothing,
-        ] = w;
-        Self {
-            constant,
-            among_look_alikes,
-            gain,
-            distance,
-            much_left,
-            inconstant,
-            at_bound,
-            may_be_nothing,
-        }
-    }
-
-    /// The weights in the order of [`features`].
-    #[must_use]
-    pub fn each(&self) -> [f64; FEATURES] {
-        [
-            self.among_look_alikes,
-            self.gain,
-            self.distance,
-            self.much_left,
-            self.inconstant,
-            self.at_bound,
-            self.may_be_nothing,
-        ]
-    }
-
     /// Probability that a name is right.
     #[must_use]
-    pub fn probability(&self, features: &[f64; FEATURES]) -> f64 {
-        let each = self.each().into_iter().zip(features);
-        let sum: f64 = each.map(|(w, x)| w * x).sum();
+    pub fn probability(&self, features: &[f64; FEATURE_COUNT]) -> f64 {
+        let sum: f64 = self.each.iter().zip(features).map(|(w, x)| w * x).sum();
         1.0 / (1.0 + (-self.constant - sum).exp())
     }
+}
+
+impl Map {
+    fn read(of: &Value) -> Result<Self, GapError> {
+        let [log_odds, doubts] = members(of, ["log_odds", "doubts"])?;
+        let mut names = ["constant"; FEATURE_COUNT + 1];
+        for (name, feature) in names[1..].iter_mut().zip(FEATURES) {
+            *name = feature.0;
+        }
+        let [constant, each @ ..] = members(log_odds, names)?;
+        let mut weights = Weights {
+            constant: number(constant)?,
+            ..Weights::default()
+        };
+        for (weight, value) in weights.each.iter_mut().zip(each) {
+            *weight = number(value)?;
+        }
+        let [left, scatter] = members(doubts, ["left", "scatter"])?;
+        Ok(Self {
+            log_odds: weights,
+            doubts: Thresholds {
+                left: number(left)?,
+                scatter: number(scatter)?,
+            },
+        })
+    }
+
+    fn to_json(self) -> Value {
+        let each = FEATURES.iter().zip(self.log_odds.each);
+        let mut log_odds = json!({ "constant": self.log_odds.constant });
+        for ((name, _), weight) in each {
+            log_odds[*name] = weight.into();
+        }
+        json!({
+            "log_odds": log_odds,
+            "doubts": { "left": self.doubts.left, "scatter": self.doubts.scatter },
+        })
+    }
+}
+
+/// Exactly the members `names` of an object.
+fn members<'a, const N: usize>(
+    of: &'a Value,
+    names: [&str; N],
+) -> Result<[&'a Value; N], GapError> {
+    let wrong = |what: String| GapError::Calibration(what);
+    let of = of
+        .as_object()
+        .ok_or_else(|| wrong(format!("{of} where {} are due", names.join(", "))))?;
+    if let Some(key) = of.keys().find(|k| !names.contains(&k.as_str())) {
+        return Err(wrong(format!("unknown key {key}")));
+    }
+    let mut out = [&Value::Null; N];
+    for (member, name) in out.iter_mut().zip(names) {
+        *member = of.get(name).ok_or_else(|| wrong(format!("no {name}")))?;
+    }
+    Ok(out)
+}
+
+fn number(of: &Value) -> Result<f64, GapError> {
+    let wrong = || GapError::Calibration(format!("{of} where a number is due"));
+    of.as_f64().ok_or_else(wrong)
+}
+
+fn count(of: &Value) -> Result<u64, GapError> {
+    let wrong = || GapError::Calibration(format!("{of} where a count is due"));
+    of.as_u64().ok_or_else(wrong)
 }
 
 impl Calibration {
@@ -176,32 +189,59 @@ impl Calibration {
     /// # Errors
     /// [`GapError::Calibration`] where a key is unknown or missing, or the file is of another form.
     pub fn parse(text: &str) -> Result<Self, GapError> {
-        let found: Self = toml::from_str(text).map_err(|e| {
-            let line = e.message().lines().next().unwrap_or_default().to_owned();
-            GapError::Calibration(line)
-        })?;
-        if found.version != VERSION {
-            let message = format!("version {} where {VERSION} is read", found.version);
-            return Err(GapError::Calibration(message));
+        let wrong = |what: String| GapError::Calibration(what);
+        let file: Value = serde_json::from_str(text).map_err(|e| wrong(e.to_string()))?;
+        let keys = [
+            "version", "command", "seed", "cases", "names", "right", "surest", "map", "by_hand",
+        ];
+        let [
+            version,
+            command,
+            seed,
+            cases,
+            names,
+            right,
+            surest,
+            map,
+            by_hand,
+        ] = members(&file, keys)?;
+        if count(version)? != VERSION {
+            return Err(wrong(format!("version {version} where {VERSION} is read")));
         }
-        Ok(found)
+        Ok(Self {
+            command: command.as_str().unwrap_or_default().to_owned(),
+            seed: count(seed)?,
+            cases: count(cases)?,
+            names: count(names)?,
+            right: count(right)?,
+            surest: number(surest)?,
+            map: Map::read(map)?,
+            by_hand: Map::read(by_hand)?,
+        })
+    }
+
+    /// The file.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let file = json!({
+            "version": VERSION,
+            "command": self.command,
+            "seed": self.seed,
+            "cases": self.cases,
+            "names": self.names,
+            "right": self.right,
+            "surest": self.surest,
+            "map": self.map.to_json(),
+            "by_hand": self.by_hand.to_json(),
+        });
+        format!("{file:#}\n")
     }
 
     /// How probable it is that a name with these grounds is right.
     #[must_use]
     pub fn confidence(&self, grounds: &Grounds) -> f64 {
-        let told = self.log_odds.probability(&features(grounds, &self.doubts));
+        let told = (self.map.log_odds).probability(&features(grounds, &self.map.doubts));
         told.clamp(1.0 - self.surest, self.surest)
-    }
-
-    /// Whether a name, or one of its look-alikes, is probable enough to be told as a finding.
-    #[must_use]
-    pub fn is_finding(&self, grounds: &Grounds) -> bool {
-        let any_of_them = Grounds {
-            among_look_alikes: 1.0,
-            ..*grounds
-        };
-        self.confidence(&any_of_them) >= self.finding
     }
 }
 
@@ -241,7 +281,7 @@ mod tests {
         }
         // what careful labs leave is not much, however little there was
         all.little_left = true;
-        assert!(!shipped.doubts.much(&all));
+        assert!(!shipped.map.doubts.much(&all));
         assert!(shipped.confidence(&all) < 0.5);
     }
 
@@ -250,8 +290,16 @@ mod tests {
         let told = |text: String| Calibration::parse(&text).unwrap_err().to_string();
         let misspelt = SHIPPED.replace("at_bound", "at_buond");
         assert!(told(misspelt).contains("at_buond"));
-        let version = format!("version = {VERSION}");
-        let later = SHIPPED.replace(&version, &format!("version = {}", VERSION + 1));
+        let later = SHIPPED.replace("\"version\": 1", "\"version\": 2");
         assert!(told(later).contains("version"));
+        let wordy = SHIPPED.replace("\"seed\": ", "\"seed\": -");
+        assert!(told(wordy).contains("where a count is due"));
+    }
+
+    #[test]
+    fn a_file_is_read_as_it_is_written() {
+        let shipped = Calibration::shipped().unwrap();
+        assert_eq!(shipped.text(), SHIPPED);
+        assert_eq!(Calibration::parse(&shipped.text()).unwrap(), shipped);
     }
 }

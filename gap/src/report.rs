@@ -20,8 +20,8 @@ pub struct Report {
     pub divergence_after: Vec<Divergence>,
     /// Named causes, strongest first.
     pub causes: Vec<Cause>,
-    /// Effects that the extended model carries beside them and whose names are improbable: they may be there, and
-    /// may make up for what a cause's law lacks. Strongest first.
+    /// Effects that the extended model carries beside them and that are no findings, since they take less off
+    /// than they leave: they may be there, and may make up for what a cause's law lacks. Strongest first.
     #[serde(default)]
     pub leads: Vec<Cause>,
     /// What speaks against the causes; not empty where the verdict is [`Verdict::PartlyExplained`].

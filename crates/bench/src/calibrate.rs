@@ -34,14 +34,12 @@ pub struct Plan {
 pub struct Finding {
     /// Seed of the cases.
     pub seed: u64,
-    /// Of what was said.
+    /// How well what was said fits what was right.
     pub as_given: Score,
-    /// Of the map that the program has: the same, where it made the cases.
+    /// The same of the map that the program has.
     pub shipped: Score,
-    /// Of maps of four fifths of the cases on the others, where a map was asked for.
+    /// The same of maps of four fifths of the cases on the others, where a map was asked for.
     pub left_out: Option<Score>,
-    /// That map.
-    pub map: Option<Calibration>,
     /// One per case.
     pub cases: Vec<Case>,
 }
@@ -72,17 +70,13 @@ pub fn run(plan: &Plan, program: &Path, tell: &mut dyn FnMut(&Case)) -> Result<F
         fit::fit(&cases, shipped.by_hand, command, plan.seed)
     });
     if let (Some(out), Some(map)) = (&plan.out, &map) {
-        files::write(
-            out,
-            toml::to_string_pretty(map).or_exit(ExitCode::Internal)?,
-        )?;
+        files::write(out, map.text())?;
     }
     Ok(Finding {
         seed: plan.seed,
         as_given: fit::as_given(&cases),
         shipped: fit::as_mapped(&cases, &shipped),
         left_out: (map.as_ref()).map(|_| fit::left_out(&cases, shipped.by_hand)),
-        map,
         cases,
     })
 }

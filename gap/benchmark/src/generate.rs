@@ -110,6 +110,7 @@ pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateErro
 
 /// What a robot of another maker has: bristles, windings, a bridge and a loop of its own, and up to two laws that
 /// no catalogue has, from what nobody sees to a little more than a careful lab's differences.
+#[inline(never)]
 fn other_laws(
     request: &Request<'_>,
     world: &mut World,

@@ -178,7 +178,7 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
     }
     for i in 0..counts.left_out {
         let mut p = case(Block::Outside, rig(i), &mut s);
-        let h = any(&mut s, |h| h.scope == Scope::Joint && h.layer != "sensing");
+        let h = any(&mut s, &|h| h.scope == Scope::Joint && h.layer != "sensing");
         p.effects = vec![(h, joint(p.rig, &mut s), 4.0)];
         p.without = left_out_with(h, p.rig);
         plans.push(p);
@@ -198,7 +198,7 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
     for i in 0..counts.changes {
         let mut p = case(Block::HoldoutChange, rig(i), &mut s);
         p.effects = vec![(
-            any(&mut s, |h| h.scope == Scope::Joint && h.layer != "sensing"),
+            any(&mut s, &|h| h.scope == Scope::Joint && h.layer != "sensing"),
             joint(p.rig, &mut s),
             8.0,
         )];
@@ -223,6 +223,7 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
 
 /// What the diagnosis has to do without where `h` is left out of its catalogue: it, and whatever says the
 /// same or more.
+#[inline(never)]
 pub(crate) fn left_out_with(h: &Hidden, rig: &str) -> Vec<String> {
     let of_one: &[(&str, &str)] = if rig == "pendulum" { WIDER_OF_ONE } else { &[] };
     let wider = WIDER.iter().chain(of_one).filter(|(id, _)| *id == h.id);
@@ -234,16 +235,17 @@ pub(crate) fn left_out_with(h: &Hidden, rig: &str) -> Vec<String> {
 }
 
 /// Two effects of d = 4: three in ten pairs look alike, six in ten are at one joint.
+#[inline(never)]
 pub(crate) fn pair(i: usize, rig: &str, s: &mut Stream) -> Vec<(&'static Hidden, usize, f64)> {
     let first_joint = joint(rig, s);
     let (a, b) = match i % 10 {
         0..3 => LOOK_ALIKE[s.below(LOOK_ALIKE.len() as u64) as usize],
         _ => {
-            let a = any(s, |h| h.scope == Scope::Joint);
+            let a = any(s, &|h| h.scope == Scope::Joint);
             let apart = |h: &Hidden| {
                 h.scope != Scope::Chain && h.id != a.id && !h.equivalent.0.contains(&a.id)
             };
-            (a.id, any(s, apart).id)
+            (a.id, any(s, &apart).id)
         }
     };
     let second_joint = match i % 10 < 6 {
@@ -254,6 +256,7 @@ pub(crate) fn pair(i: usize, rig: &str, s: &mut Stream) -> Vec<(&'static Hidden,
     both.filter_map(|(h, j)| Some((h?, j, 4.0))).collect()
 }
 
+#[inline(never)]
 fn singles(set: SetName, amount: Amount, s: &mut Stream) -> Vec<Plan> {
     let one = |h: &'static Hidden, rig: &'static str, j: usize, d: f64, s: &mut Stream| Plan {
         block: Block::Single,
@@ -320,6 +323,7 @@ const ALL: Channels = Channels {
 
 /// Cases on the ground in turn: play at each hinge, the paper's robot, slippery feet, a payload, a slope,
 /// nothing.
+#[inline(never)]
 fn on_ground(i: usize, s: &mut Stream) -> (BaseHold, Hides, Channels) {
     let half_width_deg = s.uniform_f64(2.0, 5.0);
     let paper = Hides::Paper {
@@ -349,6 +353,7 @@ fn on_ground(i: usize, s: &mut Stream) -> (BaseHold, Hides, Channels) {
 
 /// Cases in water in turn (a current below 0.1 m/s is within what is allowed of a pool that stirs): drag,
 /// buoyancy, added mass, a current, heave damping, the centre of buoyancy, nothing.
+#[inline(never)]
 fn in_water(i: usize, s: &mut Stream) -> (BaseHold, Hides, Channels) {
     let hidden = match i % 7 {
         0 => Hides::Drag(s.uniform_f64(1.4, 2.0)),
@@ -362,11 +367,13 @@ fn in_water(i: usize, s: &mut Stream) -> (BaseHold, Hides, Channels) {
     (BaseHold::Water, hidden, ALL)
 }
 
+#[inline(never)]
 pub(crate) fn joint(rig: &str, s: &mut Stream) -> usize {
     if rig == "arm" { s.below(2) as usize } else { 0 }
 }
 
-pub(crate) fn any(s: &mut Stream, fits: impl Fn(&Hidden) -> bool) -> &'static Hidden {
+#[inline(never)]
+pub(crate) fn any(s: &mut Stream, fits: &dyn Fn(&Hidden) -> bool) -> &'static Hidden {
     let all: Vec<&'static Hidden> = CATALOGUE.iter().filter(|h| fits(h)).collect();
     all[s.below(all.len() as u64) as usize]
 }

@@ -54,7 +54,7 @@ impl<'a> Doubts<'a> {
     ) -> Self {
         let calibration = &context.calibration;
         let left = left(context, base, best);
-        let much = |l: &Left| calibration.doubts.much(&l.grounds(context));
+        let much = |l: &Left| calibration.map.doubts.much(&l.grounds(context));
         let scatter = constancy::scatter(context, best, derivatives, named);
         Self {
             much: left.iter().position(much),
@@ -66,7 +66,7 @@ impl<'a> Doubts<'a> {
                 .filter_map(|s| Some((best.terms.get(s.term)?, s)))
                 .map(|(t, s)| (s, t))
                 .collect(),
-            inconstant: calibration.doubts.scatter,
+            inconstant: calibration.map.doubts.scatter,
         }
     }
 

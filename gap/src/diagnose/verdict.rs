@@ -12,7 +12,7 @@ use super::extend::extended;
 use super::floors::floors;
 use super::levels::NOTHING_LEFT;
 use super::local::local_gaps;
-use super::naming::Named;
+use super::naming::{self, Named};
 use super::request::{Diagnosis, Request, Split};
 use super::search::Found;
 use super::spread::{Spread, beside, correlation, parameters, spread};
@@ -99,8 +99,7 @@ fn told_of<'a>(context: &Context, found: &'a Found, named: &[Named]) -> Result<T
         .iter()
         .map(|n| cause(context, best, n, &spread, &doubts));
     let mut all = told.collect::<Result<Vec<_>, _>>()?;
-    let is_lead = |c: &Cause| !context.calibration.is_finding(&c.grounds);
-    let are_leads: Vec<bool> = all.iter().map(is_lead).collect();
+    let are_leads = naming::leads(context, best, &order);
     let leads = indices.iter().zip(&are_leads).filter(|(_, lead)| **lead);
     let leads: Vec<usize> = leads.map(|(index, _)| *index).collect();
     let doubts = doubts.without(&leads);
@@ -346,14 +345,7 @@ fn cause(
         false => beside(context, best, named.index, &open, spread)?,
     };
     let parameters = parameters(context, best, named.index, spread, &wider);
-    let near = doubts.grounds(context, &term.place);
-    let grounds = Grounds {
-        among_look_alikes: same_name,
-        gain: named.worth.cross / named.worth.of.max(1e-9),
-        distance: distance(context, term, &parameters),
-        at_bound: near.at_bound || parameters.values().any(|p| p.at_bound),
-        ..near
-    };
+    let grounds = grounds(context, named, term, same_name, &parameters, doubts);
     Ok(Cause {
         effect: term.effect.id.to_owned(),
         layer: term.effect.layer.name().to_owned(),
@@ -368,6 +360,25 @@ fn cause(
         assumed: (term.effect).assumed(context.replayer.model(), &term.place),
         grounds,
     })
+}
+
+/// What the confidence in a name of `term`, of probability `among` among its look-alikes, rests on.
+fn grounds(
+    context: &Context,
+    named: &Named,
+    term: &Term,
+    among: f64,
+    parameters: &BTreeMap<String, Parameter>,
+    doubts: &Doubts<'_>,
+) -> Grounds {
+    let near = doubts.grounds(context, &term.place);
+    Grounds {
+        among_look_alikes: among,
+        gain: named.worth.cross / named.worth.of.max(1e-9),
+        distance: distance(context, term, parameters),
+        at_bound: near.at_bound || parameters.values().any(|p| p.at_bound),
+        ..near
+    }
 }
 
 /// How far the size of `term` is from no effect, in halves of its 95 % interval.

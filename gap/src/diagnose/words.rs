@@ -80,10 +80,13 @@ pub fn summary(
     }
     if !leads.is_empty() {
         let which = match leads {
-            [_] => "whose name is improbable: a lead and no finding",
-            _ => "whose names are improbable: leads and no findings",
+            [_] => "which takes less than it leaves: a lead and no finding",
+            _ => "each of which takes less than it leaves: leads and no findings",
         };
-        text.push_str(&format!(" The model carries {}, {which}.", names(leads)));
+        text.push_str(&format!(
+            " The model carries {} as well, {which}.",
+            names(leads)
+        ));
     }
     if let Some((state, _)) = found.refused.first().filter(|(_, w)| w.why == NO_NEARER) {
         let (before, after) = (found.base.holdout.misfit, state.holdout.misfit);

@@ -101,7 +101,7 @@ fn found(body: &mut String, report: &Report, plots: Option<&Plots>) {
             body,
             "leads",
             "Leads",
-            "With these the extended model is closer to held-out runs, and it carries them. But names with such evidence are mostly wrong: each may make up for what the law of another cause, or the catalogue, lacks.",
+            "With these the extended model is closer to held-out runs, and it carries them. But each takes less off than it leaves, beside a greater cause at the same place: it may be there, and it may make up for what that cause's law lacks.",
         );
         body.push_str(&sections::leads(report));
     }

@@ -1,7 +1,7 @@
 //! The map from evidence to probability, by the greatest likelihood with a prior on each weight.
 
 use caudata_gap::calibration::{
-    ByHand, Calibration, FEATURES, SIGNS, Thresholds, VERSION, Weights, features,
+    Calibration, FEATURE_COUNT, FEATURES, Map, Thresholds, Weights, features,
 };
 use caudata_gap::report::Grounds;
 use serde::Serialize;
@@ -12,8 +12,6 @@ use crate::case::Block;
 /// Weights are normal about what rules by hand said, with one of these precisions: with that of the best score on
 /// cases that were left out.
 const PRECISIONS: [f64; 5] = [0.1, 0.3, 1.0, 3.0, 10.0];
-/// Who is told a finding is wrong four times in five at most, whatever his case.
-const FINDING: f64 = 0.2;
 /// A limit moves where cases say so by a likelihood ratio that chance gives once in twenty, nats.
 const CERTAINLY: f64 = 1.92;
 /// Sweeps over all weights; they are convex steps that end far earlier.
@@ -23,7 +21,7 @@ const PARTS: usize = 5;
 /// Probabilities are scored as if no nearer to 0 or 1 than this.
 const FINEST_SCORED: f64 = 0.01;
 /// Bins of the calibration error.
-const BINS: usize = 10;
+const SCORE_BINS: usize = 10;
 
 /// How well probabilities fit what was right.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -49,9 +47,9 @@ pub fn score(of: &[(f64, bool)]) -> Score {
         let p = p.clamp(FINEST_SCORED, 1.0 - FINEST_SCORED);
         if right { -p.ln() } else { -(1.0 - p).ln() }
     };
-    let mut bins = [0.0; BINS];
+    let mut bins = [0.0; SCORE_BINS];
     for &(p, right) in of {
-        bins[((p * BINS as f64) as usize).min(BINS - 1)] += p - truth(right);
+        bins[((p * SCORE_BINS as f64) as usize).min(SCORE_BINS - 1)] += p - truth(right);
     }
     let confident = of
         .iter()
@@ -100,7 +98,7 @@ fn parts(cases: &[Case]) -> impl Iterator<Item = (Vec<Case>, Vec<Case>)> + '_ {
 
 /// How maps of all parts but one fit what was right in that one.
 #[must_use]
-pub fn left_out(cases: &[Case], by_hand: ByHand) -> Score {
+pub fn left_out(cases: &[Case], by_hand: Map) -> Score {
     let mut of = Vec::new();
     for (seen, unseen) in parts(cases) {
         let map = fit(&seen, by_hand, String::new(), 0);
@@ -110,7 +108,7 @@ pub fn left_out(cases: &[Case], by_hand: ByHand) -> Score {
 }
 
 /// Features of names, and whether they are right.
-type Rows = Vec<([f64; FEATURES], bool)>;
+type Rows = Vec<([f64; FEATURE_COUNT], bool)>;
 
 fn rows(cases: &[Case], doubts: &Thresholds) -> Rows {
     let of = names(cases).map(|(_, n)| (features(&n.grounds, doubts), n.right));
@@ -136,7 +134,7 @@ fn precision(cases: &[Case], by_hand: &Weights, doubts: &Thresholds) -> f64 {
 
 /// The map by `cases` of `seed`, which `command` made.
 #[must_use]
-pub fn fit(cases: &[Case], by_hand: ByHand, command: String, seed: u64) -> Calibration {
+pub fn fit(cases: &[Case], by_hand: Map, command: String, seed: u64) -> Calibration {
     let doubts = Thresholds {
         left: rounded(cut(left(cases).collect(), by_hand.doubts.left)),
         scatter: rounded(cut(scatter(cases).collect(), by_hand.doubts.scatter)),
@@ -152,16 +150,13 @@ pub fn fit(cases: &[Case], by_hand: ByHand, command: String, seed: u64) -> Calib
     let top = &by_odds[..by_odds.len().div_ceil(3)];
     let right = |of: &[(f64, bool)]| of.iter().filter(|x| x.1).count();
     Calibration {
-        version: VERSION,
         command,
         seed,
-        cases: cases.iter().filter(|c| c.verdict.is_some()).count(),
-        names: rows.len(),
-        right: right(&by_odds),
+        cases: cases.iter().filter(|c| c.verdict.is_some()).count() as u64,
+        names: rows.len() as u64,
+        right: right(&by_odds) as u64,
         surest: rounded((right(top) + 1) as f64 / (top.len() + 2) as f64),
-        finding: FINDING,
-        log_odds,
-        doubts,
+        map: Map { log_odds, doubts },
         by_hand,
     }
 }
@@ -184,9 +179,10 @@ fn scatter(cases: &[Case]) -> impl Iterator<Item = (f64, bool)> + '_ {
 
 /// The constant and weights of the greatest probability, each weight of its sign.
 fn weights(rows: &Rows, by_hand: &Weights, precision: f64) -> Weights {
-    let (mut constant, mut w) = (by_hand.constant, by_hand.each());
+    let (mut constant, mut w) = (by_hand.constant, by_hand.each);
     let prior = w;
-    let sum = |row: &([f64; FEATURES], bool)| w.iter().zip(row.0).map(|(w, x)| w * x).sum::<f64>();
+    let sum =
+        |row: &([f64; FEATURE_COUNT], bool)| w.iter().zip(row.0).map(|(w, x)| w * x).sum::<f64>();
     let mut odds: Vec<f64> = rows.iter().map(|r| constant + sum(r)).collect();
     let wrong_by = |odds: &[f64], k: usize| {
         1.0 / (1.0 + f64::exp(-odds[k])) - if rows[k].1 { 1.0 } else { 0.0 }
@@ -197,20 +193,23 @@ fn weights(rows: &Rows, by_hand: &Weights, precision: f64) -> Weights {
         let step = -slope / (0.25 * rows.len() as f64).max(f64::MIN_POSITIVE);
         constant += step;
         odds.iter_mut().for_each(|o| *o += step);
-        for j in 0..FEATURES {
+        for j in 0..FEATURE_COUNT {
             let slope: f64 = (0..rows.len())
                 .map(|k| wrong_by(&odds, k) * rows[k].0[j])
                 .sum();
             let curvature = 0.25 * rows.iter().map(|r| r.0[j].powi(2)).sum::<f64>();
             let to = w[j] - (slope + precision * (w[j] - prior[j])) / (curvature + precision);
-            let to = if to * SIGNS[j] > 0.0 { to } else { 0.0 };
+            let to = if to * FEATURES[j].1 > 0.0 { to } else { 0.0 };
             for (o, row) in odds.iter_mut().zip(rows) {
                 *o += (to - w[j]) * row.0[j];
             }
             w[j] = to;
         }
     }
-    Weights::of(rounded(constant), w.map(rounded))
+    Weights {
+        constant: rounded(constant),
+        each: w.map(rounded),
+    }
 }
 
 /// From what on of (number, good) fewer are good: where to part them so that two shares, each by the rule of
@@ -231,7 +230,7 @@ fn cut(mut of: Vec<(f64, bool)>, by_hand: f64) -> f64 {
         (below > above).then_some(a + b)
     };
     let mut best = (by_hand, at(by_hand).unwrap_or(log(&of).1) + CERTAINLY);
-    for pair in of.windows(2) {
+    for pair in of.windows(2).filter(|p| p[0].0 < p[1].0) {
         let limit = 0.5 * (pair[0].0 + pair[1].0);
         if let Some(says) = at(limit).filter(|says| *says > best.1) {
             best = (limit, says);
@@ -287,19 +286,19 @@ mod tests {
                 case(k, Block::Single, vec![name(among, scatter, right)])
             })
             .collect();
-        let by_hand = ByHand {
+        let by_hand = Map {
             doubts: Thresholds {
                 left: 0.15,
                 scatter: 0.1,
             },
-            ..ByHand::default()
+            ..Map::default()
         };
         let map = fit(&cases, by_hand, String::new(), 1);
         assert_eq!((map.names, map.right), (100, 75));
-        assert_eq!(map.log_odds.among_look_alikes, 0.0);
-        assert!(map.log_odds.inconstant < -1.0, "{map:?}");
+        assert_eq!(map.map.log_odds.each[0], 0.0);
+        assert!(map.map.log_odds.each[4] < -1.0, "{map:?}");
         // wherever between 0.02 and 0.3 they are parted, it says the same
-        assert_eq!(map.doubts.scatter, 0.1);
+        assert_eq!(map.map.doubts.scatter, 0.1);
         assert!(map.confidence(&cases[1].names[0].grounds) > 0.9);
         assert!(map.confidence(&cases[0].names[0].grounds) < 0.4);
         let (mapped, given) = (as_mapped(&cases, &map), as_given(&cases));

@@ -91,7 +91,7 @@ fn plan(seed: u64, number: usize) -> Plan {
     let one = |h: &Hidden| h.scope != Scope::Chain || rig == "arm";
     (plan.block, plan.effects) = match number % 10 {
         0 => (Block::Null, Vec::new()),
-        1..5 => (Block::Single, vec![(sets::any(&mut s, one), joint, d)]),
+        1..5 => (Block::Single, vec![(sets::any(&mut s, &one), joint, d)]),
         5..7 => {
             let kind = s.below(10) as usize;
             (Block::Pair, sets::pair(kind, rig, &mut s))
@@ -101,7 +101,7 @@ fn plan(seed: u64, number: usize) -> Plan {
             (Block::Outside, vec![(law, joint, d)])
         }
         _ => {
-            let left_out = sets::any(&mut s, local);
+            let left_out = sets::any(&mut s, &local);
             plan.without = sets::left_out_with(left_out, rig);
             (Block::Outside, vec![(left_out, joint, d)])
         }
@@ -141,7 +141,7 @@ pub fn cases(
                 clear()?;
                 // whole or not at all
                 let part = path.with_extension("part");
-                std::fs::write(&part, serde_json::to_vec_pretty(&case)?).map_err(io(&part))?;
+                std::fs::write(&part, serde_json::to_vec(&case)?).map_err(io(&part))?;
                 std::fs::rename(&part, &path).map_err(io(&path))?;
                 case
             }
