@@ -11,6 +11,7 @@ use crate::case::{Answer, Block, TrueEffect, TrueValue};
 use crate::decoy::Decoy;
 use crate::hidden::{Hidden, OUTSIDE, Scope, World};
 use crate::lab::{FIRST_HELD_OUT, HELD_OUT, LAWS, SIGNS, run, stream};
+use crate::sets::{below, between};
 use crate::sizing::{detectability, size_for};
 use crate::truth::sensors::Row;
 
@@ -110,7 +111,6 @@ pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateErro
 
 /// What a robot of another maker has: bristles, windings, a bridge and a loop of its own, and up to two laws that
 /// no catalogue has, from what nobody sees to a little more than a careful lab's differences.
-#[inline(never)]
 fn other_laws(
     request: &Request<'_>,
     world: &mut World,
@@ -120,16 +120,16 @@ fn other_laws(
     let (rig, seed) = (request.rig, request.seed);
     let mut s = stream(seed, LAWS, 0);
     for p in &mut world.spec.joints {
-        p.presliding_rad *= s.uniform_f64(-0.7, 0.7).exp();
+        p.presliding_rad *= between(&mut s, -0.7, 0.7).exp();
         // no shorter than the truth's step can follow
-        p.inductance_s = s.uniform_f64(0.0003, 0.0006);
-        p.duty_steps = [255.0, 885.0, 1023.0, 2047.0][s.below(4) as usize];
-        p.loop_delay_s += s.uniform_f64(0.0, 0.0004);
+        p.inductance_s = between(&mut s, 0.0003, 0.0006);
+        p.duty_steps = [255.0, 885.0, 1023.0, 2047.0][below(&mut s, 4)];
+        p.loop_delay_s += between(&mut s, 0.0, 0.0004);
     }
-    for _ in 0..s.below(3) {
-        let law = &OUTSIDE[s.below(OUTSIDE.len() as u64) as usize];
-        let joint = s.below(world.spec.joints.len() as u64) as usize;
-        let d = s.uniform_f64(0.2, 1.5);
+    for _ in 0..below(&mut s, 3) {
+        let law = &OUTSIDE[below(&mut s, OUTSIDE.len())];
+        let joint = below(&mut s, world.spec.joints.len());
+        let d = between(&mut s, 0.2, 1.5);
         match size_for(rig, law, joint, 1.0, d, trials, view, seed) {
             Ok((size, _)) => law.apply(world, &rig.model, joint, size),
             Err(GenerateError::TooSmall { .. } | GenerateError::Diverged(_)) => {}

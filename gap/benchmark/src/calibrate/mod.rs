@@ -85,7 +85,7 @@ fn plan(seed: u64, number: usize) -> Plan {
         salamander: None,
         other_laws: true,
     };
-    let d = SIZES_D[s.below(SIZES_D.len() as u64) as usize];
+    let d = SIZES_D[sets::below(&mut s, SIZES_D.len())];
     let joint = sets::joint(rig, &mut s);
     let local = |h: &Hidden| h.scope == Scope::Joint && h.layer != "sensing";
     let one = |h: &Hidden| h.scope != Scope::Chain || rig == "arm";
@@ -93,11 +93,11 @@ fn plan(seed: u64, number: usize) -> Plan {
         0 => (Block::Null, Vec::new()),
         1..5 => (Block::Single, vec![(sets::any(&mut s, &one), joint, d)]),
         5..7 => {
-            let kind = s.below(10) as usize;
+            let kind = sets::below(&mut s, 10);
             (Block::Pair, sets::pair(kind, rig, &mut s))
         }
         7..9 => {
-            let law = &OUTSIDE[s.below(OUTSIDE.len() as u64) as usize];
+            let law = &OUTSIDE[sets::below(&mut s, OUTSIDE.len())];
             (Block::Outside, vec![(law, joint, d)])
         }
         _ => {
