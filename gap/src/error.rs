@@ -25,6 +25,9 @@ pub enum GapError {
     /// The extension of a robot file.
     #[error("extension: {0}")]
     Extension(String),
+    /// The map from evidence to confidence.
+    #[error("calibration: {0}; make one with caudata bench calibrate")]
+    Calibration(String),
     /// Whoever started it asked it to end.
     #[error("stopped")]
     Stopped,

@@ -6,6 +6,7 @@
 //!
 //! Invariant: no clock, no network; same logs, same seed, same report, whatever the thread count.
 
+pub mod calibration;
 pub mod check;
 pub mod diagnose;
 pub mod effects;

@@ -127,6 +127,32 @@ pub struct Cause {
     /// any, it may be the file that is wrong.
     #[serde(default)]
     pub assumed: Vec<String>,
+    /// What `confidence` rests on.
+    #[serde(default)]
+    pub grounds: Grounds,
+}
+
+/// What the confidence in a name rests on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Grounds {
+    /// Probability of the name among its look-alikes, by what they leave.
+    pub among_look_alikes: f64,
+    /// Misfit that the whole model leaves where it is most, of fitted or held-out runs, floors.
+    pub left: f64,
+    /// The same as a share of what the robot as given has where it is most.
+    pub left_share: f64,
+    /// Whether it is no more than careful labs leave.
+    pub little_left: bool,
+    /// Share of the misfit at its place that the cause takes off in cross-validation.
+    pub gain: f64,
+    /// Root mean square by which its size differs between parts of the data, or that of another cause at its place,
+    /// as a share of it.
+    pub scatter: f64,
+    /// How far it is from no effect, in halves of its 95 % interval.
+    pub distance: f64,
+    /// Whether its size, or that of another cause at its place, lies at a bound.
+    pub at_bound: bool,
 }
 
 impl Cause {

@@ -1,7 +1,9 @@
 //! `caudata bench`: how fast the parts are on this machine. The measuring is in `crates/bench`.
 
 use caudata_bench::transport::ingest;
-use caudata_bench::{explain, gap, lag, learner, parts, session, sim, skill, train, transport};
+use caudata_bench::{
+    calibrate, explain, gap, lag, learner, parts, session, sim, skill, train, transport,
+};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Subcommand;
 
@@ -27,6 +29,8 @@ pub enum BenchCommand {
         #[arg(long)]
         each: bool,
     },
+    /// How often names with such evidence are right, on robots with laws of their own: from evidence to confidence
+    Calibrate(WithJson<calibrate::Plan>),
     /// Sessions with robots that have something hidden: named, after how much motion
     Session(WithJson<session::Plan>),
     /// Mistakes hidden in tasks and robots, explained: named first, among three, names on healthy tasks
@@ -65,6 +69,14 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
             Some(found) => say::either(asked.json, &found, |found| show::gap(found, *each)),
             None => Ok(()),
         },
+        BenchCommand::Calibrate(WithJson { plan, json }) => {
+            let found = calibrate::run(plan, &own()?, &mut |case| {
+                if !*json {
+                    show::calibrated(case);
+                }
+            })?;
+            say::either(*json, &found, show::calibration)
+        }
         BenchCommand::Session(WithJson { plan, json }) => {
             let found = session::run(plan, &own()?, &mut |case| {
                 if !*json {

@@ -3,7 +3,9 @@
 use caudata_bench::measure::Rate;
 use caudata_bench::sim::{DT_S, Speed};
 use caudata_bench::transport::ingest;
-use caudata_bench::{explain, gap, lag, session, sim, skill, train, transport};
+use caudata_bench::{calibrate, explain, gap, lag, session, sim, skill, train, transport};
+use caudata_gap_benchmark::calibrate::Case;
+use caudata_gap_benchmark::calibrate::fit::Score;
 use caudata_gap_benchmark::case::Answer;
 use caudata_gap_benchmark::score::{Outcome, summary::median_gain};
 use caudata_sim::batch::Phase;
@@ -139,6 +141,60 @@ fn one_case(o: &Outcome, a: &Answer) -> String {
         given.collect::<Vec<_>>().join(", "),
         o.failure
     )
+}
+
+/// One case of a calibration.
+pub fn calibrated(case: &Case) {
+    let name = |n: &caudata_gap_benchmark::calibrate::Name| {
+        let mark = if n.right { "right" } else { "wrong" };
+        format!("{} {:.2} {mark}", n.effect, n.confidence)
+    };
+    say::line(format!(
+        "{} {:?} {} [{}]: {} {} {:.0} s",
+        case.number,
+        case.block,
+        case.rig,
+        case.hidden.join(", "),
+        case.names.iter().map(name).collect::<Vec<_>>().join(", "),
+        case.failure,
+        case.seconds
+    ));
+}
+
+/// All of them.
+pub fn calibration(found: &calibrate::Finding) {
+    let row = |what: &str, s: &Score| {
+        let (wrong, of) = s.confident;
+        let figures = [s.log_score, s.brier, s.calibration_error].map(|x| format!("{x:.3}"));
+        let confident = format!("{wrong} of {of}");
+        [vec![what.to_owned()], figures.to_vec(), vec![confident]].concat()
+    };
+    let mut rows = vec![
+        row("what was said", &found.as_given),
+        row("the map of this program", &found.shipped),
+    ];
+    rows.extend(
+        found
+            .left_out
+            .iter()
+            .map(|s| row("a new map, parts it has not seen", s)),
+    );
+    let reports = found.cases.iter().filter(|c| c.verdict.is_some()).count();
+    say::line(format!(
+        "{} cases, {reports} with a report, {} names",
+        found.cases.len(),
+        found.as_given.names
+    ));
+    say::table(
+        &[
+            "",
+            "log score",
+            "Brier",
+            "calibration error",
+            "0.7 or more and wrong",
+        ],
+        rows,
+    );
 }
 
 /// One session.

@@ -164,7 +164,7 @@ fn secret() -> Vec<u8> {
     format!("{:?} {}", now, std::process::id()).into_bytes()
 }
 
-fn failure(e: BenchError) -> Failure {
+pub(crate) fn failure(e: BenchError) -> Failure {
     let code = match &e {
         BenchError::Io { source, .. } => ExitCode::of_io(source, true),
         _ => ExitCode::Internal,

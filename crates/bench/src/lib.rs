@@ -4,6 +4,7 @@
 //! measure alike: after a warm-up, in rounds, side by side with what they are compared with ([`measure`]).
 //! [`verify`] holds the engines against MuJoCo, closed forms and conservation laws.
 
+pub mod calibrate;
 pub mod explain;
 pub mod gap;
 pub mod lag;

@@ -205,7 +205,7 @@ fn refused(error: GapError, stop: &StopFlag) -> Failure {
         GapError::NoRuns | GapError::Run { .. } | GapError::Model(_) | GapError::Extension(_) => {
             ExitCode::BadInput
         }
-        GapError::Sim(_) | GapError::Worker => ExitCode::Internal,
+        GapError::Sim(_) | GapError::Worker | GapError::Calibration(_) => ExitCode::Internal,
         GapError::Stopped => {
             return stopped(stop).hint("nothing was known yet, and nothing was written");
         }

@@ -9,8 +9,9 @@ use caudata_runlog::{BaseHold, LogMeta, LogWriter};
 use crate::battery::{self, Amount, RATE_HZ, Trial};
 use crate::case::{Answer, Block, TrueEffect, TrueValue};
 use crate::decoy::Decoy;
-use crate::hidden::{Hidden, Scope, World};
-use crate::lab::{FIRST_HELD_OUT, HELD_OUT, SIGNS, run, stream};
+use crate::hidden::{Hidden, OUTSIDE, Scope, World};
+use crate::lab::{FIRST_HELD_OUT, HELD_OUT, LAWS, SIGNS, run, stream};
+use crate::sets::{below, between};
 use crate::sizing::{detectability, size_for};
 use crate::truth::sensors::Row;
 
@@ -35,6 +36,8 @@ pub struct Request<'a> {
     pub decoy: Option<Decoy>,
     /// Ids that the diagnosis has to do without.
     pub without: Vec<String>,
+    /// Whether the robot also follows, faintly, laws that no catalogue has.
+    pub other_laws: bool,
 }
 
 /// One run before it is written.
@@ -58,11 +61,14 @@ pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateErro
     let mut world = lab(model, seed);
     let mut effects = Vec::new();
     let mut together_d = 0.0;
-    if !request.effects.is_empty() {
+    if !request.effects.is_empty() || request.other_laws {
         // d is measured on the whole battery also for starved cases: the effect is there, the data do not
         // show it
         let view = null_view(rig, &full_fit, seed)?;
         let mut signs = stream(seed, SIGNS, 0);
+        if request.other_laws {
+            other_laws(request, &mut world, &full_fit, &view)?;
+        }
         for &(hidden, joint, d) in &request.effects {
             let sign = if hidden.signed && signs.chance(0.5) {
                 -1.0
@@ -74,6 +80,7 @@ pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateErro
             effects.push((hidden, joint, sign * size, reached));
         }
         together_d = match effects.as_slice() {
+            [] => 0.0,
             [(_, _, _, d)] => *d,
             _ => detectability(rig, &world, &full_fit, &view, seed)?,
         };
@@ -100,6 +107,36 @@ pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateErro
             d.kinds().iter().map(|k| (*k).to_owned()).collect()
         }),
     })
+}
+
+/// What a robot of another maker has: bristles, windings, a bridge and a loop of its own, and up to two laws that
+/// no catalogue has, from what nobody sees to a little more than a careful lab's differences.
+fn other_laws(
+    request: &Request<'_>,
+    world: &mut World,
+    trials: &[Trial],
+    view: &NullView,
+) -> Result<(), GenerateError> {
+    let (rig, seed) = (request.rig, request.seed);
+    let mut s = stream(seed, LAWS, 0);
+    for p in &mut world.spec.joints {
+        p.presliding_rad *= between(&mut s, -0.7, 0.7).exp();
+        // no shorter than the truth's step can follow
+        p.inductance_s = between(&mut s, 0.0003, 0.0006);
+        p.duty_steps = [255.0, 885.0, 1023.0, 2047.0][below(&mut s, 4)];
+        p.loop_delay_s += between(&mut s, 0.0, 0.0004);
+    }
+    for _ in 0..below(&mut s, 3) {
+        let law = &OUTSIDE[below(&mut s, OUTSIDE.len())];
+        let joint = below(&mut s, world.spec.joints.len());
+        let d = between(&mut s, 0.2, 1.5);
+        match size_for(rig, law, joint, 1.0, d, trials, view, seed) {
+            Ok((size, _)) => law.apply(world, &rig.model, joint, size),
+            Err(GenerateError::TooSmall { .. } | GenerateError::Diverged(_)) => {}
+            Err(e) => return Err(e),
+        }
+    }
+    Ok(())
 }
 
 fn true_effect(

@@ -107,6 +107,7 @@ const PER_RUN: u64 = 3;
 const ROBOT: u64 = 4;
 pub(crate) const HELD_OUT: u64 = 5;
 pub(crate) const SIGNS: u64 = 6;
+pub(crate) const LAWS: u64 = 7;
 
 pub(crate) fn stream(seed: u64, what: u64, run: u64) -> Stream {
     let key = Key {

@@ -7,6 +7,7 @@
 
 pub mod baselines;
 pub mod battery;
+pub mod calibrate;
 pub mod case;
 pub mod decoy;
 pub mod examinee;

@@ -110,8 +110,22 @@ fn make(index: usize, plan: &Plan, cases: &Path) -> Result<Answer, GenerateError
         effects: plan.effects.clone(),
         decoy: plan.decoy,
         without: plan.without.clone(),
+        other_laws: plan.other_laws,
     };
     generate::make(&request, cases)
+}
+
+/// Makes the case of `plan` in `root`, has it diagnosed in a process of its own, and tells what is true and what
+/// was given.
+pub fn one_case(
+    number: usize,
+    plan: &Plan,
+    root: &Path,
+    diagnoser: &Diagnoser,
+) -> Result<(Answer, Given), GenerateError> {
+    let answer = make(number, plan, &root.join(CASES_NAME))?;
+    let given = one(root, &answer.case, &answer.without, diagnoser);
+    Ok((answer, given))
 }
 
 /// Opens the answers of a set.

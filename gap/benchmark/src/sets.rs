@@ -31,6 +31,8 @@ pub struct Plan {
     pub without: Vec<String>,
     /// The salamander instead of a bench rig.
     pub salamander: Option<(BaseHold, Hides, Channels)>,
+    /// Whether the robot also follows, faintly, laws that no catalogue has.
+    pub other_laws: bool,
 }
 
 /// The sets of cases.
@@ -151,6 +153,7 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
         decoy: None,
         without: Vec::new(),
         salamander: None,
+        other_laws: false,
     };
     let rig = |i: usize| {
         if set == SetName::Quick || i % 3 != 2 {
@@ -175,7 +178,7 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
     }
     for i in 0..counts.left_out {
         let mut p = case(Block::Outside, rig(i), &mut s);
-        let h = any(&mut s, |h| h.scope == Scope::Joint && h.layer != "sensing");
+        let h = any(&mut s, &|h| h.scope == Scope::Joint && h.layer != "sensing");
         p.effects = vec![(h, joint(p.rig, &mut s), 4.0)];
         p.without = left_out_with(h, p.rig);
         plans.push(p);
@@ -195,7 +198,7 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
     for i in 0..counts.changes {
         let mut p = case(Block::HoldoutChange, rig(i), &mut s);
         p.effects = vec![(
-            any(&mut s, |h| h.scope == Scope::Joint && h.layer != "sensing"),
+            any(&mut s, &|h| h.scope == Scope::Joint && h.layer != "sensing"),
             joint(p.rig, &mut s),
             8.0,
         )];
@@ -220,7 +223,7 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
 
 /// What the diagnosis has to do without where `h` is left out of its catalogue: it, and whatever says the
 /// same or more.
-fn left_out_with(h: &Hidden, rig: &str) -> Vec<String> {
+pub(crate) fn left_out_with(h: &Hidden, rig: &str) -> Vec<String> {
     let of_one: &[(&str, &str)] = if rig == "pendulum" { WIDER_OF_ONE } else { &[] };
     let wider = WIDER.iter().chain(of_one).filter(|(id, _)| *id == h.id);
     let same = h.equivalent.0.iter().chain(h.equivalent.1).copied();
@@ -231,16 +234,16 @@ fn left_out_with(h: &Hidden, rig: &str) -> Vec<String> {
 }
 
 /// Two effects of d = 4: three in ten pairs look alike, six in ten are at one joint.
-fn pair(i: usize, rig: &str, s: &mut Stream) -> Vec<(&'static Hidden, usize, f64)> {
+pub(crate) fn pair(i: usize, rig: &str, s: &mut Stream) -> Vec<(&'static Hidden, usize, f64)> {
     let first_joint = joint(rig, s);
     let (a, b) = match i % 10 {
-        0..3 => LOOK_ALIKE[s.below(LOOK_ALIKE.len() as u64) as usize],
+        0..3 => LOOK_ALIKE[below(s, LOOK_ALIKE.len())],
         _ => {
-            let a = any(s, |h| h.scope == Scope::Joint);
+            let a = any(s, &|h| h.scope == Scope::Joint);
             let apart = |h: &Hidden| {
                 h.scope != Scope::Chain && h.id != a.id && !h.equivalent.0.contains(&a.id)
             };
-            (a.id, any(s, apart).id)
+            (a.id, any(s, &apart).id)
         }
     };
     let second_joint = match i % 10 < 6 {
@@ -261,6 +264,7 @@ fn singles(set: SetName, amount: Amount, s: &mut Stream) -> Vec<Plan> {
         decoy: None,
         without: Vec::new(),
         salamander: None,
+        other_laws: false,
     };
     let mut plans = Vec::new();
     match set {
@@ -317,11 +321,11 @@ const ALL: Channels = Channels {
 /// Cases on the ground in turn: play at each hinge, the paper's robot, slippery feet, a payload, a slope,
 /// nothing.
 fn on_ground(i: usize, s: &mut Stream) -> (BaseHold, Hides, Channels) {
-    let half_width_deg = s.uniform_f64(2.0, 5.0);
+    let half_width_deg = between(s, 2.0, 5.0);
     let paper = Hides::Paper {
         half_width_deg: 4.0,
-        low_pass_s: s.uniform_f64(0.02, 0.05),
-        torque: s.uniform_f64(0.6, 0.8),
+        low_pass_s: between(s, 0.02, 0.05),
+        torque: between(s, 0.6, 0.8),
     };
     let play = |hinge| Hides::Play {
         hinge,
@@ -335,9 +339,9 @@ fn on_ground(i: usize, s: &mut Stream) -> (BaseHold, Hides, Channels) {
         hinge @ 0..4 => (play(hinge), ALL),
         4 => (paper, ALL),
         5 => (paper, without_mocap),
-        6 => (Hides::Friction(s.uniform_f64(0.4, 0.7)), ALL),
-        7 => (Hides::Payload(s.uniform_f64(0.2, 0.5)), ALL),
-        8 => (Hides::Slope(s.uniform_f64(2.0, 6.0)), ALL),
+        6 => (Hides::Friction(between(s, 0.4, 0.7)), ALL),
+        7 => (Hides::Payload(between(s, 0.2, 0.5)), ALL),
+        8 => (Hides::Slope(between(s, 2.0, 6.0)), ALL),
         _ => (Hides::Nothing, ALL),
     };
     (BaseHold::Free, hidden, channels)
@@ -347,24 +351,36 @@ fn on_ground(i: usize, s: &mut Stream) -> (BaseHold, Hides, Channels) {
 /// buoyancy, added mass, a current, heave damping, the centre of buoyancy, nothing.
 fn in_water(i: usize, s: &mut Stream) -> (BaseHold, Hides, Channels) {
     let hidden = match i % 7 {
-        0 => Hides::Drag(s.uniform_f64(1.4, 2.0)),
-        1 => Hides::Buoyancy(s.uniform_f64(1.08, 1.2)),
-        2 => Hides::AddedMass(s.uniform_f64(0.5, 1.0)),
-        3 => Hides::Current(s.uniform_f64(0.1, 0.2)),
-        4 => Hides::Heave(s.uniform_f64(1.0, 3.0)),
-        5 => Hides::BuoyancyCentre(s.uniform_f64(0.005, 0.015)),
+        0 => Hides::Drag(between(s, 1.4, 2.0)),
+        1 => Hides::Buoyancy(between(s, 1.08, 1.2)),
+        2 => Hides::AddedMass(between(s, 0.5, 1.0)),
+        3 => Hides::Current(between(s, 0.1, 0.2)),
+        4 => Hides::Heave(between(s, 1.0, 3.0)),
+        5 => Hides::BuoyancyCentre(between(s, 0.005, 0.015)),
         _ => Hides::Nothing,
     };
     (BaseHold::Water, hidden, ALL)
 }
 
-fn joint(rig: &str, s: &mut Stream) -> usize {
-    if rig == "arm" { s.below(2) as usize } else { 0 }
+/// A draw, in one place: inlined at every call, draws are most of what plans take in a program.
+#[inline(never)]
+pub(crate) fn below(s: &mut Stream, n: usize) -> usize {
+    s.below(n as u64) as usize
 }
 
-fn any(s: &mut Stream, fits: impl Fn(&Hidden) -> bool) -> &'static Hidden {
+/// The same of a number.
+#[inline(never)]
+pub(crate) fn between(s: &mut Stream, low: f64, high: f64) -> f64 {
+    s.uniform_f64(low, high)
+}
+
+pub(crate) fn joint(rig: &str, s: &mut Stream) -> usize {
+    if rig == "arm" { below(s, 2) } else { 0 }
+}
+
+pub(crate) fn any(s: &mut Stream, fits: &dyn Fn(&Hidden) -> bool) -> &'static Hidden {
     let all: Vec<&'static Hidden> = CATALOGUE.iter().filter(|h| fits(h)).collect();
-    all[s.below(all.len() as u64) as usize]
+    all[below(s, all.len())]
 }
 
 #[cfg(test)]

@@ -8,17 +8,7 @@ use super::levels::MANY_JOINTS;
 use super::state::{Context, Derivatives, On, State};
 use crate::effects::{Effect, Place};
 use crate::replay::Term;
-use crate::report::{Doubt, DoubtKind};
-
-/// Misfit that an explained gap may leave in any case (of many joints: [`gates::quiet`]), …
-const LEFT: f64 = 0.5;
-/// … and, where it is more, its product with its share of the misfit before: 1.2 floors of ten, half a floor
-/// of 1.7. Of the benchmark's causes the right ones leave less (their laws are not quite nature's), wrong
-/// ones more.
-const LEFT_OF_SHARE: f64 = 0.15;
-/// Scatter of a cause's size along anything, as a share of it: of 140 right names on bench rigs (seeds 103
-/// and 107) 139 have less, half of them less than 0.025, and of 32 wrong ones 15.
-const INCONSTANT: f64 = 0.12;
+use crate::report::{Doubt, DoubtKind, Grounds};
 
 /// What a model leaves, where it is most, floors.
 pub struct Left {
@@ -28,48 +18,90 @@ pub struct Left {
     after: f64,
 }
 
-/// Doubts about a model.
+impl Left {
+    fn grounds(&self, context: &Context) -> Grounds {
+        Grounds {
+            left: self.after,
+            left_share: self.after / self.before.max(1e-9),
+            little_left: self.after <= gates::quiet(context),
+            ..Grounds::default()
+        }
+    }
+}
+
+/// What is doubtful about a model.
 pub struct Doubts<'a> {
-    /// Much is left.
-    pub much: Option<Left>,
-    /// Effects that would have to be larger, or otherwise, than they can plausibly be.
-    pub outgrown: Vec<&'a Term>,
-    /// Causes without one size, with their places.
-    pub inconstant: Vec<(Scatter, &'a Term)>,
+    /// What is left, of held-out runs first.
+    left: Vec<Left>,
+    /// Which of that is much.
+    much: Option<usize>,
+    /// Effects that would have to be larger, or otherwise, than they can plausibly be, by their terms.
+    outgrown: Vec<(usize, &'a Term)>,
+    /// By how much the size of each name differs between parts of the data.
+    scatter: Vec<(Scatter, &'a Term)>,
+    /// From what on it has no size.
+    inconstant: f64,
 }
 
 impl<'a> Doubts<'a> {
-    /// About `best`, whose terms `causes` are to be findings.
+    /// About `best`, whose terms `named` have names.
     pub fn about(
         context: &Context,
         base: &State,
         best: &'a State,
         derivatives: &Derivatives,
-        causes: &[usize],
+        named: &[usize],
     ) -> Self {
-        let scatter = constancy::scatter(context, best, derivatives, causes);
+        let calibration = &context.calibration;
+        let left = left(context, base, best);
+        let much = |l: &Left| calibration.map.doubts.much(&l.grounds(context));
+        let scatter = constancy::scatter(context, best, derivatives, named);
         Self {
-            inconstant: (scatter.into_iter())
-                .filter(|s| s.share > INCONSTANT)
-                .map(|s| (best.terms.get(s.term), s))
-                .filter_map(|(t, s)| Some((s, t?)))
-                .collect(),
-            much: left_at_last(context, base, best),
+            much: left.iter().position(much),
+            left,
             outgrown: (best.terms.iter().enumerate())
-                .filter(|(k, t)| outgrown(context, t, causes.contains(k)))
-                .map(|(_, t)| t)
+                .filter(|(k, t)| outgrown(context, t, named.contains(k)))
                 .collect(),
+            scatter: (scatter.into_iter())
+                .filter_map(|s| Some((best.terms.get(s.term)?, s)))
+                .map(|(t, s)| (s, t))
+                .collect(),
+            inconstant: calibration.map.doubts.scatter,
         }
+    }
+
+    /// Those that do not concern the terms `leads`, which nobody is told as findings.
+    pub fn without(mut self, leads: &[usize]) -> Self {
+        self.outgrown.retain(|(k, _)| !leads.contains(k));
+        self.scatter.retain(|(s, _)| !leads.contains(&s.term));
+        self
     }
 
     /// Whether there are any.
     pub fn any(&self) -> bool {
-        self.much.is_some() || !self.outgrown.is_empty() || !self.inconstant.is_empty()
+        self.much.is_some() || !self.outgrown.is_empty() || self.inconstant().next().is_some()
+    }
+
+    fn inconstant(&self) -> impl Iterator<Item = &(Scatter, &'a Term)> {
+        (self.scatter.iter()).filter(|(s, _)| s.share > self.inconstant)
+    }
+
+    /// What of it concerns a cause at `place`.
+    pub fn grounds(&self, context: &Context, place: &Place) -> Grounds {
+        let near =
+            |(s, t): &(Scatter, &Term)| one_place(context, &t.place, place).then_some(s.share);
+        let worst = self.left.iter().max_by(|a, b| a.after.total_cmp(&b.after));
+        Grounds {
+            scatter: self.scatter.iter().filter_map(near).fold(0.0, f64::max),
+            at_bound: self.outgrown.iter().any(|(_, t)| meet(&t.place, place)),
+            ..worst.map_or_else(Grounds::default, |l| l.grounds(context))
+        }
     }
 
     /// Each for the report.
     pub fn listed(&self) -> Vec<Doubt> {
-        let much = self.much.iter().map(|l| Doubt {
+        let much = self.much.and_then(|k| self.left.get(k));
+        let much = much.into_iter().map(|l| Doubt {
             kind: DoubtKind::MuchLeft,
             location: String::new(),
             detail: format!(
@@ -83,7 +115,7 @@ impl<'a> Doubts<'a> {
                 l.before
             ),
         });
-        let outgrown = self.outgrown.iter().map(|t| {
+        let outgrown = self.outgrown.iter().map(|(_, t)| {
             let label = t.place.label(t.effect.id);
             Doubt {
                 kind: DoubtKind::ImplausibleSize,
@@ -91,7 +123,7 @@ impl<'a> Doubts<'a> {
                 location: label,
             }
         });
-        let inconstant = self.inconstant.iter().map(|(s, t)| {
+        let inconstant = self.inconstant().map(|(s, t)| {
             let label = t.place.label(t.effect.id);
             let least = s.sizes.iter().copied().fold(f64::INFINITY, f64::min);
             let most = s.sizes.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -106,13 +138,6 @@ impl<'a> Doubts<'a> {
         });
         much.chain(outgrown).chain(inconstant).collect()
     }
-
-    /// Whether they say of a cause at `place` that its law is another one: what is missing elsewhere does not
-    /// make it less sure.
-    pub fn deny(&self, context: &Context, place: &Place) -> bool {
-        self.outgrown.iter().any(|t| meet(&t.place, place))
-            || (self.inconstant.iter()).any(|(_, t)| one_place(context, &t.place, place))
-    }
 }
 
 /// With a capital.
@@ -123,24 +148,14 @@ fn capitalised(words: &str) -> String {
     })
 }
 
-/// Whether a model leaves more than is known of the floor of the runs that it was fitted to, where it is
-/// most.
-pub fn much_is_left(context: &Context, base: &State, best: &State) -> bool {
-    left(context, &[(false, &context.fit, &base.cross, &best.cross)]).is_some()
-}
-
-/// The same of held-out runs, or of those that it was fitted to, once everything is decided.
-fn left_at_last(context: &Context, base: &State, best: &State) -> Option<Left> {
+/// What `best` leaves, and `base` has, of held-out runs and of those that were fitted, where it is most.
+fn left(context: &Context, base: &State, best: &State) -> Vec<Left> {
     let parts = [
         (true, &context.holdout, &base.holdout, &best.holdout),
         (false, &context.fit, &base.fit, &best.fit),
     ];
     // without a hold-out they are the same runs
-    left(context, &parts[usize::from(context.same_runs)..])
-}
-
-fn left(context: &Context, parts: &[(bool, &Judge, &On, &On)]) -> Option<Left> {
-    let allowed = LEFT.max(gates::quiet(context));
+    let parts = &parts[usize::from(context.same_runs)..];
     let of = |&(held_out, judge, before, after): &(bool, &Judge, &On, &On)| {
         let of = |on| gates::worst_of(context, &[(judge, on)]);
         Left {
@@ -149,9 +164,7 @@ fn left(context: &Context, parts: &[(bool, &Judge, &On, &On)]) -> Option<Left> {
             after: of(after),
         }
     };
-    let much =
-        |l: &Left| l.after > allowed && l.after * l.after / l.before.max(1e-9) > LEFT_OF_SHARE;
-    parts.iter().map(of).find(much)
+    parts.iter().map(of).collect()
 }
 
 /// Whether a term's size wants to be larger than it can plausibly be: it stands in for something else, and

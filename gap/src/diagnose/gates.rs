@@ -105,8 +105,6 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
         "its gain in cross-validation is within what resampling gives by chance"
     } else if cross < relative * of || cross < absolute {
         "its gain in cross-validation is too small to matter"
-    } else if fit < 0.2 * relative * before {
-        "its gain on the runs it was fitted to is too small to matter"
     } else if from_one_block(&gains) && !again {
         "its gain comes from one second of one run"
     } else {

@@ -16,7 +16,7 @@ use super::heard::{Group, Tally, tally, watched};
 use crate::effects::{DROPPED_FRAMES, Domain, Place};
 use crate::error::GapError;
 use crate::replay::{Data, Replayer, SegmentOptions, Term};
-use crate::report::{Cause, Parameter, Rejected};
+use crate::report::{Cause, Grounds, Parameter, Rejected};
 use crate::trial::{Steps, Trial};
 
 /// Share of samples that are behind where frames are lost; a lab that loses one frame in a thousand has 0.001
@@ -166,6 +166,7 @@ impl Losses {
                     .to_owned(),
             }],
             assumed: Vec::new(),
+            grounds: Grounds::default(),
         }
     }
 }

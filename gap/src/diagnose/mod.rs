@@ -51,6 +51,7 @@ use std::time::{Duration, Instant};
 
 use caudata_model::RobotModel;
 
+use crate::calibration::Calibration;
 use crate::effects::{self, DROPPED_FRAMES, Effect};
 use crate::error::GapError;
 use crate::excitation::Excitation;
@@ -329,6 +330,7 @@ fn context(
         losses,
         effects,
         excitation,
+        calibration: Calibration::shipped()?,
         seed: request.options.seed,
     })
 }

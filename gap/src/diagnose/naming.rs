@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 
 use super::alike::{indistinguishable, trades, wider};
-use super::doubt::{much_is_left, one_place};
+use super::doubt::one_place;
 use super::fits::{penalised, single, swapped};
 use super::gates::{self, Worth};
 use super::refine::refine;
@@ -27,16 +27,9 @@ const MARGIN_FLOORS: f64 = 0.06;
 /// A rival that fails to explain this share of what the cause does is none, even if what it does could as well be
 /// done by other sizes of the model's effects ([`trades`]).
 const TRADES_AT_MOST: f64 = 0.03;
-/// A cause with less than this probability of its name is none …
-const UNNAMED: f64 = 0.2;
-/// … unless its layer (friction, motor, timing …) has this one.
-const LAYER_KNOWN: f64 = 0.6;
-/// Where much is left unexplained, a cause must take this share off the misfit of its joint, …
-const LEAST_SHARE_IN_PART: f64 = 0.08;
-/// … and where it takes less than this one off, be sure to take any. What takes less off than this of what a
-/// careful lab would not leave, beside a greater cause, is a lead and no finding ([`is_a_lead`]): of the
-/// benchmark's second names (seeds 73, 79 and 83) 23 such were wrong and 2 right; of those with more, 13 (8
-/// of them beside what is not in the catalogue) and 29.
+/// What takes less off than this of what a careful lab would not leave, beside a greater cause, is a lead and no
+/// finding ([`is_a_lead`]): of the benchmark's second names (seeds 73, 79 and 83) 23 such were wrong and 2 right;
+/// of those with more, 13 (8 of them beside what is not in the catalogue) and 29.
 const GREAT_SHARE: f64 = 0.5;
 /// The same of the runs that are fitted, where they ask for it more: of 19 wrong leads (pairs and laws
 /// outside the catalogue, seeds 101 to 113) none took more than 0.51 off those, and three of four right ones
@@ -115,7 +108,7 @@ pub fn name(context: &Context, found: &mut Found, out: &mut Vec<Named>) -> Resul
             if steps < MOST_STEPS {
                 better = put_right(context, found, &named, &seen)?;
             }
-            if better.is_none() && !is_a_cause(context, found, &named) {
+            if better.is_none() && named.worth.cross <= 0.0 {
                 better = Some(named.without.clone());
             }
             if let Some(better) = better {
@@ -142,8 +135,8 @@ fn put_right(
     let rivals: Vec<&Rival> = named.rivals.iter().filter(|r| new(&r.state)).collect();
     let other = simpler(context, best, named, &rivals)
         .or(less_of_each(context, best, &rivals)?)
-        .or_else(|| more_probable(context, found, named, &rivals));
-    if other.is_some() || !is_a_cause(context, found, named) {
+        .or_else(|| more_probable(context, best, named, &rivals));
+    if other.is_some() || named.worth.cross <= 0.0 {
         return Ok(other);
     }
     Ok(both(context, best, named)?.filter(new))
@@ -240,12 +233,11 @@ fn chances(state: &State) -> usize {
 /// be a cause in its place.
 fn more_probable(
     context: &Context,
-    found: &Found,
+    best: &State,
     named: &Named,
     rivals: &[&Rival],
 ) -> Option<State> {
     let model = context.replayer.model();
-    let best = &found.best;
     let takes_over = |r: &&&Rival| {
         let term = &r.state.terms[r.index];
         let worth = || gates::worth(context, &named.without, &r.state, Some(&term.place));
@@ -255,37 +247,9 @@ fn more_probable(
             && gates::matters(context, term)
             && !by_chance()
             && worth().passed
-            && enough_in_part(context, found, &r.state, &worth())
     };
     let first = rivals.iter().find(takes_over)?;
     Some(first.state.clone())
-}
-
-/// Whether what is in `named` deserves to be called a cause.
-fn is_a_cause(context: &Context, found: &Found, named: &Named) -> bool {
-    // one of which nobody can tell the name, nor even the layer, is a leftover, unless its size and theirs are one
-    let traded = named.rivals.iter().filter(|r| r.traded);
-    let traded: f64 = traded.map(|r| r.probability).sum();
-    let own = named.probability + same_name(found, named) + traded;
-    if own < UNNAMED && same_layer(found, named) < LAYER_KNOWN {
-        return false;
-    }
-    enough_in_part(context, found, &found.best, &named.worth)
-}
-
-/// Whether a cause that is worth `worth` in `best` explains enough: what takes little off where much is left,
-/// or is not sure to take any off a joint of which much is left, stands in for what is not in the catalogue.
-fn enough_in_part(context: &Context, found: &Found, best: &State, worth: &Worth) -> bool {
-    if worth.cross <= 0.0 {
-        return false;
-    }
-    if !much_is_left(context, &found.base, best) {
-        return true;
-    }
-    let share = worth.cross / worth.of.max(1e-9);
-    let well_explained = worth.of - worth.cross < gates::quiet(context);
-    let sure = worth.interval.0 > 0.0 || share >= GREAT_SHARE || well_explained;
-    share >= LEAST_SHARE_IN_PART && sure
 }
 
 /// The model with a rival of the answer set beside the cause in `named`, if there is one with which it says
@@ -358,25 +322,6 @@ pub fn leads(context: &Context, best: &State, order: &[&Named]) -> Vec<bool> {
         out.push(greater && is_a_lead(gates::quiet(context), &n.worth));
     }
     out
-}
-
-/// Probability of the same effect at other places.
-fn same_name(found: &Found, named: &Named) -> f64 {
-    let effect = found.best.terms[named.index].effect;
-    named
-        .rivals
-        .iter()
-        .filter(|r| r.state.terms[r.index].effect == effect)
-        .map(|r| r.probability)
-        .sum()
-}
-
-/// Probability of all effects of the same layer.
-fn same_layer(found: &Found, named: &Named) -> f64 {
-    let layer = found.best.terms[named.index].effect.layer;
-    let rivals = named.rivals.iter();
-    let of_layer = rivals.filter(|r| r.state.terms[r.index].effect.layer == layer);
-    named.probability + of_layer.map(|r| r.probability).sum::<f64>()
 }
 
 /// Everything that could stand in the place of term `index` of the best model, fitted.

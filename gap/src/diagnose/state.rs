@@ -7,6 +7,7 @@ use super::judge::Judge;
 use super::losses::Losses;
 use super::product::dot;
 use super::scout::{Scout, WINDOW_S};
+use crate::calibration::Calibration;
 use crate::effects::Effect;
 use crate::error::GapError;
 use crate::excitation::Excitation;
@@ -32,6 +33,8 @@ pub struct Context {
     pub effects: Vec<&'static Effect>,
     /// What the runs to fit to excite.
     pub excitation: Excitation,
+    /// How evidence becomes a probability.
+    pub calibration: Calibration,
     /// Seed of every resampling.
     pub seed: u64,
 }

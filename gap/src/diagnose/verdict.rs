@@ -26,21 +26,9 @@ use crate::error::GapError;
 use crate::extension::Extension;
 use crate::plots::Plots;
 use crate::replay::Term;
-use crate::report::{Cause, Compute, Gain, LocalGap, Parameter, Rejected, Report, RunUse, Verdict};
-
-/// Nobody is surer than the benchmark's own error rate. Of the names that nothing spoke against and no
-/// look-alike came near (set `pr`, laws outside the catalogue included) at least 112 of 126 were right with
-/// the catalogue of seeds 73 and 79, and 57 of 57 with the present one (seed 89) …
-const TRUST: f64 = 0.95;
-/// … where much is left, or a parameter is at its bound, this: of names of seeds 83 to 107 that nothing else
-/// speaks against, 46 of 53 were right, and where much is left the next robot has more that no catalogue
-/// knows than the benchmark has …
-const TRUST_IN_PART: f64 = 0.8;
-/// … where something says that the law is another one ([`Doubts::deny`]), this: of such names of seeds 61 to
-/// 101 4 of 66 were right …
-const TRUST_DENIED: f64 = 0.15;
-/// … and of a lead ([`naming::leads`]) this: of 25 such names two were right.
-const TRUST_LEAD: f64 = 0.1;
+use crate::report::{
+    Cause, Compute, Gain, Grounds, LocalGap, Parameter, Rejected, Report, RunUse, Verdict,
+};
 
 /// The report of a diagnosis that stops at its data.
 pub fn data_fault(request: &Request, model: &RobotModel, runs: Vec<RunUse>) -> Diagnosis {
@@ -97,8 +85,6 @@ struct Told<'a> {
     are_leads: Vec<bool>,
     doubts: Doubts<'a>,
     spread: Spread,
-    /// How sure one is of a cause that nothing denies.
-    undenied: f64,
 }
 
 fn told_of<'a>(context: &Context, found: &'a Found, named: &[Named]) -> Result<Told<'a>, GapError> {
@@ -107,24 +93,16 @@ fn told_of<'a>(context: &Context, found: &'a Found, named: &[Named]) -> Result<T
     let spread = spread(context, best, &derivatives);
     let mut order: Vec<&Named> = named.iter().collect();
     order.sort_by(|a, b| b.worth.cross.total_cmp(&a.worth.cross));
+    let indices: Vec<usize> = order.iter().map(|n| n.index).collect();
+    let doubts = Doubts::about(context, base, best, &derivatives, &indices);
+    let told = order
+        .iter()
+        .map(|n| cause(context, best, n, &spread, &doubts));
+    let mut all = told.collect::<Result<Vec<_>, _>>()?;
     let are_leads = naming::leads(context, best, &order);
-    let found_causes = order.iter().zip(&are_leads).filter(|(_, lead)| !**lead);
-    let found_causes: Vec<usize> = found_causes.map(|(n, _)| n.index).collect();
-    let doubts = Doubts::about(context, base, best, &derivatives, &found_causes);
-    let undenied = match doubts.much {
-        Some(_) => TRUST_IN_PART,
-        None => TRUST,
-    };
-    let trusted = |(n, is_lead): (&&Named, &bool)| {
-        let trust = match is_lead {
-            true => TRUST_LEAD,
-            false if doubts.deny(context, &best.terms[n.index].place) => TRUST_DENIED,
-            false => undenied,
-        };
-        cause(context, best, n, &spread, trust)
-    };
-    let all = order.iter().zip(&are_leads).map(trusted);
-    let mut all = all.collect::<Result<Vec<_>, _>>()?;
+    let leads = indices.iter().zip(&are_leads).filter(|(_, lead)| **lead);
+    let leads: Vec<usize> = leads.map(|(index, _)| *index).collect();
+    let doubts = doubts.without(&leads);
     for (cause, own) in all.iter_mut().zip(&order) {
         widen(cause, &best.terms[own.index], best, &order);
     }
@@ -133,7 +111,6 @@ fn told_of<'a>(context: &Context, found: &'a Found, named: &[Named]) -> Result<T
         are_leads,
         doubts,
         spread,
-        undenied,
     })
 }
 
@@ -190,9 +167,8 @@ pub fn conclude(
         are_leads,
         doubts,
         spread,
-        undenied,
     } = told_of(context, found, named)?;
-    let losses = (context.losses.as_ref()).map(|l| l.cause(undenied));
+    let losses = (context.losses.as_ref()).map(|l| l.cause(context.calibration.surest));
     let entries = carried.entries(context, &all);
     let extension = extended(request, context, &model.terms, &entries, losses.as_ref());
     let mut are_leads = are_leads.into_iter();
@@ -310,7 +286,7 @@ fn cause(
     best: &State,
     named: &Named,
     spread: &Spread,
-    trust: f64,
+    doubts: &Doubts<'_>,
 ) -> Result<Cause, GapError> {
     let term = &best.terms[named.index];
     let mut alternatives: Vec<String> = Vec::new();
@@ -369,43 +345,55 @@ fn cause(
         false => beside(context, best, named.index, &open, spread)?,
     };
     let parameters = parameters(context, best, named.index, spread, &wider);
-    let trust = trust.min(trust_in(context, term, &parameters, open.is_empty()));
+    let grounds = grounds(context, named, term, same_name, &parameters, doubts);
     Ok(Cause {
         effect: term.effect.id.to_owned(),
         layer: term.effect.layer.name().to_owned(),
         location: term.place.names.clone(),
         parameters,
-        confidence: (same_name * trust).clamp(0.03, TRUST),
+        confidence: context.calibration.confidence(&grounds),
         alternatives,
         synonyms: Vec::new(),
         elsewhere,
         evidence: evidence(context, term, named),
         rejected,
         assumed: (term.effect).assumed(context.replayer.model(), &term.place),
+        grounds,
     })
 }
 
-/// How far a name is to be trusted by what it would come to. `alone`: nothing else of its answer set may be there
-/// beside it, and make its interval as wide as it is.
-fn trust_in(
+/// What the confidence in a name of `term`, of probability `among` among its look-alikes, rests on.
+fn grounds(
     context: &Context,
+    named: &Named,
     term: &Term,
+    among: f64,
     parameters: &BTreeMap<String, Parameter>,
-    alone: bool,
-) -> f64 {
+    doubts: &Doubts<'_>,
+) -> Grounds {
+    let near = doubts.grounds(context, &term.place);
+    Grounds {
+        among_look_alikes: among,
+        gain: named.worth.cross / named.worth.of.max(1e-9),
+        distance: distance(context, term, parameters),
+        at_bound: near.at_bound || parameters.values().any(|p| p.at_bound),
+        ..near
+    }
+}
+
+/// How far the size of `term` is from no effect, in halves of its 95 % interval.
+fn distance(context: &Context, term: &Term, parameters: &BTreeMap<String, Parameter>) -> f64 {
     let neutral = (term.effect).neutral(context.replayer.model(), &term.place);
-    let may_be_nothing = |p: usize| {
+    let of = |p: usize| {
         let of = &parameters[term.effect.parameters[p].name];
-        (of.ci_low..=of.ci_high).contains(&neutral[p])
+        let end = if of.value < neutral[p] {
+            of.ci_high
+        } else {
+            of.ci_low
+        };
+        (of.value - neutral[p]).abs() / (of.value - end).abs().max(f64::MIN_POSITIVE)
     };
-    if alone && sizes(term.effect).all(may_be_nothing) {
-        return TRUST_DENIED;
-    }
-    // what wants to be larger than it can plausibly be stands in for something else
-    match parameters.values().any(|p| p.at_bound) {
-        true => TRUST_IN_PART,
-        false => TRUST,
-    }
+    sizes(term.effect).map(of).fold(0.0, f64::max).min(1e3)
 }
 
 /// Whether two places of one effect are alike and have nothing in common: one hinge and another one, not one
@@ -513,6 +501,7 @@ mod tests {
             evidence: Vec::new(),
             rejected: Vec::new(),
             assumed: Vec::new(),
+            grounds: Grounds::default(),
         };
         assert!(!cause.is_open());
         cause.elsewhere = vec![vec!["front".to_owned()]];

@@ -8,7 +8,7 @@ use caudata_gap::plots::{
     Correlation, Horizon, Hypothesis, Overlay, Plots, Series, Signature, WaterfallStep,
 };
 use caudata_gap::report::{
-    Cause, Compute, DataFault, Divergence, Doubt, DoubtKind, Floor, Gain, NextExperiment,
+    Cause, Compute, DataFault, Divergence, Doubt, DoubtKind, Floor, Gain, Grounds, NextExperiment,
     Parameter, Rejected, Report, RunUse, Unexplained, Verdict,
 };
 
@@ -79,6 +79,7 @@ fn sample() -> (Report, Plots) {
                 .to_owned(),
         }],
         assumed: vec!["servo.preset.xm430.friction_loss_nm".to_owned()],
+        grounds: Grounds::default(),
     };
     let delay = Cause {
         effect: "command_delay".to_owned(),
@@ -92,6 +93,7 @@ fn sample() -> (Report, Plots) {
         evidence: vec!["Lag is 12 ms at every frequency.".to_owned()],
         rejected: vec![],
         assumed: vec![],
+        grounds: Grounds::default(),
     };
     let way = Cause {
         effect: "pre_sliding".to_owned(),
@@ -105,6 +107,7 @@ fn sample() -> (Report, Plots) {
         evidence: vec!["takes 39 % off the misfit of held-out runs".to_owned()],
         rejected: vec![],
         assumed: vec![],
+        grounds: Grounds::default(),
     };
     let gain = |b: f64, a: f64| Gain {
         before: b,

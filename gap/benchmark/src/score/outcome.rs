@@ -103,7 +103,7 @@ pub fn judge(answer: &Answer, given: &Given, joint_links: &[(String, String)]) -
         .iter()
         .map(|t| judged(t, causes, joint_links))
         .collect();
-    let is_true = |c: &Cause| (answer.effects.iter()).any(|t| same_among(t, &c.effect, causes));
+    let is_true = |c: &Cause| is_true(answer, c, causes);
     let leads = given.report.as_ref().map_or(&empty, |r| &r.leads);
     let wrong: Vec<&Cause> = causes.iter().filter(|c| !is_true(c)).collect();
     let detected = matches!(
@@ -164,6 +164,12 @@ pub fn judge(answer: &Answer, given: &Given, joint_links: &[(String, String)]) -
         seconds: given.seconds,
         failure: given.failure.clone(),
     }
+}
+
+/// Whether the name of `cause` is right beside those in `causes`.
+pub fn is_true(answer: &Answer, cause: &Cause, causes: &[Cause]) -> bool {
+    let mut truth = answer.effects.iter();
+    truth.any(|t| same_among(t, &cause.effect, causes))
 }
 
 /// Whether the case is answered as it should be, by the rule of its block.

@@ -30,6 +30,7 @@ fn recorded_on(rig: &str, effects: &[&str], block: Block, folder: &std::path::Pa
             .map(|e| (find(e).unwrap(), 0, 4.0))
             .collect(),
         decoy: None,
+        other_laws: false,
         without: Vec::new(),
     };
     generate::make(&request, folder).unwrap()
