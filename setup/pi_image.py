@@ -56,7 +56,7 @@ ASK = (
     " systemd-analyze verify caudata-robot-agent.service caudata-robot-rt.service && echo units are right;"
     " cat /sys/devices/system/cpu/isolated; systemctl start ssh; systemctl is-active ssh systemd-resolved; ls /etc/ssh/*.pub; cyclictest -q -m -p 90 -i 1000 -l 2000 -a 3"
 )
-ANSWERS = ("PREEMPT_RT", "caudata-robot 0", "doctor ended with 69", "units are right", "P:90", "Power down")
+ANSWERS = ("PREEMPT_RT", "caudata-robot 0", "doctor ended with 69", "units are right", "ssh_host_ed25519_key.pub", "P:90", "Power down")
 BOOT_WITHIN_S = 1200.0
 
 

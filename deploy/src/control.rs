@@ -266,7 +266,8 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         self.metrics.ticks.inc();
         let dt_s = sensed.servos.time_s - self.last_time_s;
         self.last_time_s = sensed.servos.time_s;
-        self.going = self.plan.going(&sensed, dt_s);
+        let bias_radps = self.gravity.bias_radps();
+        self.going = self.plan.going(&sensed, bias_radps, dt_s);
         self.watch_for_the_end(stop, &sensed);
         self.watch_hardware(&sensed);
         let wanted_command = self.wanted_command(&sensed);

@@ -243,8 +243,8 @@ pub struct RunSummary {
     pub commanded: Velocity,
     /// Mean velocity while walking; null where the link gives no true pose.
     pub achieved: Option<Velocity>,
-    /// The same as the legs tell (leg odometry), which a foot that slides deceives; null on a robot without feet or
-    /// IMU, and in water.
+    /// The same as the legs tell (leg odometry), which a foot that slides deceives; null on a robot with fewer than
+    /// two feet, and in water.
     pub by_legs: Option<Velocity>,
     /// Distance between start and end of walking, m; null where the link gives no true pose.
     pub distance_m: Option<f64>,

@@ -241,7 +241,7 @@ impl Calibration {
     #[must_use]
     pub fn confidence(&self, grounds: &Grounds) -> f64 {
         let told = (self.map.log_odds).probability(&features(grounds, &self.map.doubts));
-        told.clamp(1.0 - self.surest, self.surest)
+        told.clamp((1.0 - self.surest).min(self.surest), self.surest)
     }
 }
 
@@ -264,7 +264,7 @@ mod tests {
         let p = shipped.confidence(&good);
         assert!(p > 0.5 && p <= shipped.surest);
         let worse: [fn(&mut Grounds); 7] = [
-            |g| g.among_look_alikes = 0.3,
+            |g| g.among_look_alikes = 0.02,
             |g| g.left = 30.0,
             |g| g.left_share = 0.9,
             |g| g.gain = 0.2,

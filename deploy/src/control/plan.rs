@@ -6,7 +6,7 @@ use caudata_hardware::wiring::Limits;
 use caudata_proto::registry::TRIAL_S;
 use caudata_task::{COMMAND_DIM, PerJoint};
 
-use super::legs::LegOdometry;
+use super::legs::{LegOdometry, Posture};
 use crate::DeployError;
 use crate::bus::{GroundTruth, Health, ImuReading, Robot, ServoReadings};
 use crate::orientation::GravityFilter;
@@ -39,6 +39,8 @@ pub(super) struct Trial {
     pub(super) ticks: u32,
     /// Ticks of walking since it took over.
     pub(super) walked_ticks: u32,
+    /// Ticks in which it was told to walk.
+    pub(super) told_ticks: u32,
     /// Ticks in a row in which the joints stood still.
     idle_ticks: u32,
     /// Mean command, m/s and rad/s.
@@ -56,7 +58,7 @@ impl Trial {
     }
 
     /// Counts a tick. It is one of walking where the robot was told to move and does: where its legs tell how fast it
-    /// goes (`going`, m/s and rad/s), it goes where it was told to; else its joints move.
+    /// goes (`going`, m/s and rad/s), its joints move and it goes where it was told to; else its joints move.
     pub(super) fn count(
         &mut self,
         command: &[f32; COMMAND_DIM],
@@ -69,12 +71,13 @@ impl Trial {
             Some(going) => {
                 let mean = self.going.get_or_insert_default();
                 follow(mean, &going.map(|v| v as f32), STRIDE_TICKS);
-                dot(mean, &self.command) >= GOES_SHARE * dot(&self.command, &self.command)
+                swings && goes_as_told(mean, &self.command)
             }
             None => swings,
         };
         let told = dot(command, command).min(dot(&self.command, &self.command))
             >= WALK_COMMAND * WALK_COMMAND;
+        self.told_ticks += u32::from(told);
         if told && moves {
             self.ticks += 1;
             self.walked_ticks += 1;
@@ -103,6 +106,16 @@ fn follow(means: &mut [f32], now: &[f32], ticks: f32) {
     for (mean, now) in means.iter_mut().zip(now) {
         *mean += (now - *mean) / ticks;
     }
+}
+
+/// Whether `going` has its share of the command along the command: of the way, where one is commanded, else of the turn.
+fn goes_as_told(going: &[f32; COMMAND_DIM], command: &[f32; COMMAND_DIM]) -> bool {
+    let [vx, vy, yaw] = *command;
+    let asked = match vx.hypot(vy) >= WALK_COMMAND {
+        true => [vx, vy, 0.0],
+        false => [0.0, 0.0, yaw],
+    };
+    dot(going, &asked) >= GOES_SHARE * dot(&asked, &asked)
 }
 
 fn dot(a: &[f32; COMMAND_DIM], b: &[f32; COMMAND_DIM]) -> f32 {
@@ -134,9 +147,20 @@ pub struct RunPlan {
 }
 
 impl RunPlan {
-    /// Velocity by the legs since the tick `dt_s` ago. Feet that swim tell nothing.
-    pub(super) fn going(&mut self, sensed: &Sensed, dt_s: f64) -> Option<[f64; COMMAND_DIM]> {
-        let going = self.legs.as_mut()?.velocity(sensed, dt_s);
+    /// Velocity by the legs since the tick `dt_s` ago, with a gyroscope of that bias. Feet that swim tell nothing.
+    pub(super) fn going(
+        &mut self,
+        sensed: &Sensed,
+        bias_radps: [f32; 3],
+        dt_s: f64,
+    ) -> Option<[f64; COMMAND_DIM]> {
+        let gyro_radps = sensed.imu.gyro_radps;
+        let going = self.legs.as_mut()?.velocity(&Posture {
+            pos_rad: &sensed.servos.pos_rad,
+            gyro_radps: std::array::from_fn(|i| f64::from(gyro_radps[i] - bias_radps[i])),
+            up: sensed.gravity.map(|g| -f64::from(g)),
+            dt_s,
+        });
         going.filter(|_| sensed.in_water != Some(true))
     }
 }
@@ -334,5 +358,9 @@ mod tests {
         assert_eq!(counted(|_| 0.1, swing, Some(0.033)), 0);
         assert_eq!(counted(|_| 0.1, swing, Some(-0.1)), 0);
         assert_eq!(counted(|_| 0.0, swing, Some(0.1)), 0);
+        // A gyroscope's bias of 1 °/s turns nobody who stands.
+        assert_eq!(counted(|_| 0.1, |_| 0.0, Some(0.1)), 0);
+        assert!(goes_as_told(&[0.0, 0.0, 0.2], &[0.0, 0.0, 0.5]));
+        assert!(!goes_as_told(&[0.0, 0.0, 0.5], &[0.1, 0.0, 0.5]));
     }
 }

@@ -400,6 +400,7 @@ fn fault_32_standing_still_passes_no_trial() {
     let legs = LegOdometry::new(model());
     assert!(legs.is_some());
     assert!(good_by(legs.clone(), 0.3, stepping(1)));
+    assert!(!good_by(legs.clone(), 0.3, standing(1)));
     assert!(!good_by(legs, 0.3, swinging(1)), "it goes nowhere");
 }
 

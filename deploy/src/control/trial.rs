@@ -20,8 +20,9 @@ impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
 
     /// Whoever waits for a version to be reported as good learns what it lacks.
     pub(super) fn say_how_the_trial_stands(&self) {
-        let walked_s = self.walked_s();
-        if walked_s > 0.0 && !self.runner.is_proved() && !self.trial.is_over(self.plan.period) {
+        let walked_s = rounded(f64::from(self.trial.ticks) * self.plan.period.as_secs_f64());
+        let told = self.trial.told_ticks > 0;
+        if told && !self.runner.is_proved() && !self.trial.is_over(self.plan.period) {
             tracing::info!(
                 policy = %self.runner.policy(),
                 walked_s,

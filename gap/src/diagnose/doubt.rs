@@ -90,7 +90,9 @@ impl<'a> Doubts<'a> {
     pub fn grounds(&self, context: &Context, place: &Place) -> Grounds {
         let near =
             |(s, t): &(Scatter, &Term)| one_place(context, &t.place, place).then_some(s.share);
-        let worst = self.left.iter().max_by(|a, b| a.after.total_cmp(&b.after));
+        // where much is left, that part of the runs; else the one with most
+        let worst = self.much.and_then(|k| self.left.get(k));
+        let worst = worst.or_else(|| self.left.iter().max_by(|a, b| a.after.total_cmp(&b.after)));
         Grounds {
             scatter: self.scatter.iter().filter_map(near).fold(0.0, f64::max),
             at_bound: self.outgrown.iter().any(|(_, t)| meet(&t.place, place)),

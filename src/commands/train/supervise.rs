@@ -222,7 +222,8 @@ impl<'a> Supervisor<'a> {
         let by_signal = status.and_then(|status| status.signal());
         if self.stopping_since.is_some() && by_signal == Some(Signal::SIGTERM as i32) {
             let message = "stopped before the learner had begun";
-            return Failure::message(ExitCode::Interrupted, message);
+            let hint = "what was saved before is as it was: the same command begins again, or `train --resume`";
+            return Failure::message(ExitCode::Interrupted, message).hint(hint);
         }
         let (code, how) = match status {
             Some(status) if !status.success() => {

@@ -130,16 +130,17 @@ pub fn import(file: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
 /// Macros that nobody expanded are no robot yet.
 fn unexpanded(root: &Element, file: &Path, remarks: &mut Remarks) -> Result<(), ImportError> {
     let Some(macros) =
-        root.find(&|e| e.namespaced || e.attributes.values().any(|v| v.contains("${")))
+        root.find(&|e| e.of_xacro || e.attributes.values().any(|v| v.contains("${")))
     else {
         return Ok(());
     };
     let name = file.display();
     let plain = file.with_extension("");
-    let plain = if plain.extension().is_some() {
-        plain
-    } else {
-        file.with_extension("urdf")
+    let plain = match plain.extension() {
+        Some(_) => plain,
+        // not onto itself: the shell would empty it first
+        None if file.extension().is_some_and(|e| e == "urdf") => file.with_extension("plain.urdf"),
+        None => file.with_extension("urdf"),
     };
     let message = format!(
         "{} is of xacro, whose macros are to be expanded first: `xacro {name} > {}`, then import that",

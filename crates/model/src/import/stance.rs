@@ -15,6 +15,8 @@ const ASIDE_MAX: f64 = 0.15;
 /// How far out a foot stands, of how far it is in the file, where that is at least this much of the leg.
 const SPREAD: f64 = 0.6;
 const SPREAD_LEAST: f64 = 0.5;
+/// A foot may end so far above or below the ground, share of the leg's length.
+const HEIGHT_OFF_MAX: f64 = 0.12;
 /// How far feet are moved below the centre of mass, of the leg.
 const AHEAD_MAX: f64 = 0.4;
 /// A shorter limb is no leg, of the longest.
@@ -106,11 +108,18 @@ pub(super) fn find(robot: &mut Robot) -> bool {
     legs.retain(|_| keep.next() == Some(true));
     let longest_m = legs.iter().map(Limb::length_m).fold(0.0, f64::max);
     legs.retain(|l| l.length_m() > LEG_SHARE * longest_m);
+    // what ends high above the others is an arm
+    let deepest_m = legs
+        .iter()
+        .map(|l| l.deepest_m)
+        .fold(f64::INFINITY, f64::min);
+    legs.retain(|l| l.deepest_m < deepest_m + (1.0 - BENT) * longest_m);
     if legs.len() < 2 || legs.iter().all(Limb::stands) {
         return false;
     }
     let ground_m = legs.iter().map(|l| l.hip_m[2] - BENT * l.length_m());
     let ground_m = ground_m.fold(f64::NEG_INFINITY, f64::max);
+    let before = robot.home.clone();
     // two legs must stand below the centre of mass, which moves as they bend
     let mut ahead_m = 0.0;
     for _ in 0..if legs.len() == 2 { 4 } else { 1 } {
@@ -132,7 +141,16 @@ pub(super) fn find(robot: &mut Robot) -> bool {
         let off_m = moment / mass_kg - feet.sum::<f64>() / legs.len() as f64;
         ahead_m = (ahead_m + off_m).clamp(-AHEAD_MAX * longest_m, AHEAD_MAX * longest_m);
     }
-    true
+    // what the search did not bring down to the ground is left as the file has it
+    let places = places(robot);
+    let bent = legs.iter().all(|leg| {
+        let end = leg.chain.last().map(|&b| places[b].point(leg.tip_m));
+        end.is_some_and(|at| (at[2] - ground_m).abs() < HEIGHT_OFF_MAX * leg.length_m())
+    });
+    if !bent {
+        robot.home = before;
+    }
+    bent
 }
 
 /// The limb that ends at a body, if it may be a leg.

@@ -22,8 +22,8 @@ pub(super) struct Element {
     pub children: Vec<Element>,
     pub file: String,
     pub line: u32,
-    /// Whether its tag is of a namespace, as the macros of xacro are.
-    pub namespaced: bool,
+    /// Whether its tag is a macro of xacro.
+    pub of_xacro: bool,
 }
 
 /// All that was said.
@@ -167,7 +167,10 @@ fn own(document: &Document<'_>, node: Node<'_, '_>, file: &str) -> Element {
         children: children.map(|c| own(document, c, file)).collect(),
         file: file.to_owned(),
         line: document.text_pos_at(node.range().start).row,
-        namespaced: node.tag_name().namespace().is_some(),
+        of_xacro: node
+            .tag_name()
+            .namespace()
+            .is_some_and(|name| name.contains("xacro")),
     }
 }
 
@@ -175,7 +178,7 @@ fn own(document: &Document<'_>, node: Node<'_, '_>, file: &str) -> Element {
 fn include(element: &mut Element, file: &Path, remarks: &mut Remarks, depth: usize) {
     let mut children = Vec::with_capacity(element.children.len());
     for mut child in std::mem::take(&mut element.children) {
-        if child.tag != "include" || child.namespaced {
+        if child.tag != "include" || child.of_xacro {
             include(&mut child, file, remarks, depth);
             children.push(child);
             continue;

@@ -136,6 +136,9 @@ impl<'a> Reader<'a> {
             .filter(|l| !carried.contains(l))
             .copied()
             .collect();
+        if let [one] = roots.as_slice() {
+            self.loops(one);
+        }
         match roots.as_slice() {
             [one] if self.remarks.refusals.len() == before => return Some(one),
             [] => self.remarks.refuse(
@@ -153,6 +156,39 @@ impl<'a> Reader<'a> {
             }
         }
         None
+    }
+
+    /// Refuses links that carry each other and hang on nothing.
+    fn loops(&mut self, base: &str) {
+        let joints = self.root.all("joint");
+        let ends = joints.filter_map(|j| {
+            let link = |tag| j.first(tag).and_then(|e| e.get("link"));
+            Some((link("parent")?, link("child")?))
+        });
+        let ends: Vec<(&str, &str)> = ends.collect();
+        let mut reached = BTreeSet::from([base]);
+        loop {
+            let next = ends.iter().filter(|(parent, _)| reached.contains(parent));
+            let next: Vec<&str> = next.map(|e| e.1).filter(|c| !reached.contains(c)).collect();
+            if next.is_empty() {
+                break;
+            }
+            reached.extend(next);
+        }
+        let lost = self.links.keys().filter(|link| !reached.contains(*link));
+        let lost: Vec<&str> = lost.copied().collect();
+        // a joint between links that are not there is refused for itself
+        if !lost.is_empty()
+            && lost
+                .iter()
+                .all(|l| ends.iter().any(|e| e.1 == *l && lost.contains(&e.0)))
+        {
+            let message = format!(
+                "{} carry each other in a loop and hang on nothing",
+                lost.join(", ")
+            );
+            self.remarks.refuse(self.root, message);
+        }
     }
 
     /// Says what becomes of a link that has no mass of its own.
