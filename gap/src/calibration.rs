@@ -285,6 +285,17 @@ mod tests {
         assert!(shipped.confidence(&all) < 0.5);
     }
 
+    /// Of a surest third of one name that is wrong.
+    #[test]
+    fn a_fit_that_is_right_of_a_third_tells_something_all_the_same() {
+        let poor = Calibration {
+            surest: 1.0 / 3.0,
+            ..Calibration::shipped().unwrap()
+        };
+        let told = poor.confidence(&Grounds::default());
+        assert_eq!(told, 1.0 / 3.0);
+    }
+
     #[test]
     fn a_key_that_nobody_knows_and_another_form_are_errors() {
         let told = |text: String| Calibration::parse(&text).unwrap_err().to_string();

@@ -269,3 +269,36 @@ fn a_xacro_says_what_to_do_with_it() {
         );
     }
 }
+
+#[test]
+fn what_is_expanded_is_not_written_onto_itself_and_other_namespaces_are_no_xacro() {
+    let text =
+        "<robot xmlns:xacro=\"http://www.ros.org/wiki/xacro\" name=\"x\"><xacro:leg/></robot>";
+    let said = refused("x.urdf", text);
+    assert!(
+        said[0].contains("x.urdf > ") && said[0].contains("x.plain.urdf`"),
+        "{said:?}"
+    );
+    let own = quadruped().replace("<robot ", "<robot xmlns:drake=\"http://drake.mit.edu\" ");
+    let own = own.replace("</robot>", "<drake:diagonal/></robot>");
+    assert!(read("own.urdf", &own).is_ok());
+}
+
+#[test]
+fn links_that_carry_each_other_are_refused() {
+    let hinge = |name: &str, parent: &str, child: &str| {
+        format!(
+            "<joint name=\"{name}\" type=\"fixed\"><parent link=\"{parent}\"/><child link=\"{child}\"/></joint>"
+        )
+    };
+    let ring = [hinge("there", "a", "b"), hinge("back", "b", "a")].concat();
+    let text = quadruped().replace(
+        "</robot>",
+        &format!("<link name=\"a\"/><link name=\"b\"/>{ring}</robot>"),
+    );
+    let said = refused("ring.urdf", &text);
+    assert!(
+        said.iter().any(|s| s.contains("a, b carry each other")),
+        "{said:?}"
+    );
+}
