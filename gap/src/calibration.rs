@@ -285,7 +285,7 @@ mod tests {
         assert!(shipped.confidence(&all) < 0.5);
     }
 
-    /// Of a surest third of one name that is wrong.
+    /// Its surest third was one name, and wrong.
     #[test]
     fn a_fit_that_is_right_of_a_third_tells_something_all_the_same() {
         let poor = Calibration {

@@ -16,8 +16,9 @@ const MEAN_TICKS: f64 = 50.0;
 #[derive(Clone, Debug)]
 pub struct LegOdometry {
     model: Arc<RobotModel>,
+    /// What of each foot may touch the ground.
     feet: Vec<Touching>,
-    /// Of the trunk.
+    /// What of the trunk may.
     trunk: Vec<Touching>,
     /// Link and pose of the IMU's frame in it.
     imu: (usize, Pose),
