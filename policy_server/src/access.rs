@@ -1,20 +1,11 @@
 //! Who may call what: TLS with certificates on both sides, and a role for each call.
 
-use std::io;
-use std::path::{Path, PathBuf};
 use std::pin::Pin;
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::task::{Context, Poll};
 
 use caudata_proto::registry::StreamName;
-use caudata_signing::pki::{CA_FILE, CERTIFICATE_FILE, KEY_FILE, Role, identity_of_der};
-use tokio_rustls::TlsAcceptor;
-use tokio_rustls::rustls::crypto::ring;
-use tokio_rustls::rustls::pki_types::pem::PemObject;
-use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
-use tokio_rustls::rustls::server::WebPkiClientVerifier;
-use tokio_rustls::rustls::{RootCertStore, ServerConfig, version};
+use caudata_signing::pki::{Role, identity_of_der};
 use tonic::{Request, Status};
 
 use crate::audit::Origin;
@@ -39,48 +30,6 @@ const READERS: &[Role] = &[Role::Learner, Role::Operator, Role::Robot];
 
 /// Streams that begin so are what an operator released.
 const RELEASES: &str = "release/";
-
-/// Reads `ca.crt`, `tls.crt` and `tls.key` of `folder`; clients must show a certificate of the same
-/// authority, and speak TLS 1.3.
-///
-/// # Errors
-/// The file that cannot be read, or does not hold what it should.
-pub fn tls_config(folder: &Path) -> Result<TlsAcceptor, (PathBuf, io::Error)> {
-    let read = |name: &str| {
-        let path = folder.join(name);
-        let bytes = std::fs::read(&path).map_err(|error| (path.clone(), error))?;
-        Ok((path, bytes))
-    };
-    let bad = |path: &Path, error: String| {
-        let error = io::Error::new(io::ErrorKind::InvalidData, error);
-        (path.to_owned(), error)
-    };
-    let certificates = |(path, pem): &(PathBuf, Vec<u8>)| {
-        let read: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(pem).collect();
-        read.map_err(|error| bad(path, error.to_string()))
-    };
-    let authority = read(CA_FILE)?;
-    let own = read(CERTIFICATE_FILE)?;
-    let key = read(KEY_FILE)?;
-    let mut roots = RootCertStore::empty();
-    roots.add_parsable_certificates(certificates(&authority)?);
-    let provider = Arc::new(ring::default_provider());
-    let clients = WebPkiClientVerifier::builder_with_provider(roots.into(), provider.clone())
-        .build()
-        .map_err(|error| bad(&authority.0, error.to_string()))?;
-    let chain = certificates(&own)?;
-    let secret =
-        PrivateKeyDer::from_pem_slice(&key.1).map_err(|error| bad(&key.0, error.to_string()))?;
-    let mut config = ServerConfig::builder_with_provider(provider)
-        .with_protocol_versions(&[&version::TLS13])
-        .and_then(|builder| {
-            let builder = builder.with_client_cert_verifier(clients);
-            builder.with_single_cert(chain, secret)
-        })
-        .map_err(|error| bad(&own.0, error.to_string()))?;
-    config.alpn_protocols = vec![b"h2".to_vec()];
-    Ok(TlsAcceptor::from(Arc::new(config)))
-}
 
 /// Whether `role` may make the call with this path. Health and reflection are open to every certificate of
 /// the lab.

@@ -28,7 +28,6 @@ mod testing;
 mod uploads;
 mod watches;
 
-pub use access::tls_config;
 pub use audit::{Deed, Origin};
 pub use error::{RecordError, StoreError};
 pub use labels::{Change, LABELS_MAX, QUARANTINED_MAX};

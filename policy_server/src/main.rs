@@ -9,9 +9,9 @@ use std::time::Duration;
 use caudata_policy_server::{
     CONNECTIONS_MAX, ConnectionLimits, PEER_CONNECTIONS_MAX, ServeError, ServeOptions,
     ServerMetrics, SharedStore, Store, StoreError, StoreLimits, listen, serve_page, serve_with,
-    tls_config,
 };
 use caudata_signing::ReleaseKey;
+use caudata_signing::pki::{Callers, PkiError, listen_as};
 use caudata_telemetry::{
     ExitCode, Failure, FailureExt, LogArgs, Metrics, MetricsServer, Process, StopFlag, announce,
     parse_args, raise_file_limit,
@@ -170,8 +170,12 @@ fn tls_of(args: &Args) -> Result<Option<TlsAcceptor>, Failure> {
         return Err(Failure::message(ExitCode::BadConfig, message)
             .hint("make some with `caudata pki` and give --tls-dir, or listen on 127.0.0.1"));
     };
-    let tls = tls_config(folder).map_err(|(path, error)| {
-        Failure::message(ExitCode::NoInput, format!("{}: {error}", path.display()))
+    let tls = listen_as(folder, Callers::OfTheLab, "h2").map_err(|error| {
+        let code = match error {
+            PkiError::File { .. } => ExitCode::NoInput,
+            _ => ExitCode::BadInput,
+        };
+        Failure::new(code, error)
     })?;
     Ok(Some(tls))
 }

@@ -57,7 +57,7 @@ pub async fn serve_page(
         }
     };
     let ended = async move { _ = stop.wait_for(|stop| *stop).await };
-    serve_http(listener, Router::new().route("/", get(page)), ended).await
+    serve_http(listener, Router::new().route("/", get(page)), None, ended).await
 }
 
 /// The page, as of `now`.

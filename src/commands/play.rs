@@ -1,11 +1,10 @@
 //! `caudata play`: a robot walks in the browser under a policy, and is driven there.
 
-use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
 use caudata_config::ConfigArgs;
-use caudata_live::{LivePage, Policy, Show, Training};
+use caudata_live::{Policy, Show};
 use caudata_sim::TerrainKind;
 use caudata_studies::{files, flags};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
@@ -13,6 +12,7 @@ use clap::Args;
 
 use crate::commands::eval;
 use crate::commands::ground::terrain_parser;
+use crate::commands::page::PageArgs;
 use crate::commands::robot;
 use crate::say;
 
@@ -35,35 +35,6 @@ pub struct PlayArgs {
     /// The task; without these flags, the config.toml beside the policy, else the preset that it was trained with
     #[command(flatten)]
     config: ConfigArgs,
-}
-
-/// Where a live page is.
-#[derive(Debug, Args)]
-pub struct PageArgs {
-    /// Address of the live page; default: any free port, for this machine alone. Beyond it nothing is encrypted
-    #[arg(
-        long,
-        value_name = "IP:PORT",
-        default_value = "127.0.0.1:0",
-        hide_default_value = true
-    )]
-    page: SocketAddr,
-}
-
-impl PageArgs {
-    /// Serves a live page.
-    ///
-    /// # Errors
-    /// When the address cannot be had.
-    pub fn serve(&self, show: Show, training: Option<Training>) -> Result<LivePage, Failure> {
-        let page = LivePage::start(self.page, show, training).or_exit(ExitCode::OsResource)?;
-        if !self.page.ip().is_loopback() {
-            tracing::warn!(
-                "the live page is not encrypted: whoever reads the network reads its token"
-            );
-        }
-        Ok(page)
-    }
 }
 
 pub fn run(args: &PlayArgs, process: &Process) -> Result<(), Failure> {
@@ -90,7 +61,7 @@ pub fn run(args: &PlayArgs, process: &Process) -> Result<(), Failure> {
     };
     // What cannot be shown is refused here, not on the page.
     show.check().or_exit(ExitCode::BadConfig)?;
-    let page = args.page.serve(show, None)?;
+    let page = args.page.serve(show, None, &|line| say::line(line))?;
     say::line(format!("page  {}", page.address()));
     say::line("Ctrl-C ends it");
     while !process.stop.wait(PAUSE) {}

@@ -22,6 +22,7 @@ use std::thread::JoinHandle;
 use caudata_telemetry::progress::{Changed, Iteration};
 use caudata_telemetry::{HttpServer, ServeError};
 use serde::Serialize;
+use tokio_rustls::TlsAcceptor;
 
 pub use order::Order;
 pub use performance::{Policy, Show};
@@ -56,6 +57,7 @@ pub enum LiveError {
 /// Serves the page until dropped.
 #[derive(Debug)]
 pub struct LivePage {
+    scheme: &'static str,
     server: HttpServer,
     token: String,
     /// With which a training may be changed; empty where nothing can be.
@@ -66,7 +68,7 @@ pub struct LivePage {
 }
 
 impl LivePage {
-    /// Serves `show` at `addr` (port 0: any free port).
+    /// Serves `show` at `addr` (port 0: any free port), within TLS where `tls` is there.
     ///
     /// # Errors
     /// When the address is taken, or the system refuses a thread.
@@ -74,7 +76,9 @@ impl LivePage {
         addr: SocketAddr,
         show: Show,
         training: Option<Training>,
+        tls: Option<TlsAcceptor>,
     ) -> Result<Self, LiveError> {
+        let scheme = if tls.is_some() { "https" } else { "http" };
         let token = token()?;
         let change = match training {
             Some(_) => self::token()?,
@@ -89,7 +93,7 @@ impl LivePage {
             training: training.map(Arc::new),
         };
         let router = server::router(&show.title(), doors, Arc::clone(&hub));
-        let server = HttpServer::start(addr, "the live page", router)?;
+        let server = HttpServer::start(addr, "the live page", router, tls)?;
         let ended = Arc::new(AtomicBool::new(false));
         let robot = {
             let (hub, ended) = (Arc::clone(&hub), Arc::clone(&ended));
@@ -98,6 +102,7 @@ impl LivePage {
                 .spawn(move || performance::perform(&show, &hub, &orders, &ended))?
         };
         Ok(Self {
+            scheme,
             server,
             token,
             change,
@@ -107,9 +112,13 @@ impl LivePage {
         })
     }
 
-    /// Where the page is, with the token that opens it.
+    /// Where the page is, with the token that opens it. At any address of this computer it is told by the name.
     pub fn address(&self) -> String {
-        format!("http://{}/?token={}", self.server.addr(), self.token)
+        let addr = self.server.addr();
+        let own = caudata_actor::host_name().ok();
+        let own = own.filter(|_| addr.ip().is_unspecified());
+        let at = own.map_or(addr.to_string(), |name| format!("{name}:{}", addr.port()));
+        format!("{}://{at}/?token={}", self.scheme, self.token)
     }
 
     /// As [`Self::address`], with the token that lets a training be changed.

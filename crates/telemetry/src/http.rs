@@ -12,16 +12,18 @@ use axum::{Extension, Router};
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Notify;
 use tokio::task::AbortHandle;
+use tokio_rustls::TlsAcceptor;
 
 /// Connections served at once. One more ends the oldest of the host that has the most: whoever asks is
 /// answered at once, and nobody waits behind connections that say nothing.
 const CONNECTIONS_MAX: usize = 32;
 /// Connections of one host at once; one more ends its oldest.
 const PEER_CONNECTIONS_MAX: usize = 8;
-/// A request's headers must be there within this time.
+/// A handshake is over, and after it a request's headers are there, within this time.
 const HEADERS_MAX: Duration = Duration::from_secs(5);
 /// A connection is over within this time, its answer included, unless [`Connection::keep`] says otherwise.
 const CONNECTION_MAX: Duration = Duration::from_secs(20);
@@ -83,13 +85,14 @@ impl Places {
     }
 }
 
-/// Answers requests to `router` until `ended`.
+/// Answers requests to `router` until `ended`, within TLS where there is an acceptor.
 ///
 /// # Errors
 /// What the system says of the listener.
 pub async fn serve_http(
     listener: TcpListener,
     router: Router,
+    tls: Option<TlsAcceptor>,
     ended: impl Future<Output = ()>,
 ) -> io::Result<()> {
     let mut places = Places::default();
@@ -103,7 +106,7 @@ pub async fn serve_http(
         match accepted {
             Ok((stream, peer)) => {
                 places.free_one(peer.ip());
-                let task = tokio::spawn(answer(stream, peer, router.clone()));
+                let task = tokio::spawn(shake_hands(stream, peer, router.clone(), tls.clone()));
                 places.0.push_back((peer.ip(), task.abort_handle()));
             }
             Err(error) => {
@@ -116,7 +119,27 @@ pub async fn serve_http(
     Ok(())
 }
 
-async fn answer(stream: TcpStream, peer: SocketAddr, router: Router) {
+async fn shake_hands(
+    stream: TcpStream,
+    peer: SocketAddr,
+    router: Router,
+    tls: Option<TlsAcceptor>,
+) {
+    let Some(tls) = tls else {
+        return answer(stream, peer, router).await;
+    };
+    match tokio::time::timeout(HEADERS_MAX, tls.accept(stream)).await {
+        Ok(Ok(stream)) => answer(stream, peer, router).await,
+        Ok(Err(error)) => tracing::debug!(%peer, %error, "no handshake"),
+        Err(_) => tracing::debug!(%peer, "a handshake took too long"),
+    }
+}
+
+async fn answer(
+    stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
+    peer: SocketAddr,
+    router: Router,
+) {
     let connection = Connection::default();
     let router = router.layer(Extension(connection.clone()));
     let served = http1::Builder::new()

@@ -12,6 +12,7 @@ use axum::http::header::CONTENT_TYPE;
 use axum::routing::get;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
+use tokio_rustls::TlsAcceptor;
 
 use crate::error::ServeError;
 use crate::http::serve_http;
@@ -30,11 +31,17 @@ pub struct HttpServer {
 }
 
 impl HttpServer {
-    /// Binds `addr` (port 0: any free port) and answers with `router`. `name` is the thread's.
+    /// Binds `addr` (port 0: any free port) and answers with `router`, within TLS where `tls` is there. `name` is
+    /// the thread's.
     ///
     /// # Errors
     /// [`ServeError::InUse`] when the port is taken, [`ServeError::Io`] otherwise.
-    pub fn start(addr: SocketAddr, name: &'static str, router: Router) -> Result<Self, ServeError> {
+    pub fn start(
+        addr: SocketAddr,
+        name: &'static str,
+        router: Router,
+        tls: Option<TlsAcceptor>,
+    ) -> Result<Self, ServeError> {
         let failed = |source: io::Error| match source.kind() {
             io::ErrorKind::AddrInUse => ServeError::InUse(addr),
             _ => ServeError::Io { addr, source },
@@ -52,7 +59,7 @@ impl HttpServer {
             .spawn(move || {
                 let served = runtime.block_on(async {
                     let ended = async { _ = ended.await };
-                    serve_http(TcpListener::from_std(listener)?, router, ended).await
+                    serve_http(TcpListener::from_std(listener)?, router, tls, ended).await
                 });
                 if let Err(error) = served {
                     tracing::warn!(%error, "the endpoint for {name} ended");
@@ -122,7 +129,8 @@ impl MetricsServer {
         stop: StopFlag,
         check: impl Fn() -> Option<String> + Send + Sync + 'static,
     ) -> Result<Self, ServeError> {
-        let server = HttpServer::start(addr, "metrics", router(metrics, stop, Arc::new(check)))?;
+        let router = router(metrics, stop, Arc::new(check));
+        let server = HttpServer::start(addr, "metrics", router, None)?;
         tracing::info!(addr = %server.addr(), "metrics at http://{}/metrics", server.addr());
         Ok(Self(server))
     }

@@ -7,14 +7,15 @@ use std::time::{Duration, SystemTime};
 use caudata_model::RobotModel;
 use caudata_policy::{Activation, Dense, MlpSpec, PolicyFile, PolicyMetadata, build_onnx};
 use caudata_policy_server::{
-    ServeOptions, ServerMetrics, SharedStore, Store, StoreLimits, listen, serve_with, tls_config,
+    ServeOptions, ServerMetrics, SharedStore, Store, StoreLimits, listen, serve_with,
 };
 use caudata_proto::registry::StreamName;
 use caudata_registry_client::{ClientError, RegistryClient, manifest_of};
-use caudata_signing::pki::{Authority, Request, Role};
+use caudata_signing::pki::{Authority, Callers, PkiError, Request, Role, listen_as};
 use caudata_task::{PolicyContract, TaskConfig};
 use caudata_telemetry::Metrics;
 use tokio::sync::watch;
+use tokio_rustls::TlsAcceptor;
 use tonic::Code;
 
 fn certificate(authority: &Authority, role: Role, name: &str) -> PathBuf {
@@ -30,6 +31,10 @@ fn certificate_of(authority: &Authority, role: Role, name: &str, from: SystemTim
         days: 1,
     };
     authority.issue(&request, from, false).unwrap()
+}
+
+fn of_the_lab(folder: &Path) -> Result<TlsAcceptor, PkiError> {
+    listen_as(folder, Callers::OfTheLab, "h2")
 }
 
 /// A policy of one layer.
@@ -81,7 +86,7 @@ async fn a_role_does_what_it_may_and_a_stranger_nothing() {
     let listener = listen("127.0.0.1:0".parse().unwrap()).await.unwrap();
     let port = listener.local_addr().unwrap().port();
     let address = format!("https://localhost:{port}");
-    let tls = tls_config(&certificate(&ours, Role::Server, "server")).unwrap();
+    let tls = of_the_lab(&certificate(&ours, Role::Server, "server")).unwrap();
     let (stop, stopped) = watch::channel(false);
     let metrics = ServerMetrics::register(&Metrics::new());
     let server = tokio::spawn(async move {
@@ -176,7 +181,7 @@ async fn fault_18_certificates_of_another_year_keep_a_robot_out_and_are_no_reaso
         let listener = listen("127.0.0.1:0".parse().unwrap()).await.unwrap();
         let port = listener.local_addr().unwrap().port();
         let name = format!("server-{server_time}");
-        let tls = tls_config(&certificate_of(&ours, Role::Server, &name, from)).unwrap();
+        let tls = of_the_lab(&certificate_of(&ours, Role::Server, &name, from)).unwrap();
         let (stop, stopped) = watch::channel(false);
         let metrics = ServerMetrics::register(&Metrics::new());
         let server = tokio::spawn(async move {
@@ -213,8 +218,11 @@ async fn fault_18_certificates_of_another_year_keep_a_robot_out_and_are_no_reaso
 #[test]
 fn certificates_that_are_not_there_are_named() {
     let dir = tempfile::tempdir().unwrap();
-    let (path, _) = tls_config(dir.path()).err().unwrap();
-    assert!(path.ends_with("ca.crt"), "{}", path.display());
+    let error = of_the_lab(dir.path()).err().unwrap();
+    assert!(
+        matches!(&error, PkiError::File { path, .. } if path.ends_with("ca.crt")),
+        "{error}"
+    );
     let error = RegistryClient::with_tls("https://localhost:1", Some(dir.path())).unwrap_err();
     assert!(error.to_string().contains("ca.crt"), "{error}");
     let error = RegistryClient::with_tls("https://localhost:1", None).unwrap_err();
@@ -231,7 +239,7 @@ async fn tls_1_2_is_not_spoken() {
     let dir = tempfile::tempdir().unwrap();
     let ours = Authority::create(&dir.path().join("ours"), "lab", SystemTime::now()).unwrap();
     let folder = certificate(&ours, Role::Robot, "robot");
-    let acceptor = tls_config(&certificate(&ours, Role::Server, "server")).unwrap();
+    let acceptor = of_the_lab(&certificate(&ours, Role::Server, "server")).unwrap();
     let shake = async |version: &'static SupportedProtocolVersion| {
         let mut roots = RootCertStore::empty();
         let authority = CertificateDer::from_pem_file(folder.join("ca.crt")).unwrap();

@@ -162,7 +162,8 @@ fn show(dir: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
-fn failure(error: PkiError) -> Failure {
+/// The exit code of what went wrong with certificates.
+pub fn failure(error: PkiError) -> Failure {
     let code = match &error {
         PkiError::Role(_) | PkiError::Name(_) | PkiError::Days(_) => ExitCode::BadConfig,
         PkiError::Exists(_) => ExitCode::CannotCreate,

@@ -23,7 +23,7 @@ use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use clap::Args;
 
-use crate::commands::play::PageArgs;
+use crate::commands::page::PageArgs;
 use crate::commands::robot::load as load_robot;
 use crate::commands::runs;
 use crate::say;
@@ -149,7 +149,10 @@ fn live_page(
         take: Box::new(take),
         beside: Box::new(move |other| runs::beside(&run, other).map_err(|why| why.to_string())),
     };
-    match args.page.serve(show, Some(training)) {
+    match args
+        .page
+        .serve(show, Some(training), &|line| view.note(line))
+    {
         Ok(page) => {
             view.note(&format!("live at {}", page.address()));
             view.note(&format!("change it at {}", page.changing_address()));

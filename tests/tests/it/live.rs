@@ -180,6 +180,73 @@ fn a_stranger_sees_nothing_and_changes_nothing() {
     }
 }
 
+/// Looks at a page over TLS, prints the version, SHA-256 of the certificate and status, and what plain HTTP gets.
+const LOOK: &str = r#"
+import hashlib, socket, ssl, sys
+port, path, authority = sys.argv[1:]
+context = ssl.create_default_context(cafile=authority or None)
+if not authority:
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+def ask(stream):
+    stream.sendall(f"GET {path} HTTP/1.1\r\nHost: x\r\n\r\n".encode())
+    return stream.recv(12)
+with context.wrap_socket(socket.create_connection(("127.0.0.1", int(port))), server_hostname="localhost") as stream:
+    print(stream.version())
+    print(hashlib.sha256(stream.getpeercert(True)).hexdigest().upper())
+    print(ask(stream).decode())
+with socket.create_connection(("127.0.0.1", int(port))) as stream:
+    print(b"HTTP" in ask(stream))
+"#;
+
+#[test]
+fn a_page_for_others_is_encrypted() {
+    let dir = tempfile::tempdir().unwrap();
+    let pki = dir.path().join("pki").display().to_string();
+    let asked = ["--role", "server", "--name", "page", "--host", "localhost"];
+    for flags in [&["init"][..], &[&["issue"], &asked[..]].concat()] {
+        let all = [&["pki"], flags, &["--dir", &pki]].concat();
+        let done = caudata_tests::finish(command("caudata", &all).unwrap()).unwrap();
+        assert_eq!(done.code, Some(0), "{:?}", done.errors());
+    }
+    let (own, authority) = (format!("{pki}/page"), format!("{pki}/page/ca.crt"));
+    let others: &[&str] = &["--page", "0.0.0.0:0"];
+    let certified: &[&str] = &["--page-tls", &own];
+    for (flags, authority) in [(others, ""), (certified, &authority)] {
+        let mut play = command("caudata", &["play", "policies/flat.onnx"]).unwrap();
+        let mut child = play.args(flags).stdout(Stdio::piped()).spawn().unwrap();
+        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        let said: Vec<String> = lines
+            .by_ref()
+            .map_while(Result::ok)
+            .take_while(|line| !line.contains("Ctrl-C"))
+            .collect();
+        let page = said
+            .iter()
+            .find_map(|line| line.split_once("https://"))
+            .unwrap()
+            .1;
+        let (host, path) = page.split_once('/').unwrap();
+        let (name, port) = host.rsplit_once(':').unwrap();
+        assert_ne!(name, "0.0.0.0", "leads nowhere from another computer");
+        let look = Command::new("python3")
+            .args(["-c", LOOK, port, &format!("/{path}"), authority])
+            .output()
+            .unwrap();
+        caudata_tests::signal(&child, Signal::SIGTERM).unwrap();
+        child.wait().unwrap();
+        let seen = String::from_utf8(look.stdout).unwrap();
+        let [version, sum, status, plain] = seen.lines().collect::<Vec<_>>()[..] else {
+            panic!("{seen} {}", String::from_utf8_lossy(&look.stderr));
+        };
+        assert_eq!(
+            (version, status, plain),
+            ("TLSv1.3", "HTTP/1.1 200", "False")
+        );
+        let told = said.iter().any(|line| line.replace(':', "") == sum);
+        assert_eq!(told, authority.is_empty(), "{said:?}");
+    }
+}
+
 #[test]
 fn the_robot_does_what_it_is_told() {
     let served = Served::play(&["policies/flat.onnx"]);

@@ -200,7 +200,7 @@ fn subject(common_name: &str, unit: &str) -> DistinguishedName {
     name
 }
 
-fn set_validity(params: &mut CertificateParams, now: SystemTime, days: u32) {
+pub(super) fn set_validity(params: &mut CertificateParams, now: SystemTime, days: u32) {
     params.not_before = (now - CLOCK_SLACK).into();
     params.not_after = (now + Duration::from_secs(u64::from(days) * 86_400)).into();
 }
