@@ -130,35 +130,8 @@ fn failure(error: ImportError) -> Failure {
         ImportError::Io { source, .. } => ExitCode::of_io(source, false),
         ImportError::Log(LogError::Io { source, .. }) => ExitCode::of_io(source, true),
         ImportError::Log(LogError::Exists { .. }) => ExitCode::CannotCreate,
-        ImportError::Format { message, .. }
-        | ImportError::Log(LogError::Recording { message, .. })
-            if caudata_runlog::python::is_missing(message) =>
-        {
-            ExitCode::Unavailable
-        }
+        ImportError::Log(LogError::Python { .. }) => ExitCode::Unavailable,
         _ => ExitCode::BadInput,
     };
     Failure::new(code, error)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_python_that_is_missing_is_no_fault_of_the_recording() {
-        let of = |message: &str| {
-            let (file, message) = ("bag.db3".to_owned(), message.to_owned());
-            failure(ImportError::Format { file, message }).code()
-        };
-        assert_eq!(
-            of("needs a Python, and `none` does not start"),
-            ExitCode::Unavailable
-        );
-        assert_eq!(
-            of("needs a Python with pyarrow and numpy (no module)"),
-            ExitCode::Unavailable
-        );
-        assert_eq!(of("line 3: `q` is no number"), ExitCode::BadInput);
-    }
 }

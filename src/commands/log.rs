@@ -10,7 +10,6 @@ use caudata_model::{Pose, RobotModel};
 use caudata_runlog::ros::{Compression, Frame, Scene, parse_mcap, write_mcap};
 use caudata_runlog::{
     Axis, LogError, LogMeta, LogWriter, META_NAME, QuatPart, RunLog, Signal, Table, TableWriter,
-    python,
 };
 use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
@@ -133,7 +132,7 @@ fn read(path: &Path) -> Result<(Option<LogMeta>, Table), Failure> {
 
 fn wrong(error: LogError, path: &Path) -> Failure {
     let code = match &error {
-        LogError::Recording { message, .. } if python::is_missing(message) => ExitCode::Unavailable,
+        LogError::Python { .. } => ExitCode::Unavailable,
         _ if path.exists() => ExitCode::BadInput,
         _ => ExitCode::NoInput,
     };

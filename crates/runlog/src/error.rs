@@ -58,6 +58,14 @@ pub enum LogError {
         /// What is wrong.
         message: String,
     },
+    /// The Python that reads or writes such a file is not there, or lacks a library.
+    #[error("{file}: {message}")]
+    Python {
+        /// The file.
+        file: String,
+        /// What is missing.
+        message: String,
+    },
     /// A row handed to the writer cannot be part of a log; nothing of it was written.
     #[error("row refused: {0}")]
     Refused(String),

@@ -18,7 +18,7 @@ mod error;
 mod log;
 mod meta;
 pub mod parquet;
-pub mod python;
+mod python;
 pub mod ros;
 mod signal;
 mod table;

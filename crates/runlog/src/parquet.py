@@ -16,7 +16,9 @@ try:
     import pyarrow.compute as pc
     import pyarrow.parquet as pq
 except ImportError as error:
-    sys.exit("needs a Python with pyarrow and numpy (%s): install them into a virtual environment and name its Python in CAUDATA_PYTHON" % error)
+    hint = "install them into a virtual environment and name its Python in CAUDATA_PYTHON"
+    print("needs a Python with pyarrow and numpy (%s): %s" % (error, hint), file=sys.stderr)
+    sys.exit(69)
 
 
 def numbers(array):

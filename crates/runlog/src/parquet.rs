@@ -4,7 +4,7 @@ use std::ffi::OsStr;
 use std::path::Path;
 
 use crate::error::LogError;
-use crate::python::Script;
+use crate::python::{Script, ScriptError};
 use crate::signal::Signal;
 use crate::table::{MAX_COLUMNS, MAX_ROWS, Table, check_time, check_value};
 
@@ -63,21 +63,23 @@ impl Column {
 /// The columns of numbers of a file that are called so, or all of them.
 ///
 /// # Errors
-/// In words: there is no such Python, the file is damaged, or has more than `most` values.
-pub fn read(path: &Path, wanted: &[&str], most: usize) -> Result<Vec<Column>, String> {
+/// [`LogError::Python`] where there is no such Python; [`LogError::Recording`] where the file is damaged or has
+/// more than `most` values.
+pub fn read(path: &Path, wanted: &[&str], most: usize) -> Result<Vec<Column>, LogError> {
     let most = most.to_string();
     let mut arguments = [OsStr::new("read"), path.as_os_str(), OsStr::new(&most)].to_vec();
     arguments.extend(wanted.iter().map(OsStr::new));
-    let mut script = Script::start(CONVERTER, &arguments, &[])?;
+    let failed = |error: ScriptError| error.of(path);
+    let mut script = Script::start(CONVERTER, &arguments, &[]).map_err(failed)?;
     let columns = std::iter::from_fn(|| Column::take(&mut script)).collect();
-    script.finish().map(|()| columns)
+    script.finish().map(|()| columns).map_err(failed)
 }
 
 impl Table {
     /// Makes the file that [`Self::from_parquet`] reads: a column `t`, s, and one per signal.
     ///
     /// # Errors
-    /// [`LogError::Recording`] where there is no such Python, or the file cannot be written.
+    /// [`LogError::Python`] where there is no such Python; [`LogError::Recording`] where the file cannot be written.
     pub fn to_parquet(&self, path: &Path) -> Result<(), LogError> {
         let names: Vec<String> = self.signals().iter().map(ToString::to_string).collect();
         let mut arguments = [OsStr::new("write"), path.as_os_str(), OsStr::new(TIME)].to_vec();
@@ -90,7 +92,7 @@ impl Table {
         let values = self.time_s().iter().copied().chain(cells);
         let input: Vec<u8> = values.flat_map(f64::to_le_bytes).collect();
         let written = Script::start(CONVERTER, &arguments, &input).and_then(Script::finish);
-        written.map_err(|message| wrong(path, message))
+        written.map_err(|error| error.of(path))
     }
 
     /// Reads a Parquet file whose columns are called as those of `log.csv`. Others are left out with a note.
@@ -99,7 +101,7 @@ impl Table {
     /// [`LogError`] with file, column and reason.
     pub fn from_parquet(path: &Path) -> Result<Self, LogError> {
         let wrong = |message: String| wrong(path, message);
-        let columns = read(path, &[], MAX_VALUES).map_err(wrong)?;
+        let columns = read(path, &[], MAX_VALUES)?;
         let mut time = None;
         let mut found: Vec<(Signal, Column)> = Vec::new();
         let mut notes = Vec::new();

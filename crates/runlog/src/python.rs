@@ -2,17 +2,35 @@
 
 use std::ffi::OsStr;
 use std::io::{self, BufReader, Read, Write};
+use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
+
+use crate::LogError;
 
 /// Names the Python; otherwise it is the `python3` of the path.
 const PYTHON: &str = "CAUDATA_PYTHON";
 
-/// How a script begins to say what it lacks.
-const NEEDED: &str = "needs a Python";
+/// With this a script ends that lacks a library (EX_UNAVAILABLE of sysexits.h).
+const LACKS_LIBRARY: i32 = 69;
 
-/// Whether an error of a reader says that the Python that it takes, or a library of it, is not there.
-pub fn is_missing(message: &str) -> bool {
-    message.starts_with(NEEDED)
+/// Why a script gave no more, in words.
+#[derive(Debug)]
+pub(crate) enum ScriptError {
+    /// There is no such Python, or it lacks a library.
+    Missing(String),
+    /// What it read is wrong.
+    Wrong(String),
+}
+
+impl ScriptError {
+    /// As an error of the file that the script was to read or write.
+    pub fn of(self, path: &Path) -> LogError {
+        let file = path.display().to_string();
+        match self {
+            Self::Missing(message) => LogError::Python { file, message },
+            Self::Wrong(message) => LogError::Recording { file, message },
+        }
+    }
 }
 
 /// A script that runs. What it prints is read from it; it ends with this value.
@@ -25,12 +43,13 @@ impl Script {
     /// Starts a script with its arguments, and gives it its input.
     ///
     /// # Errors
-    /// In words: there is no such Python, or it took no input.
-    pub fn start(script: &str, arguments: &[&OsStr], input: &[u8]) -> Result<Self, String> {
+    /// There is no such Python, or it took no input.
+    pub fn start(script: &str, arguments: &[&OsStr], input: &[u8]) -> Result<Self, ScriptError> {
         let python = std::env::var_os(PYTHON).unwrap_or_else(|| "python3".into());
         let failed = |e: io::Error| {
             let python = python.display();
-            format!("{NEEDED}, and `{python}` does not start ({e}); {PYTHON} may name another")
+            let why = format!("needs a Python, and `{python}` does not start ({e})");
+            ScriptError::Missing(format!("{why}; {PYTHON} may name another"))
         };
         let mut child = Command::new(&python)
             .arg("-c")
@@ -42,7 +61,7 @@ impl Script {
             .spawn()
             .map_err(failed)?;
         let (stdin, stdout) = (child.stdin.take(), child.stdout.take());
-        let no_pipe = || "has no pipe to Python".to_owned();
+        let no_pipe = || ScriptError::Missing("has no pipe to Python".to_owned());
         let output = BufReader::new(stdout.ok_or_else(no_pipe)?);
         // One that has ended already says why in `finish`.
         let _ = stdin.ok_or_else(no_pipe)?.write_all(input);
@@ -66,7 +85,7 @@ impl Script {
     ///
     /// # Errors
     /// The last line that it said, if it failed.
-    pub fn finish(mut self) -> Result<(), String> {
+    pub fn finish(mut self) -> Result<(), ScriptError> {
         let mut said = String::new();
         // It does not end before what it prints is read.
         let _ = io::copy(&mut self.output, &mut io::sink());
@@ -75,11 +94,15 @@ impl Script {
         }
         match self.child.wait() {
             Ok(status) if status.success() => Ok(()),
-            Ok(status) => Err(said
-                .lines()
-                .last()
-                .map_or(status.to_string(), str::to_owned)),
-            Err(error) => Err(error.to_string()),
+            Ok(status) => {
+                let last = said.lines().last();
+                let message = last.map_or(status.to_string(), str::to_owned);
+                Err(match status.code() {
+                    Some(LACKS_LIBRARY) => ScriptError::Missing(message),
+                    _ => ScriptError::Wrong(message),
+                })
+            }
+            Err(error) => Err(ScriptError::Wrong(error.to_string())),
         }
     }
 }

@@ -76,7 +76,7 @@ pub fn open(path: &Path) -> Result<Vec<Recording>, ImportError> {
         let mut wanted = vec![EPISODE, FRAME, TIME];
         wanted.extend(features.iter().map(|f| f.name.as_str()));
         let left = MAX_VALUES.saturating_sub(values);
-        let columns = parquet::read(&file, &wanted, left).map_err(wrong)?;
+        let columns = parquet::read(&file, &wanted, left)?;
         values += take(&columns, &features, rate_hz, &mut episodes).map_err(wrong)?;
     }
     if episodes.is_empty() {

@@ -3,6 +3,7 @@
 
 use std::fs;
 use std::net::TcpListener;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -391,6 +392,45 @@ fn what_config_check_calls_good_a_training_takes() {
     refused(&check(&[]), 64, &["learner.network.symmetric = false"]);
     let good = check(&["--set", "learner.network.symmetric=false"]);
     assert_eq!(good.code, Some(0), "{}", good.stderr);
+}
+
+/// A Python without libraries, and none: no fault of the recording.
+#[test]
+fn a_recording_whose_python_is_not_there_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).display().to_string();
+    let bare = at("bare");
+    fs::write(&bare, "#!/bin/sh\nexec python3 -I -S \"$@\"\n").unwrap();
+    fs::set_permissions(&bare, fs::Permissions::from_mode(0o755)).unwrap();
+    let (table, bag) = (at("log.parquet"), at("bag.db3"));
+    for file in [&table, &bag] {
+        fs::write(file, "neither of them").unwrap();
+    }
+    let read = |python: &str, file: &str| {
+        let mut run = command("caudata", &["log", "convert", file, "--out"]).unwrap();
+        run.arg(at("out")).env("CAUDATA_PYTHON", python);
+        finish(run).unwrap()
+    };
+    refused(
+        &read(&bare, &table),
+        69,
+        &["log.parquet", "pyarrow", "CAUDATA_PYTHON"],
+    );
+    refused(
+        &read("/nowhere", &table),
+        69,
+        &["/nowhere", "CAUDATA_PYTHON"],
+    );
+    let robot = "robots/polymander.robot.toml";
+    for (python, code, word) in [
+        ("/nowhere", 69, "CAUDATA_PYTHON"),
+        ("python3", 65, "bag.db3"),
+    ] {
+        let mut run = command("caudata", &["gap", "import", &bag, "--robot", robot]).unwrap();
+        run.args(["--draft-map", &at("map.toml")])
+            .env("CAUDATA_PYTHON", python);
+        refused(&finish(run).unwrap(), code, &[word]);
+    }
 }
 
 #[test]

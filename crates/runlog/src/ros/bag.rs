@@ -9,7 +9,7 @@ use caudata_durable::read_at_most;
 
 use super::container::{ContainerError, Record, Records};
 use crate::error::{LogError, io_error};
-use crate::python::Script;
+use crate::python::{Script, ScriptError};
 
 /// Largest MCAP file that is read, bytes.
 const MAX_MCAP_BYTES: u64 = 1024 * 1024 * 1024;
@@ -78,7 +78,7 @@ pub fn messages(path: &Path, wanted: &[&str], each: Each<'_>) -> Result<Vec<Stri
     }
     if path.extension().is_some_and(|x| x == "db3") {
         let read = of_sqlite(path, wanted, each);
-        return read.map(|()| Vec::new()).map_err(wrong);
+        return read.map(|()| Vec::new()).map_err(|error| error.of(path));
     }
     of_mcap(&read_whole(path)?, each)
         .map_err(wrong)
@@ -142,19 +142,21 @@ pub(super) fn of_mcap(bytes: &[u8], each: Each<'_>) -> Result<Option<String>, St
 }
 
 /// The messages of an SQLite file as `rosbag2_storage_sqlite3` lays them out, by Python's `sqlite3`.
-fn of_sqlite(path: &Path, wanted: &[&str], each: Each<'_>) -> Result<(), String> {
+fn of_sqlite(path: &Path, wanted: &[&str], each: Each<'_>) -> Result<(), ScriptError> {
     let arguments = std::iter::once(path.as_os_str()).chain(wanted.iter().map(OsStr::new));
     let mut script = Script::start(READER, &arguments.collect::<Vec<_>>(), &[])?;
     let mut number = 0usize;
     while let Some((topic, kind, received_ns, data)) = sqlite_message(&mut script) {
         number += 1;
+        let wrong = |why: String| ScriptError::Wrong(why.replace('\n', " "));
         let message = Recorded {
             topic: &topic,
             kind: &kind,
             received_ns,
-            data: unpacked(data).map_err(|e| format!("message {number}: {e}"))?,
+            data: unpacked(data).map_err(|e| wrong(format!("message {number}: {e}")))?,
         };
-        each(&message).map_err(|e| format!("message {number} on {topic} ({kind}): {e}"))?;
+        let of = |e| wrong(format!("message {number} on {topic} ({kind}): {e}"));
+        each(&message).map_err(of)?;
     }
     script.finish()
 }
