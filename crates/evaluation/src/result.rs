@@ -14,6 +14,9 @@ use crate::transition::{Passage, TransitionResult};
 use crate::wave::{Wave, WaveResult};
 use crate::{Estimate, GateReport, Suite};
 
+/// Share of the commanded way from which on an episode has arrived.
+const ARRIVED_SHARE: f64 = 0.8;
+
 /// A policy in all scenarios of a suite.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SuiteResult {
@@ -166,6 +169,10 @@ pub struct ScenarioResult {
     pub speed_share_least: f64,
     /// Getting into the water or out of it; `None` where the scenario is not about that.
     pub transition: Option<TransitionResult>,
+    /// Share of the episodes that came at least 80 % of the way that was commanded and did not fall; `None`
+    /// where the scenario is not about that.
+    #[serde(default)]
+    pub arrived: Option<Estimate>,
     /// Getting up again; `None` where the scenario is not about that.
     #[serde(default)]
     pub righting: Option<RightingResult>,
@@ -183,6 +190,15 @@ pub(crate) struct Episode {
     pub wave: Option<Wave>,
     /// When it was upright for good, s.
     pub righted_s: Option<f64>,
+}
+
+impl Episode {
+    /// Whether it did not fall and came at least [`ARRIVED_SHARE`] of the way that was commanded.
+    pub(crate) fn arrived(&self) -> bool {
+        let [vx, vy, _] = self.command.map(f64::from);
+        let far = |gait: &Gait| gait.drift_mps >= ARRIVED_SHARE * vx.hypot(vy);
+        self.fell.is_none() && self.gait.as_ref().is_some_and(far)
+    }
 }
 
 impl ScenarioResult {
@@ -238,6 +254,7 @@ impl ScenarioResult {
             stride: Stride::mean(gaits.iter().filter_map(|g| g.stride)),
             speed_share_least: gaits.iter().map(|g| g.speed_share).fold(1.0, f64::min),
             transition: None,
+            arrived: None,
             righting: None,
         }
     }

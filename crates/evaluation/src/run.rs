@@ -15,9 +15,12 @@ use crate::gait::Measure;
 use crate::posture::PostureResult;
 use crate::result::Episode;
 use crate::righting::RightingResult;
+use crate::scenario::Goal;
 use crate::transition::{Shore, TransitionResult};
 use crate::wave::WaveResult;
-use crate::{Envelope, EvaluationError, Film, GateReport, Scenario, ScenarioResult, Track};
+use crate::{
+    Envelope, Estimate, EvaluationError, Film, GateReport, Scenario, ScenarioResult, Track,
+};
 
 /// Actor number in the keys of the evaluation's random streams, less the number of the block: no actor of a
 /// training run has it, so that the episodes are new to the policy.
@@ -132,6 +135,10 @@ pub fn run_scenario(
     let mut result = ScenarioResult::of(&scenario.name, model.feet().len(), &measured, gates);
     let passages: Vec<_> = measured.iter().filter_map(|e| e.passage).collect();
     result.transition = shore.map(|_| TransitionResult::of(&passages));
+    result.arrived = (scenario.goal == Some(Goal::Ahead)).then(|| {
+        let arrived = measured.iter().filter(|e| e.arrived()).count();
+        Estimate::share(arrived, measured.len())
+    });
     result.righting = scenario.fallen.then(|| {
         let times: Vec<_> = measured.iter().map(|e| e.righted_s).collect();
         RightingResult::of(&times)

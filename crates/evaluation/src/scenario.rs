@@ -116,7 +116,7 @@ impl Leg {
     }
 }
 
-/// Where an episode at the shore must get to. Land lies at small x, water at large x.
+/// Where an episode must get to. At a shore land lies at small x, water at large x.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Goal {
     /// The centre of mass a body length beyond the waterline.
@@ -125,6 +125,8 @@ pub enum Goal {
     OntoLand,
     /// First the one, then the other.
     ThereAndBack,
+    /// Four fifths of the way that the command asks for, without a fall, on any ground.
+    Ahead,
 }
 
 /// A robot that differs from its file in a few known ways.

@@ -62,6 +62,8 @@ named! {
         Servo = "servo",
         /// Thrown onto flat ground in any attitude: on its feet within 3 s, then walking.
         Righting = "righting",
+        /// Terraces, each 3 or 5 cm below the one before: down and up.
+        Steps = "steps",
         /// Walks at speeds from 0.1 to 0.8 m/s and swimming, beside what is published of salamanders.
         Animal = "animal",
         /// All that walks: every suite before `transition`.
@@ -89,6 +91,7 @@ impl Suite {
                 judged: false,
                 ..Scenario::walk("on its feet again", [speed_mps, 0.0, 0.0])
             }],
+            Self::Steps => steps(speed_mps),
             Self::Animal => {
                 let mut all = flat(speed_mps);
                 all.retain(|s| s.judged && s.commands.iter().all(|c| c[0] > 0.0));
@@ -296,7 +299,9 @@ fn robust(mass_kg: f64, speed_mps: f32) -> Vec<Scenario> {
     corners.map(scenario).into()
 }
 
-/// Headings at the shore start within ± this, rad.
+/// Risers that the suite of steps has, m.
+const STEP_HEIGHTS_M: [f64; 2] = [0.03, 0.05];
+/// Headings are drawn within ± this about the way to go, rad.
 const SHORE_YAW_RANGE_RAD: f32 = 0.1;
 
 /// The beach, degrees: the paper's steepest hills.
@@ -372,6 +377,38 @@ fn swim(speed_mps: f32) -> Vec<Scenario> {
     ]
 }
 
+/// Straight over terraces, as a pilot does who holds a course.
+fn steps(speed_mps: f32) -> Vec<Scenario> {
+    let over = |height_m: f64, way: &str, yaw_rad| Scenario {
+        terrain: TerrainConfig {
+            height_m,
+            size_m: ROUGH_SIZE_M,
+            ..TerrainConfig::of(TerrainKind::Steps)
+        },
+        // half of a terrace: feet meet the risers at any phase
+        spawn_half_extent_m: 0.75,
+        start: Start {
+            yaw_rad,
+            yaw_range_rad: Some(SHORE_YAW_RANGE_RAD),
+            ..Start::default()
+        },
+        course: vec![Leg {
+            from_s: 0.0,
+            order: Order::Heading(yaw_rad),
+        }],
+        goal: Some(Goal::Ahead),
+        judged: false,
+        ..Scenario::walk(
+            &format!("steps of {:.0} cm {way}", 100.0 * height_m),
+            [speed_mps, 0.0, 0.0],
+        )
+    };
+    STEP_HEIGHTS_M
+        .into_iter()
+        .flat_map(|height_m| [over(height_m, "down", 0.0), over(height_m, "up", PI)])
+        .collect()
+}
+
 /// Straight ahead with a servo that has failed.
 fn servo(speed_mps: f32) -> Vec<Scenario> {
     let nominal = Corner::nominal();
@@ -404,7 +441,12 @@ mod tests {
 
     #[test]
     fn names_are_unique_and_configurations_valid() {
-        let suites = [Suite::Acceptance, Suite::Servo, Suite::Righting];
+        let suites = [
+            Suite::Acceptance,
+            Suite::Servo,
+            Suite::Righting,
+            Suite::Steps,
+        ];
         let all: Vec<Scenario> = suites
             .iter()
             .flat_map(|suite| suite.scenarios(2.596, PAPER_COMMAND_MPS))

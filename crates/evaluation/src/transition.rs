@@ -80,6 +80,7 @@ impl Shore {
         let reached = match self.goal {
             Goal::IntoWater => water,
             Goal::OntoLand => land_after(0),
+            Goal::Ahead => None,
             Goal::ThereAndBack => water.and_then(land_after),
         };
         let motion = |inside: &dyn Fn(&Frame) -> bool| {

@@ -106,6 +106,8 @@ impl ExitCode {
                 ExitCode::Unavailable
             }
             K::TimedOut => ExitCode::TempFail,
+            // Bytes that are no text.
+            K::InvalidData if !writing => ExitCode::BadInput,
             K::NotFound | K::PermissionDenied | K::IsADirectory | K::NotADirectory if writing => {
                 ExitCode::CannotCreate
             }

@@ -77,8 +77,8 @@ impl CheckpointStore {
     /// [`LearnerError::CheckpointDamaged`], which names the newest other one that is whole.
     pub fn load_latest(&self) -> Result<Option<(PathBuf, Files)>, LearnerError> {
         let pointer = self.root.join(LATEST);
-        match fs::read_to_string(&pointer) {
-            Ok(text) => self.load(text.trim()).map(Some),
+        match fs::read(&pointer) {
+            Ok(text) => self.load(String::from_utf8_lossy(&text).trim()).map(Some),
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
                 // The first save was cut off before it could point to its folder, or `latest` is gone.
                 match self.names().last() {
@@ -270,6 +270,27 @@ mod tests {
         assert_eq!(store.load_latest().unwrap().unwrap().1, files("again"));
         let left: Vec<_> = fs::read_dir(store.root()).unwrap().collect();
         assert_eq!(left.len(), 3, "two checkpoints and the pointer: {left:?}");
+    }
+
+    #[test]
+    fn a_pointer_with_any_bit_flipped_names_a_whole_one_or_is_refused() {
+        let (_dir, store) = store(3);
+        store.save(1, &files("1")).unwrap();
+        store.save(2, &files("2")).unwrap();
+        let pointer = store.root.join(LATEST);
+        let whole = fs::read(&pointer).unwrap();
+        for bit in 0..8 * whole.len() {
+            let mut flipped = whole.clone();
+            flipped[bit / 8] ^= 1 << (bit % 8);
+            fs::write(&pointer, &flipped).unwrap();
+            match store.load_latest() {
+                Ok(loaded) => assert!([files("1"), files("2")].contains(&loaded.unwrap().1)),
+                Err(LearnerError::CheckpointDamaged { good, .. }) => {
+                    assert_eq!(good.as_deref(), Some("iter_000002"), "bit {bit}");
+                }
+                Err(error) => panic!("bit {bit}: {error}"),
+            }
+        }
     }
 
     #[test]

@@ -29,7 +29,7 @@ pub struct EvalArgs {
     #[arg(long, value_name = "P.onnx")]
     policy: PathBuf,
     /// Under what conditions: flat (the robot's speed, standing, faster), rough (the paper's three grades), omni (75
-    /// commands), push, robust (corners of the randomisation), transition (land and water), swim, servo (one limp or stuck), righting (thrown, then walking), animal (beside a salamander), paper (all that
+    /// commands), push, robust (corners of the randomisation), transition (land and water), swim, servo (one limp or stuck), righting (thrown, then walking), steps (of 3 and 5 cm), animal (beside a salamander), paper (all that
     /// walk), acceptance (the project's targets; exit code 79 where one is missed)
     #[arg(long, default_value = "flat", value_parser = flags::suite_parser())]
     suite: Suite,

@@ -140,6 +140,9 @@ fn body(r: &ScenarioResult) {
     if let Some(transition) = &r.transition {
         shore(transition);
     }
+    if let Some(arrived) = &r.arrived {
+        say::line(format!("  gets there in {:.1} %", 100.0 * arrived.mean));
+    }
     if let Some(righting) = &r.righting {
         say::line(format!(
             "  on its feet within 3 s in {:.1} %, at the end in {:.1} % (after {} s)",
