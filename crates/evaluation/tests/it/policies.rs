@@ -125,6 +125,25 @@ fn swimming_at_the_shore_is_measured_in_the_water() {
     assert!(transition.wave_in_water.unwrap().travels_to_the_tail);
 }
 
+#[test]
+fn who_stays_where_it_is_arrives_nowhere_and_rough_gets_over_three_centimetres() {
+    let up = Suite::Steps.scenarios(2.6, 0.3).swap_remove(1);
+    assert_eq!(up.name, "steps of 3 cm up");
+    let still =
+        |contract: &PolicyContract| policy(contract, vec![layer(ACT_DIM, contract.obs_dim())]);
+    assert_eq!(run(&up, still).arrived.unwrap().mean, 0.0);
+    let config = Config::load(&Source::preset("rough")).unwrap();
+    let rough = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../policies/rough.onnx");
+    let rough = PolicyFile::parse(Arc::from(std::fs::read(rough).unwrap())).unwrap();
+    // in 12 s it meets two risers
+    let settings = Settings {
+        episode_s: 12.0,
+        ..settings()
+    };
+    let outcome = run_scenario(&config, &robot(), &rough, &up, &settings, &|| true).unwrap();
+    assert_eq!(outcome.result.arrived.unwrap().mean, 1.0);
+}
+
 /// The policies of other robots than the salamander that ship, each by the gates of its preset and for the
 /// robot file as it is.
 #[test]
