@@ -67,13 +67,14 @@ pub fn choose(
             let unseen =
                 |t: &&Term| t.effect.layer == Layer::Sensing && !t.effect.id.starts_with("encoder");
             variant.extend(of_search.terms.iter().filter(unseen).cloned());
+            let state = context.states(&[variant])?.swap_remove(0);
             let shared: usize = built.joints.shared.iter().map(|t| t.values.len()).sum();
             let mut deviations = vec![0.0; shared];
             deviations.extend(built.deviations.iter().flatten());
-            return Ok(Model {
-                state: context.states(&[variant])?.swap_remove(0),
-                deviations,
-            });
+            // angles alone chose it; what the other channels say must not be against it
+            if gates::misfit(context, &state) <= gates::misfit(context, of_search) {
+                return Ok(Model { state, deviations });
+            }
         }
     }
     Ok(Model {
@@ -115,10 +116,7 @@ pub fn refuse(
             };
             found.refused.insert(0, (found.best.clone(), worth));
         }
-        // an early end leaves causes that nobody looked at
-        let least = (named.len() == terms.len())
-            .then(|| least_sure(named))
-            .flatten();
+        let least = least_sure(named);
         found.best = least.map_or_else(|| found.base.clone(), |n| n.without.clone());
         let may_go_on = !found.best.terms.is_empty() && refused.len() < MOST_TERMS;
         if may_go_on
@@ -291,6 +289,7 @@ mod tests {
             },
             rivals: Vec::new(),
             probability: 1.0,
+            untried: Vec::new(),
         }
     }
 
