@@ -1,7 +1,7 @@
 //! Which model goes into the extended file. The names of causes are one thing, the model another: it holds
 //! whatever the runs that were fitted support, named or not.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use super::fits::penalised;
 use super::gates::{self, Worth};
@@ -17,7 +17,6 @@ use crate::extension::{ExtensionEffect, ExtensionParameter};
 use crate::go_on::GoOn;
 use crate::replay::Term;
 use crate::report::{Carried, Cause};
-use crate::trial::Kind;
 
 /// What the model before names were sought must leave of the misfit that is left without what got no name.
 const SUPPORTED: f64 = 0.95;
@@ -68,14 +67,13 @@ pub fn choose(
             let unseen =
                 |t: &&Term| t.effect.layer == Layer::Sensing && !t.effect.id.starts_with("encoder");
             variant.extend(of_search.terms.iter().filter(unseen).cloned());
-            let state = context.states(&[variant])?.swap_remove(0);
             let shared: usize = built.joints.shared.iter().map(|t| t.values.len()).sum();
             let mut deviations = vec![0.0; shared];
             deviations.extend(built.deviations.iter().flatten());
-            // angles alone chose it; what the other channels say must not be against it
-            if others_off(context, &state, of_search) <= 1.0 {
-                return Ok(Model { state, deviations });
-            }
+            return Ok(Model {
+                state: context.states(&[variant])?.swap_remove(0),
+                deviations,
+            });
         }
     }
     Ok(Model {
@@ -85,24 +83,6 @@ pub fn choose(
         },
         state: of_search.clone(),
     })
-}
-
-/// How far `state` is off in the channels that are no angles of the fitted runs, in what `other` is: mean squares by
-/// kind, their geometric mean. A wrong mass that angles do not show is a wrong current.
-fn others_off(context: &Context, state: &State, other: &State) -> f64 {
-    let data = &context.fit.data;
-    let mut squares: BTreeMap<Kind, [f64; 2]> = BTreeMap::new();
-    let pieces = data.segments.iter().flat_map(|s| &s.pieces);
-    for piece in pieces.filter(|p| p.kind != Kind::Position) {
-        let sums = squares.entry(piece.kind).or_default();
-        for (sum, on) in sums.iter_mut().zip([&state.fit, &other.fit]) {
-            let off = |k: usize| data.value[k] - f64::from(on.prediction[k]);
-            *sum += piece.range.clone().map(|k| off(k).powi(2)).sum::<f64>();
-        }
-    }
-    let ratio = |[own, other]: &[f64; 2]| (own / other.max(f64::MIN_POSITIVE)).ln();
-    let kinds = squares.len().max(1) as f64;
-    (squares.values().map(ratio).sum::<f64>() / kinds).exp()
 }
 
 /// The last gate: what is no nearer to held-out runs than the robot as given is not carried. Causes are left out
