@@ -13,6 +13,7 @@ use super::search::{Found, MOST_TERMS};
 use super::state::{Context, State};
 use crate::effects::Domain;
 use crate::error::GapError;
+use crate::replay::Variant;
 use crate::report::Cause;
 
 /// Rivals that are fitted per cause, besides the declared look-alikes.
@@ -34,6 +35,11 @@ const GREAT_SHARE: f64 = 0.5;
 /// outside the catalogue, seeds 101 to 113) none took more than 0.51 off those, and three of four right ones
 /// 0.69 to 0.82.
 const GREAT_SHARE_OF_FIT: f64 = 0.6;
+/// Two look-alikes are both there if together they take this share off what the cause alone leaves of the
+/// runs that are fitted …
+const MORE_TOGETHER: f64 = 0.25;
+/// … and this one off what it leaves in cross-validation.
+const MORE_TOGETHER_CROSS: f64 = 0.2;
 /// A rival that is so many times as probable takes a cause's place.
 const FAR_MORE: f64 = 2.0;
 /// After so many steps causes are dropped only.
@@ -100,6 +106,10 @@ pub fn name(context: &Context, found: &mut Found, out: &mut Vec<Named>) -> Resul
             let mut better = None;
             if steps < MOST_STEPS {
                 better = more_probable(context, &found.best, &named, &seen);
+                if better.is_none() && named.worth.cross > 0.0 {
+                    let new = |s: &State| !seen.contains(&s.key());
+                    better = both(context, &found.best, &named)?.filter(new);
+                }
             }
             if better.is_none() && named.worth.cross <= 0.0 {
                 better = Some(named.without.clone());
@@ -190,6 +200,53 @@ fn more_probable(
     };
     let first = named.rivals.iter().find(takes_over)?;
     Some(first.state.clone())
+}
+
+/// The model with a rival of the answer set beside the cause in `named`, if there is one with which it says
+/// far more than alone: two look-alikes that are both there leave little of each other, less than what ends
+/// the search.
+fn both(context: &Context, best: &State, named: &Named) -> Result<Option<State>, GapError> {
+    let term = &best.terms[named.index];
+    let other = |r: &&Rival| {
+        let rival = r.state.terms[r.index].effect;
+        r.in_set && rival != term.effect && !wider(term.effect, rival) && !wider(rival, term.effect)
+    };
+    let model = context.replayer.model();
+    let mut variants: Vec<Variant> = Vec::new();
+    for rival in named.rivals.iter().filter(other) {
+        let mut terms = best.terms.clone();
+        terms.push(rival.state.terms[rival.index].clone());
+        if terms.iter().any(|t| t.effect.hinge) {
+            // half of a limit is none
+            variants.push(terms.clone());
+        }
+        // each takes half of what it has alone
+        for i in [named.index, terms.len() - 1] {
+            let neutral = terms[i].effect.neutral(model, &terms[i].place);
+            for (v, z) in terms[i].values.iter_mut().zip(neutral) {
+                *v = 0.5 * (*v + z);
+            }
+        }
+        variants.push(terms);
+    }
+    if variants.is_empty() || best.terms.len() >= MOST_TERMS {
+        return Ok(None);
+    }
+    let fitted = refine(context, &context.fit, variants, None, None)?;
+    let fitted: Vec<Variant> = fitted.into_iter().map(|f| f.0).collect();
+    let more = |state: &State| {
+        let worth = gates::worth(context, best, state, Some(&term.place));
+        worth.passed
+            && worth.low > 0.0
+            && worth.fit > MORE_TOGETHER * worth.fit_of
+            && worth.cross > MORE_TOGETHER_CROSS * worth.of
+            && state.terms.iter().all(|t| gates::matters(context, t))
+    };
+    Ok(context
+        .states(&fitted)?
+        .into_iter()
+        .filter(more)
+        .min_by(|a, b| penalised(context, a).total_cmp(&penalised(context, b))))
 }
 
 /// Whether what is worth `worth` on top of a greater cause at its place makes the model better and may as
