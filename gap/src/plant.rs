@@ -79,6 +79,8 @@ pub struct Sensing {
     pub velocity_lag_s: Vec<f32>,
     /// Time constant of each servo's reading of its current, s. `[A]`
     pub current_lag_s: Vec<f32>,
+    /// How much later than its angle each servo's current was measured, s. `[A]`
+    pub current_delay_s: Vec<f32>,
     /// How the IMU sits and scales.
     pub mounting: ImuMounting,
     /// Its offsets.
@@ -135,6 +137,7 @@ impl Plant {
                 currents: vec![CurrentErrors::default(); joints],
                 velocity_lag_s: vec![0.0; joints],
                 current_lag_s: vec![0.0; joints],
+                current_delay_s: vec![0.0; joints],
                 ..Sensing::default()
             },
             session: 0.0,

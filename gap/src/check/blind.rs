@@ -101,7 +101,7 @@ const NEEDS: &[Need] = &[
     (&["dropped_frames"], |e| unless(e.moving_joints() > 0, "motion"), "prbs"),
     (&["clock_drift"], |e| unless(e.runs.iter().any(|r| r.duration_s >= 100.0), "one run of 100 s or more"), "gait_long"),
     (&["profile_limit"], |e| unless(e.total(|j| j.steps[2] as f64) >= 1.0 || e.joint(|j| j.speed_max_radps > 4.0), "large steps"), "steps_large"),
-    (&["kp_error", "controller_dead_band", "integral_action"], |e| unless(e.total(|j| j.holds as f64) >= 3.0, "holds under load"), "holds"),
+    (&["kp_error", "duty_supply", "controller_dead_band", "integral_action"], |e| unless(e.total(|j| j.holds as f64) >= 3.0, "holds under load"), "holds"),
     (&["kd_error"], |e| unless(e.total(|j| (j.steps[0] + j.steps[1] + j.steps[2]) as f64) >= 2.0 || e.joint(|j| j.band_hz[1] > 2.5), "steps, or commands above 2.5 Hz"), "steps_medium"),
     (&["torque_constant"], |e| unless(e.has("cur"), "motor current"), "holds"),
     (&["winding_resistance", "voltage_limit", "supply_level"], |e| unless(e.total(|j| j.fast_s) > 0.3, "fast motion (above 1.5 rad/s) for 0.3 s or more"), "steps_large"),

@@ -115,10 +115,7 @@ pub fn refuse(
             };
             found.refused.insert(0, (found.best.clone(), worth));
         }
-        // an early end leaves causes that nobody looked at
-        let least = (named.len() == terms.len())
-            .then(|| least_sure(named))
-            .flatten();
+        let least = least_sure(named);
         found.best = least.map_or_else(|| found.base.clone(), |n| n.without.clone());
         let may_go_on = !found.best.terms.is_empty() && refused.len() < MOST_TERMS;
         if may_go_on
@@ -291,6 +288,7 @@ mod tests {
             },
             rivals: Vec::new(),
             probability: 1.0,
+            untried: Vec::new(),
         }
     }
 

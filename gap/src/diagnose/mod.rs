@@ -115,6 +115,7 @@ pub fn diagnose(
     context.replayer.set_go_on(GoOn::default());
     if unfinished {
         search::settle(&mut context, &mut found)?;
+        naming::name_untried(&context, &found.best, &mut named)?;
     }
     let mut carried = carried::choose(&context, &found.best, &found.supported, &tracking)?;
     // held-out runs, for the first time; naming once more has what time is left

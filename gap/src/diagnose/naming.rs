@@ -40,9 +40,6 @@ const GREAT_SHARE_OF_FIT: f64 = 0.6;
 const MORE_TOGETHER: f64 = 0.25;
 /// … and this one off what it leaves in cross-validation.
 const MORE_TOGETHER_CROSS: f64 = 0.2;
-/// Effects that together say the same as others are named if by themselves they do less than this share of
-/// what those do.
-const FAR_LESS: f64 = 0.5;
 /// A rival that is so many times as probable takes a cause's place.
 const FAR_MORE: f64 = 2.0;
 /// After so many steps causes are dropped only.
@@ -78,6 +75,8 @@ pub struct Named {
     pub rivals: Vec<Rival>,
     /// Probability of its own name.
     pub probability: f64,
+    /// Declared look-alikes that there was no time to try.
+    pub untried: Vec<&'static str>,
 }
 
 impl Named {
@@ -106,7 +105,11 @@ pub fn name(context: &Context, found: &mut Found, out: &mut Vec<Named>) -> Resul
             let named = rivals_of(context, found, index)?;
             let mut better = None;
             if steps < MOST_STEPS {
-                better = put_right(context, found, &named, &seen)?;
+                better = more_probable(context, &found.best, &named, &seen);
+                if better.is_none() && named.worth.cross > 0.0 {
+                    let new = |s: &State| !seen.contains(&s.key());
+                    better = both(context, &found.best, &named)?.filter(new);
+                }
             }
             if better.is_none() && named.worth.cross <= 0.0 {
                 better = Some(named.without.clone());
@@ -122,99 +125,45 @@ pub fn name(context: &Context, found: &mut Found, out: &mut Vec<Named>) -> Resul
     }
 }
 
-/// The model that should be the best instead, by what the rivals of one of its causes are and unless it was
-/// before; none where that cause stands.
-fn put_right(
-    context: &Context,
-    found: &Found,
-    named: &Named,
-    seen: &BTreeSet<Vec<String>>,
-) -> Result<Option<State>, GapError> {
-    let best = &found.best;
-    let new = |s: &State| !seen.contains(&s.key());
-    let rivals: Vec<&Rival> = named.rivals.iter().filter(|r| new(&r.state)).collect();
-    let other = simpler(context, best, named, &rivals)
-        .or(less_of_each(context, best, &rivals)?)
-        .or_else(|| more_probable(context, best, named, &rivals));
-    if other.is_some() || named.worth.cross <= 0.0 {
-        return Ok(other);
-    }
-    Ok(both(context, best, named)?.filter(new))
-}
-
-/// The one of `rivals` that says the same as the cause in `named` with less, which is the first to be
-/// believed: with fewer parameters, or, where nothing at all tells them apart, without several joints that
-/// have the same size of an effect by chance.
-fn simpler(context: &Context, best: &State, named: &Named, rivals: &[&Rival]) -> Option<State> {
-    let model = context.replayer.model();
-    let size = |s: &State| (s.parameters(model), chances(s));
-    let own = &best.terms[named.index];
-    let same = |r: &Rival| {
-        if r.state.parameters(model) == best.parameters(model) {
-            return indistinguishable(best, &r.state);
-        }
-        if wider(r.state.terms[r.index].effect, own.effect) {
-            // what the wider law has beyond its special case must earn its place as a further cause beside it
-            // would
-            let more = gates::worth(context, &r.state, best, Some(&own.place));
-            return !more.passed || is_a_lead(gates::quiet(context), &more);
-        }
-        // what is clearly worse does not say the same
-        let more = gates::worth(context, &r.state, best, None);
-        more.low <= 0.0 || more.fit <= 0.0
-    };
-    // a law is never simpler than its special case, whatever else is left free
-    let special = |r: &&&Rival| !wider(own.effect, r.state.terms[r.index].effect);
-    let alike = rivals
-        .iter()
-        .filter(special)
-        .filter(|r| r.in_set && size(&r.state) < size(best) && same(r));
-    let first = alike.min_by(|a, b| {
-        let by_size = size(&a.state).cmp(&size(&b.state));
-        by_size.then(a.short.total_cmp(&b.short))
-    })?;
-    Some(first.state.clone())
-}
-
-/// The one of `rivals` that predicts the very same with as many parameters, and whose effects do far less each
-/// by themselves: where two combinations come to the same, effects that cancel each other are the less likely
-/// ones (a gain of a half beside a rise of both gains by a half, for a gain and a damping that are a little off).
-fn less_of_each(
+/// What [`name`] did not come to when time ended. What each of these causes is worth is known then; it and its
+/// declared look-alikes, which nobody tried, are as probable as each other.
+///
+/// # Errors
+/// As [`crate::replay::Replayer::predict`].
+pub fn name_untried(
     context: &Context,
     best: &State,
-    rivals: &[&Rival],
-) -> Result<Option<State>, GapError> {
-    let model = context.replayer.model();
-    let same = |r: &&&Rival| {
-        r.in_set
-            && r.state.terms.len() > 1
-            && r.state.parameters(model) == best.parameters(model)
-            && chances(&r.state) == chances(best)
-            && indistinguishable(best, &r.state)
-    };
-    let mut least = None;
-    let mut own = None;
-    for rival in rivals.iter().filter(same) {
-        let own = match own {
-            Some(own) => own,
-            None => *own.insert(by_themselves(context, &best.terms)?),
-        };
-        let other = by_themselves(context, &rival.state.terms)?;
-        if other < FAR_LESS * own && least.as_ref().is_none_or(|(l, _)| other < *l) {
-            least = Some((other, rival.state.clone()));
+    named: &mut Vec<Named>,
+) -> Result<(), GapError> {
+    for (index, term) in best.terms.iter().enumerate() {
+        if named.iter().any(|n| n.index == index) {
+            continue;
         }
+        let without = without(context, best, index)?;
+        let tried = |id: &&str| context.effects.iter().any(|e| e.id == *id);
+        let untried: Vec<&str> = term.effect.look_alikes().filter(tried).collect();
+        let worth = gates::worth(context, &without, best, Some(&term.place));
+        if worth.cross <= 0.0 {
+            continue;
+        }
+        named.push(Named {
+            index,
+            worth,
+            without,
+            rivals: Vec::new(),
+            probability: 1.0 / (1 + untried.len()) as f64,
+            untried,
+        });
     }
-    Ok(least.map(|(_, state)| state))
+    Ok(())
 }
 
-/// Sum of the mean squares of what each of `terms` does alone to the robot as given, floors.
-fn by_themselves(context: &Context, terms: &Variant) -> Result<f64, GapError> {
-    let mut variants: Vec<Variant> = vec![Vec::new()];
-    variants.extend(terms.iter().map(|t| vec![t.clone()]));
-    let predictions = context.replayer.predict(&context.fit.data, &variants)?;
-    let judge = &context.fit;
-    let alone = |p: &Vec<f32>| judge.misfit(&judge.change(p, &predictions[0]));
-    Ok(predictions[1..].iter().map(alone).sum())
+/// `best` without its term `index`, refitted.
+fn without(context: &Context, best: &State, index: usize) -> Result<State, GapError> {
+    let mut terms = best.terms.clone();
+    terms.remove(index);
+    let fitted = refine(context, &context.fit, vec![terms], None, None)?;
+    single(context, fitted.into_iter().flat_map(|f| f.0).collect())
 }
 
 /// How many joints have the size of another one by chance: places of effects of joints that are several
@@ -229,26 +178,27 @@ fn chances(state: &State) -> usize {
         .sum()
 }
 
-/// The one of `rivals` that is far more probable than the cause in `named`, says it with as little, and would
-/// be a cause in its place.
+/// The model with the rival of the cause in `named` that is far more probable than it, says it with as little, and
+/// would be a cause in its place; none that was the best before (`seen`).
 fn more_probable(
     context: &Context,
     best: &State,
     named: &Named,
-    rivals: &[&Rival],
+    seen: &BTreeSet<Vec<String>>,
 ) -> Option<State> {
     let model = context.replayer.model();
-    let takes_over = |r: &&&Rival| {
+    let takes_over = |r: &&Rival| {
         let term = &r.state.terms[r.index];
         let worth = || gates::worth(context, &named.without, &r.state, Some(&term.place));
         let by_chance = || chances(&r.state) > chances(best) && indistinguishable(best, &r.state);
         r.probability > FAR_MORE * named.probability
+            && !seen.contains(&r.state.key())
             && r.state.parameters(model) <= best.parameters(model)
             && gates::matters(context, term)
             && !by_chance()
             && worth().passed
     };
-    let first = rivals.iter().find(takes_over)?;
+    let first = named.rivals.iter().find(takes_over)?;
     Some(first.state.clone())
 }
 
@@ -327,19 +277,15 @@ pub fn leads(context: &Context, best: &State, order: &[&Named]) -> Vec<bool> {
 /// Everything that could stand in the place of term `index` of the best model, fitted.
 fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, GapError> {
     let best = &found.best;
-    let mut terms: Variant = best.terms.clone();
-    let term = terms.remove(index);
-    let terms = refine(context, &context.fit, vec![terms], None, None)?
-        .swap_remove(0)
-        .0;
-    let mut without = single(context, terms)?;
+    let term = &best.terms[index];
+    let mut without = without(context, best, index)?;
     context.find_basis(&mut without)?;
     let screened = if without.terms.is_empty() && !found.first.is_empty() {
         found.first.clone()
     } else {
         screen(context, &without)?
     };
-    let chosen = rivals(&term, &screened);
+    let chosen = rivals(term, &screened);
     let states = swapped(context, best, index, &chosen, &without)?;
     let gain = penalised(context, &without) - penalised(context, best);
     let mut rivals: Vec<Rival> = states
@@ -381,10 +327,11 @@ fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, Ga
     }
     Ok(Named {
         index,
-        worth: gates::worth(context, &without, best, Some(&best.terms[index].place)),
+        worth: gates::worth(context, &without, best, Some(&term.place)),
         without,
         probability: weight(0.0) / total,
         rivals,
+        untried: Vec::new(),
     })
 }
 

@@ -340,18 +340,25 @@ fn cause(
             rejected.push(Rejected { effect: id, reason });
         }
     }
+    alternatives.extend(named.untried.iter().map(|id| (*id).to_owned()));
     let wider = match open.is_empty() {
         true => Vec::new(),
         false => beside(context, best, named.index, &open, spread)?,
     };
     let parameters = parameters(context, best, named.index, spread, &wider);
     let grounds = grounds(context, named, term, same_name, &parameters, doubts);
+    // the map is of names whose look-alikes were tried
+    let most = if named.untried.is_empty() {
+        1.0
+    } else {
+        same_name
+    };
     Ok(Cause {
         effect: term.effect.id.to_owned(),
         layer: term.effect.layer.name().to_owned(),
         location: term.place.names.clone(),
         parameters,
-        confidence: context.calibration.confidence(&grounds),
+        confidence: context.calibration.confidence(&grounds).min(most),
         alternatives,
         synonyms: Vec::new(),
         elsewhere,

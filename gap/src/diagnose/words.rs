@@ -48,6 +48,12 @@ pub fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {
             100.0 * other.short
         ));
     }
+    if !named.untried.is_empty() {
+        lines.push(
+            "time ended before its look-alikes were tried: whether they are as good nobody knows"
+                .to_owned(),
+        );
+    }
     if context.fit.noise.repeated {
         lines.push("the floor comes from repeats".to_owned());
     }

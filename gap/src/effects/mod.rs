@@ -54,6 +54,7 @@ pub static ALL: &[&Effect] = &[
     &servo::STALE_GAINS,
     &supply::SUPPLY_SAG,
     &supply::SUPPLY_LEVEL,
+    &supply::DUTY_SUPPLY,
     &supply::THERMAL_DERATING,
     &friction::COULOMB_FRICTION,
     &friction::VISCOUS_FRICTION,

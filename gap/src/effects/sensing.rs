@@ -78,9 +78,27 @@ pub static CURRENT_BIAS: Effect = Effect {
 
 pub static CURRENT_LAG: Effect = Effect {
     id: "current_lag",
-    parameters: &[parameter("time_s", "s", 0.0, (0.0, 0.2), 0.005, One)],
-    grid: &one(&[0.005, 0.01, 0.02, 0.04, 0.08]),
-    apply: |plant, place, v| place.each(|a| plant.sensing.current_lag_s[a] += v[0] as f32),
+    parameters: &[
+        parameter("time_s", "s", 0.0, (0.0, 0.2), 0.005, One),
+        parameter("delay_s", "s", 0.0, (-0.01, 0.1), 0.003, One),
+    ],
+    grid: &[
+        &[0.005, 0.0],
+        &[0.01, 0.0],
+        &[0.02, 0.0],
+        &[0.04, 0.0],
+        &[0.08, 0.0],
+        &[0.0, -0.003],
+        &[0.0, 0.005],
+        &[0.0, 0.01],
+        &[0.0, 0.02],
+    ],
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            plant.sensing.current_lag_s[a] += v[0] as f32;
+            plant.sensing.current_delay_s[a] += v[1] as f32;
+        }
+    },
     look_alikes: "torque_constant current_bias measurement_delay",
     unseen: |e, place| {
         if e.has(Kind::Current) {
@@ -90,6 +108,6 @@ pub static CURRENT_LAG: Effect = Effect {
         }
     },
     trial: "chirp",
-    signature: "the current lags behind what the motion needs, and its peaks are rounded; positions are untouched",
+    signature: "the current lags behind what the motion needs (behind a filter its peaks are rounded as well); positions are untouched",
     ..OF_SENSORS
 };

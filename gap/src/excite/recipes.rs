@@ -102,7 +102,7 @@ fn micro(w: &mut Wave<'_>, place: f64) {
 pub(super) const RECIPES: &[Recipe] = &[
     // at rest and in poses: gravity, zeros, droop
     joint("rest", "hold the nominal pose for ten seconds", &["encoder_noise", "gyro_bias", "imu_tilt", "floor_slope"], |w| w.hold(10.0)),
-    joint("holds", "hold nine poses, approached from both sides", &["kp_error", "encoder_offset", "parallel_spring", "link_mass", "link_com", "point_mass", "payload", "torque_constant", "current_bias", "mocap_frame", "controller_dead_band"], |w| {
+    joint("holds", "hold nine poses, approached from both sides", &["kp_error", "duty_supply", "encoder_offset", "parallel_spring", "link_mass", "link_com", "point_mass", "payload", "torque_constant", "current_bias", "mocap_frame", "controller_dead_band"], |w| {
         for x in [0.25, 0.5, 0.75, 1.0, 0.5, 0.0, -0.5, -0.75, -1.0, -0.25] { let q = w.place(x); w.go(q); w.hold(1.2); }
     }),
     joint("holds_long", "hold three loaded poses for six seconds each", &["integral_action", "friction_drift", "kp_error"], |w| {

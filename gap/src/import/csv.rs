@@ -293,6 +293,11 @@ mod tests {
             "unit = \"grad\"",
             "cmd.swing: unknown unit `grad`",
         );
+        says(
+            "unit = \"deg\"",
+            "unit = \"s\"",
+            "cmd.swing: unit `s` is one of time, and not of angle",
+        );
         says("kp = 2", "Kp = 2", "line 2: unknown field `Kp`");
         says("pos.swing", "place.swing", "place.swing");
         let dir = tempfile::tempdir().unwrap();

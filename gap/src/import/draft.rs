@@ -405,7 +405,7 @@ impl Draft<'_> {
     fn place(&mut self, joint: usize, unit_name: &str, values: &[f64]) {
         let (low, high) = self.robot.joint_limits_rad()[joint];
         let text = match unit(unit_name) {
-            Ok(size) => {
+            Ok((size, _)) => {
                 let values_rad: Vec<f64> = values.iter().map(|v| v * size).collect();
                 zero(self.robot, joint, &mut self.offsets_rad[joint], &values_rad)
             }
@@ -530,8 +530,8 @@ mod tests {
     fn columns_find_their_joints_and_units() {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("dog.csv");
-        let text = "timestamp,FL_hip_cmd,FL_hip_pos_deg,q_1,torque.HR_calf,cmd_vel_2,target_99\n\
-            1000000,0.1,205.0,2048,1.0,0,0\n1010000,0.1,205.0,2100,1.0,0,0\n";
+        let text = "timestamp,FL_hip_cmd,FL_hip_pos_deg,q_1,torque.HR_calf,cmd_vel_2,target_99,FL_hip_vel_deg_s\n\
+            1000000,0.1,205.0,2048,1.0,0,0,1\n1010000,0.1,205.0,2100,1.0,0,0,1\n";
         std::fs::write(&file, text).unwrap();
         let recordings = open(&file, Format::Csv, None).unwrap();
         let draft = map(&recordings, &robot("quadruped")).unwrap().map;
@@ -542,6 +542,7 @@ mod tests {
             "signal = \"pos.FL_thigh\"\ncolumn = \"q_1\"\nunit = \"counts/4096\"",
             "rad is outside of the joint's range",
             "signal = \"tau.HR_calf\"",
+            "signal = \"vel.FL_hip\"\ncolumn = \"FL_hip_vel_deg_s\"\nunit = \"deg/s\"",
             "# not read: \"cmd_vel_2\"",
             "# not read: \"target_99\", as none",
         ] {

@@ -84,35 +84,35 @@ fn one() -> f64 {
     1.0
 }
 
-/// Units of columns, in SI.
-const UNITS: &[(&str, f64)] = &[
-    ("1", 1.0),
-    ("rad", 1.0),
-    ("deg", std::f64::consts::PI / 180.0),
-    ("turn", std::f64::consts::TAU),
-    ("rad/s", 1.0),
-    ("deg/s", std::f64::consts::PI / 180.0),
-    ("rev/min", std::f64::consts::TAU / 60.0),
-    ("A", 1.0),
-    ("mA", 1e-3),
-    ("N·m", 1.0),
-    ("Nm", 1.0),
-    ("mNm", 1e-3),
-    ("V", 1.0),
-    ("mV", 1e-3),
-    ("m", 1.0),
-    ("mm", 1e-3),
-    ("m/s", 1.0),
-    ("m/s²", 1.0),
-    ("m/s2", 1.0),
-    ("g", 9.80665),
-    ("°C", 1.0),
-    ("degC", 1.0),
-    ("%", 1e-2),
-    ("s", 1.0),
-    ("ms", 1e-3),
-    ("us", 1e-6),
-    ("ns", 1e-9),
+/// Units of columns: their size in SI, and what they measure. `1` goes with everything.
+const UNITS: &[(&str, f64, &str)] = &[
+    ("1", 1.0, "any"),
+    ("rad", 1.0, "angle"),
+    ("deg", std::f64::consts::PI / 180.0, "angle"),
+    ("turn", std::f64::consts::TAU, "angle"),
+    ("rad/s", 1.0, "speed"),
+    ("deg/s", std::f64::consts::PI / 180.0, "speed"),
+    ("rev/min", std::f64::consts::TAU / 60.0, "speed"),
+    ("A", 1.0, "current"),
+    ("mA", 1e-3, "current"),
+    ("N·m", 1.0, "torque"),
+    ("Nm", 1.0, "torque"),
+    ("mNm", 1e-3, "torque"),
+    ("V", 1.0, "voltage"),
+    ("mV", 1e-3, "voltage"),
+    ("m", 1.0, "length"),
+    ("mm", 1e-3, "length"),
+    ("m/s", 1.0, "velocity"),
+    ("m/s²", 1.0, "acceleration"),
+    ("m/s2", 1.0, "acceleration"),
+    ("g", 9.80665, "acceleration"),
+    ("°C", 1.0, "temperature"),
+    ("degC", 1.0, "temperature"),
+    ("%", 1e-2, "share"),
+    ("s", 1.0, "time"),
+    ("ms", 1e-3, "time"),
+    ("us", 1e-6, "time"),
+    ("ns", 1e-9, "time"),
 ];
 
 /// Units that are a share of a joint's range: what stands at its lower and at its upper end.
@@ -124,20 +124,43 @@ const SHARE_UNITS: &[(&str, [f64; 2])] = &[
 /// Unit that a draft writes where it cannot tell.
 pub(super) const UNKNOWN: &str = "?";
 
-/// Size of a unit; `counts/4096` is a turn of 4096 counts.
-pub(super) fn unit(text: &str) -> Result<f64, String> {
+/// What the values of a signal measure; none where a plain number is all that it has.
+fn measured(signal: &Signal) -> Option<&'static str> {
+    Some(match signal {
+        Signal::Command(_) | Signal::Position(_) => "angle",
+        Signal::Velocity(_) | Signal::Gyro(_) => "speed",
+        Signal::Current(_) => "current",
+        Signal::Torque(_) => "torque",
+        Signal::Temperature(_) => "temperature",
+        Signal::Duty(_) => "share",
+        Signal::Voltage => "voltage",
+        Signal::Acceleration(_) => "acceleration",
+        Signal::BasePosition(_) | Signal::Mocap(..) | Signal::Foot(..) => "length",
+        Signal::BaseVelocity(_) => "velocity",
+        Signal::Enabled(_) | Signal::Gravity(_) => return None,
+        Signal::BaseQuaternion(_) | Signal::Contact(_) => return None,
+    })
+}
+
+/// Whether a unit `of` something goes with a signal that measures `want`; angles, as those of a second, with speeds.
+fn fits(of: &str, want: &str) -> bool {
+    of == want || of == "any" || (of, want) == ("angle", "speed")
+}
+
+/// Size of a unit, and what it measures; `counts/4096` is a turn of 4096 counts.
+pub(super) fn unit(text: &str) -> Result<(f64, &'static str), String> {
     if let Some(n) = text.strip_prefix("counts/") {
         let n: f64 = n
             .parse()
             .map_err(|_| format!("unit `{text}`: `{n}` is no number"))?;
         return match n > 0.0 {
-            true => Ok(std::f64::consts::TAU / n),
+            true => Ok((std::f64::consts::TAU / n, "angle")),
             false => Err(format!("unit `{text}`: a turn has more than no counts")),
         };
     }
     let called = |name: &str| UNITS.iter().find(|u| u.0 == name);
     let known = called(text).or_else(|| called(unit_word(&text.to_lowercase())?));
-    known.map(|u| u.1).ok_or_else(|| {
+    known.map(|u| (u.1, u.2)).ok_or_else(|| {
         let all = UNITS.iter().map(|u| u.0);
         let all: Vec<&str> = all.chain(SHARE_UNITS.iter().map(|s| s.0)).collect();
         match text {
@@ -150,9 +173,17 @@ pub(super) fn unit(text: &str) -> Result<f64, String> {
 impl SignalColumn {
     /// What a value of the column is multiplied by and what is then added, for SI.
     fn factors(&self) -> Result<(f64, f64), String> {
+        let signal: Signal = self.signal.parse().map_err(|e| format!("{e}"))?;
         let share = SHARE_UNITS.iter().find(|s| s.0 == self.unit);
         let (factor, shift) = match (share, self.range) {
-            (None, None) => (unit(&self.unit)?, 0.0),
+            (None, None) => {
+                let (size, of) = unit(&self.unit)?;
+                if let Some(want) = measured(&signal).filter(|want| !fits(of, want)) {
+                    let unit = &self.unit;
+                    return Err(format!("unit `{unit}` is one of {of}, and not of {want}"));
+                }
+                (size, 0.0)
+            }
             (Some((_, [from, to])), Some([low, high])) => {
                 let factor = (high - low) / (to - from);
                 (factor, low - factor * from)
@@ -194,12 +225,17 @@ impl Map {
                     .to_owned(),
             ));
         }
-        unit(&map.time.unit).map_err(wrong)?;
+        match unit(&map.time.unit).map_err(wrong)? {
+            (_, "time" | "any") => {}
+            (_, of) => {
+                let unit = &map.time.unit;
+                return Err(wrong(format!(
+                    "[time]: unit `{unit}` is one of {of}, and not of time"
+                )));
+            }
+        }
         for s in &map.signal {
             s.factors()
-                .map_err(|e| wrong(format!("{}: {e}", s.signal)))?;
-            s.signal
-                .parse::<Signal>()
                 .map_err(|e| wrong(format!("{}: {e}", s.signal)))?;
         }
         Ok(map)
@@ -234,7 +270,7 @@ pub fn apply(
     for column in &map.signal {
         let sheet = sheet_of(recording, column).map_err(wrong)?;
         let time_s = sheet.values(&map.time.column, None)?;
-        let size_s = unit(&map.time.unit).map_err(wrong)?;
+        let (size_s, _) = unit(&map.time.unit).map_err(wrong)?;
         let (factor, shift) = column.factors().map_err(wrong)?;
         let values = sheet.values(&column.column, column.item)?;
         used.insert((sheet.name(), column.column.trim()));

@@ -170,11 +170,17 @@ impl Words {
             _ => (whole.as_str(), None),
         };
         let mut words = parted(text);
-        // `pos_deg`, `time_ms`; one word alone is no unit
-        let last = words.last().and_then(|w| unit_word(w));
-        let unit = said.or(last.filter(|_| words.len() > 1));
-        if said.is_none() && unit.is_some() {
-            words.pop();
+        // `pos_deg`, `vel_deg_s`, `vel_deg_per_s`, `time_ms`; all that there is is no unit
+        let ends = |n: usize| {
+            let said = words.len().checked_sub(n).filter(|&from| from > 0)?;
+            let said = words[said..].iter().filter(|w| n == 1 || *w != "per");
+            let said: Vec<&str> = said.map(String::as_str).collect();
+            Some((n, unit_word(&said.join("/"))?))
+        };
+        let last = [3, 2, 1].into_iter().find_map(ends);
+        let unit = said.or(last.map(|l| l.1));
+        if let (None, Some((n, _))) = (said, last) {
+            words.truncate(words.len() - n);
         }
         let strange =
             in_brackets.filter(|(_, word)| said.is_none() && word.parse::<usize>().is_err());

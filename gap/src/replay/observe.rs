@@ -356,6 +356,7 @@ fn channel<'a>(seen: &mut Seen<'a>, piece: &Piece, times_s: &'a [f64], out: &mut
         Kind::BasePosition | Kind::BaseVelocity | Kind::BaseAttitude => {
             f64::from(sensing.mocap_delay_s)
         }
+        Kind::Current => f64::from(sensing.current_delay_s[i]),
         _ => 0.0,
     };
     let number = seen.stamps(times_s, late_s);
