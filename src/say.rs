@@ -2,7 +2,7 @@
 
 use std::fmt::Display;
 use std::io::{IsTerminal, Write};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use caudata_studies::Table;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
@@ -171,26 +171,11 @@ fn cell(key: &str, value: &Value) -> String {
 
 /// Date and time of day, to the second.
 fn utc(unix_ms: u64) -> String {
-    let (days, second) = (unix_ms / 86_400_000, unix_ms / 1000 % 86_400);
-    // Days to a date of the Gregorian calendar, with years that begin in March.
-    let shifted = days + 719_468;
-    let (era, day) = (shifted / 146_097, shifted % 146_097);
-    let year_of_era = (day - day / 1460 + day / 36_524 - day / 146_096) / 365;
-    let day_of_year = day - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let month = (5 * day_of_year + 2) / 153;
-    let day = day_of_year - (153 * month + 2) / 5 + 1;
-    let (month, carry) = if month < 10 {
-        (month + 3, 0)
-    } else {
-        (month - 9, 1)
-    };
-    let year = year_of_era + era * 400 + carry;
-    format!(
-        "{year}-{month:02}-{day:02} {:02}:{:02}:{:02}",
-        second / 3600,
-        second / 60 % 60,
-        second % 60
-    )
+    /// The last moment of the year 9999, beyond which a date has no such form.
+    const LATEST_MS: u64 = 253_402_300_799_999;
+    let time = UNIX_EPOCH + Duration::from_millis(unix_ms.min(LATEST_MS));
+    let text = humantime::format_rfc3339_seconds(time).to_string();
+    text.trim_end_matches('Z').replace('T', " ")
 }
 
 /// Four significant digits.
@@ -268,5 +253,6 @@ mod tests {
         // `date -u -d @1709210096` and `date -u -d @4107542399`.
         assert_eq!(utc(1_709_210_096_789), "2024-02-29 12:34:56");
         assert_eq!(utc(4_107_542_399_000), "2100-02-28 23:59:59");
+        assert_eq!(utc(u64::MAX), "9999-12-31 23:59:59");
     }
 }

@@ -16,7 +16,6 @@ const SUFFIX: &str = ".ledger";
 #[derive(Debug)]
 pub struct Ledger {
     file: File,
-    path: PathBuf,
 }
 
 impl Ledger {
@@ -30,10 +29,7 @@ impl Ledger {
             .truncate(true)
             .write(true)
             .open(path)?;
-        let ledger = Self {
-            file,
-            path: path.to_owned(),
-        };
+        let ledger = Self { file };
         ledger.write(0)?;
         Ok(ledger)
     }
@@ -44,11 +40,6 @@ impl Ledger {
     /// Disk full, or an I/O error.
     pub fn write(&self, sent: u64) -> io::Result<()> {
         self.file.write_all_at(&sent.to_le_bytes(), 0)
-    }
-
-    /// Where it lies.
-    pub fn path(&self) -> &Path {
-        &self.path
     }
 }
 

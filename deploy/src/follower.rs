@@ -12,6 +12,7 @@ use tokio::sync::watch;
 use crate::DeployError;
 use crate::keeper::Keeper;
 use crate::metrics::AgentMetrics;
+use crate::server;
 use crate::stage::Stage;
 use crate::state::PolicyRef;
 use crate::verify::Refusal;
@@ -58,14 +59,7 @@ impl Follower {
         stage: Stage,
         metrics: AgentMetrics,
     ) -> Result<Self, DeployError> {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()
-            .map_err(DeployError::system("a network runtime"))?;
-        let client = {
-            let _context = runtime.enter();
-            RegistryClient::to_any_host(&follow.address, follow.tls_dir.as_deref())?
-        };
+        let (runtime, client) = server::connect(&follow.address, follow.tls_dir.as_deref())?;
         let (stop, stopped) = watch::channel(false);
         let mut following = Following {
             keeper,

@@ -32,6 +32,7 @@ pub mod pacing;
 pub mod probe;
 pub mod reporter;
 pub mod runner;
+mod server;
 pub mod sim_link;
 pub mod stage;
 pub mod state;

@@ -12,6 +12,7 @@ use caudata_registry_client::{ClientError, RegistryClient, jittered};
 use crossbeam_channel::{Receiver, Sender, bounded};
 
 use crate::DeployError;
+use crate::server;
 use crate::state::PolicyRef;
 
 /// Reports that wait; with more, the newest is dropped with a line in the log.
@@ -62,14 +63,7 @@ impl Reporter {
     /// # Errors
     /// [`DeployError::System`], [`DeployError::Server`] for a wrong address or certificates.
     pub fn start(to: &ReportTo) -> Result<Arc<Self>, DeployError> {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()
-            .map_err(DeployError::system("a network runtime"))?;
-        let client = {
-            let _context = runtime.enter();
-            RegistryClient::to_any_host(&to.address, to.tls_dir.as_deref())?
-        };
+        let (runtime, client) = server::connect(&to.address, to.tls_dir.as_deref())?;
         let (queue, reports) = bounded(REPORTS_WAITING_MAX);
         let over = Arc::new(AtomicBool::new(false));
         let seen = over.clone();

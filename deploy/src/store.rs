@@ -214,11 +214,6 @@ impl PolicyStore {
         Ok(())
     }
 
-    /// The folder.
-    pub fn folder(&self) -> &Path {
-        &self.folder
-    }
-
     /// Keeps the bytes of a policy. Call before the state names it.
     ///
     /// # Errors

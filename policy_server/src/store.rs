@@ -92,11 +92,6 @@ pub(crate) struct Trouble {
 }
 
 impl Store {
-    /// Its folder.
-    pub fn root(&self) -> &Path {
-        &self.root
-    }
-
     /// Why the last change failed on the disk; `None`: it did not.
     pub fn trouble(&self) -> Option<&str> {
         self.trouble.as_ref().map(|trouble| trouble.reason.as_str())

@@ -4,22 +4,12 @@ use serde::{Deserialize, Deserializer, Serializer};
 
 /// Lower-case hexadecimal.
 pub fn hex(bytes: &[u8]) -> String {
-    use std::fmt::Write;
-    bytes.iter().fold(String::new(), |mut text, byte| {
-        // Writing to a String cannot fail.
-        let _ = write!(text, "{byte:02x}");
-        text
-    })
+    ::hex::encode(bytes)
 }
 
 /// The bytes of pairs of hexadecimal digits.
 pub fn from_hex(text: &str) -> Option<Vec<u8>> {
-    let pairs = text.as_bytes().chunks_exact(2);
-    let digit = |byte: u8| char::from(byte).to_digit(16);
-    pairs.remainder().is_empty().then_some(())?;
-    pairs
-        .map(|pair| u8::try_from(digit(pair[0])? << 4 | digit(pair[1])?).ok())
-        .collect()
+    ::hex::decode(text).ok()
 }
 
 /// For serde: bytes as hexadecimal.

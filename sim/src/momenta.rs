@@ -1,4 +1,4 @@
-//! Momentum and energy of a lane's robot, for conservation checks. In f64, from what an engine reports in
+//! Momentum and kinetic energy of a lane's robot, for conservation checks. In f64, from what an engine reports in
 //! f32.
 
 use caudata_model::{Pose, RobotModel};
@@ -6,7 +6,7 @@ use caudata_model::{Pose, RobotModel};
 use crate::observe::{Coordinates, Motion, WholeBody, link_masses};
 use crate::{LaneParams, SimError, State};
 
-/// Momentum and energy of one robot.
+/// Momentum and kinetic energy of one robot.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Momenta {
     /// Total mass times the velocity of the centre of mass, world, N·s.
@@ -15,12 +15,10 @@ pub struct Momenta {
     pub angular_nms: [f64; 3],
     /// Kinetic energy of the links and of the rotors (½·armature·q̇²), J.
     pub kinetic_j: f64,
-    /// In the springs of joints, J.
-    pub elastic_j: f64,
 }
 
 impl Momenta {
-    /// The momenta and energies of lane `lane` of `state`, with the lane's `params`.
+    /// Momenta and kinetic energy of lane `lane` of `state`, with the lane's `params`.
     ///
     /// # Errors
     /// [`SimError`] where the lane does not exist or the state belongs to another model.
@@ -61,7 +59,6 @@ impl Momenta {
             linear_ns: [0.0; 3],
             angular_nms: [0.0; 3],
             kinetic_j: 0.0,
-            elastic_j: 0.0,
         };
         for (i, m) in masses.iter().enumerate() {
             let (p, v) = motion.point(i, m.com_m);
@@ -83,10 +80,8 @@ impl Momenta {
         for (&j, own) in model.actuated().iter().zip(&params.joint_armature_kgm2) {
             armature[j] = f64::from(*own);
         }
-        for (j, joint) in model.joints().iter().enumerate() {
-            out.kinetic_j += 0.5 * armature[j] * at.joint_vel_radps[j].powi(2);
-            let bent = at.joint_pos_rad[j] - joint.spring_ref_rad;
-            out.elastic_j += 0.5 * joint.stiffness_nm_per_rad * bent * bent;
+        for (armature_kgm2, vel_radps) in armature.iter().zip(&at.joint_vel_radps) {
+            out.kinetic_j += 0.5 * armature_kgm2 * vel_radps.powi(2);
         }
         Ok(out)
     }

@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
+pub use caudata_proto::hex::hex;
 use caudata_proto::registry::{Manifest, StreamName};
 use caudata_registry_client::{ClientError, RegistryClient};
-pub use caudata_studies::files::hex;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Args;
 use serde_json::json;

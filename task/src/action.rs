@@ -66,11 +66,6 @@ impl ActionFilter {
         }
     }
 
-    /// The smoothed action, in units of action.
-    pub fn smoothed(&self) -> &PerJoint {
-        &self.smoothed
-    }
-
     /// Where the smoothed action would have the joints, rad, whatever their limits.
     pub fn unlimited_rad(&self, config: &ActionConfig, joints: &JointTable) -> PerJoint {
         PerJoint::from_fn(joints.len(), |i| {
@@ -129,7 +124,7 @@ mod tests {
                 assert!((target - expected).abs() < 1e-6, "{target} for {expected}");
             }
         }
-        assert!((filter.smoothed()[3] - 0.0625).abs() < 1e-6);
+        assert!((filter.smoothed[3] - 0.0625).abs() < 1e-6);
     }
 
     #[test]
@@ -145,7 +140,7 @@ mod tests {
             filter.apply(&config, &[100.0; ACT_DIM], &joints()),
             [0.4; ACT_DIM]
         );
-        assert_eq!(*filter.smoothed(), [2.0; ACT_DIM]);
+        assert_eq!(filter.smoothed, [2.0; ACT_DIM]);
         assert_eq!(
             filter.apply(&config, &[f32::NEG_INFINITY; ACT_DIM], &joints()),
             [-0.5; ACT_DIM]

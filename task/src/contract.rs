@@ -423,10 +423,7 @@ impl PolicyContract {
 
     /// [`Self::hash`] in lower-case hexadecimal.
     pub fn hash_hex(&self) -> String {
-        self.hash()
-            .iter()
-            .map(|byte| format!("{byte:02x}"))
-            .collect()
+        hex::encode(self.hash())
     }
 }
 

@@ -198,7 +198,6 @@ impl<U: Uplink> ActorLink for RemoteActor<U> {
             Ok(()) => {
                 self.core.work.notify_all();
                 self.stats.frames += 1;
-                self.stats.bytes += frame.len() as u64;
             }
             Err(_) => self.stats.refused += 1,
         }
@@ -206,16 +205,11 @@ impl<U: Uplink> ActorLink for RemoteActor<U> {
     }
 
     fn next_policy(&mut self, timeout: Duration) -> Result<Option<PolicyUpdate>, TransportError> {
-        let update = self
-            .core
-            .policy
-            .next(&mut self.seen, timeout)
-            .map_err(|error| match self.core.crew.failure() {
-                Some(failure) => TransportError::Backend(failure),
-                None => error,
-            })?;
-        self.stats.policies += u64::from(update.is_some());
-        Ok(update)
+        let next = self.core.policy.next(&mut self.seen, timeout);
+        next.map_err(|error| match self.core.crew.failure() {
+            Some(failure) => TransportError::Backend(failure),
+            None => error,
+        })
     }
 
     fn flush(&mut self, timeout: Duration) -> Result<(), SendError> {

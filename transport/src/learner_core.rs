@@ -117,7 +117,6 @@ impl<D: Downlink> LearnerLink for RemoteLearner<D> {
         drop(inbox);
         self.downlink.wake();
         self.stats.frames += 1;
-        self.stats.bytes += bytes.len() as u64;
         Ok(Some(Frame { bytes, value: None }))
     }
 
@@ -129,7 +128,6 @@ impl<D: Downlink> LearnerLink for RemoteLearner<D> {
         let generation = self.core.policy.publish(update)?;
         self.core.inbox().announce(generation, stop);
         self.downlink.wake();
-        self.stats.policies += 1;
         Ok(())
     }
 

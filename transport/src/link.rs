@@ -115,8 +115,6 @@ pub enum Control {
 pub struct LinkStats {
     /// Frames: taken by `send` (actor), handed out by `recv` (learner).
     pub frames: u64,
-    /// Bytes of those frames.
-    pub bytes: u64,
     /// Actor: `send` calls that did not take their frame. Learner: arrivals turned away because they were
     /// malformed, too large, beyond the window, or from one actor too many.
     pub refused: u64,
@@ -124,8 +122,6 @@ pub struct LinkStats {
     pub retransmits: u64,
     /// Learner: arrivals recognised as repeated and not handed out again.
     pub duplicates: u64,
-    /// Policies: returned by `next_policy` (actor), published (learner).
-    pub policies: u64,
     /// Frames waiting now. Actor: taken, not yet known to be in the learner's process (in-process: always 0).
     /// Learner: in its process, not yet handed out.
     pub depth: usize,

@@ -106,10 +106,7 @@ impl Config {
 
     /// [`Config::hash`] as 64 hex digits.
     pub fn hash_hex(&self) -> String {
-        self.hash()
-            .iter()
-            .map(|byte| format!("{byte:02x}"))
-            .collect()
+        hex::encode(self.hash())
     }
 
     /// The robot file. A relative path is looked for in the current directory and then in the folders above

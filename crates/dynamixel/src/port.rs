@@ -2,7 +2,7 @@
 
 use std::fs::{File, TryLockError};
 use std::io::{self, ErrorKind};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -47,7 +47,6 @@ pub trait Port {
 /// `caudata-robot doctor` measures the round trip.
 #[derive(Debug)]
 pub struct SerialPort {
-    path: PathBuf,
     file: File,
 }
 
@@ -101,13 +100,7 @@ impl SerialPort {
             Err(TryLockError::WouldBlock) => false,
             Err(TryLockError::Error(error)) => return Err(error),
         };
-        let path = path.to_owned();
-        Ok((Self { path, file }, alone))
-    }
-
-    /// Where it was opened.
-    pub fn path(&self) -> &Path {
-        &self.path
+        Ok((Self { file }, alone))
     }
 
     /// Waits for `wanted`; false at the deadline.

@@ -55,11 +55,6 @@ impl Estimate {
             ci_high: (centre + half).min(1.0),
         }
     }
-
-    /// Standard error of the mean.
-    pub fn standard_error(&self) -> f64 {
-        (self.ci_high - self.ci_low) / (2.0 * Z_95)
-    }
 }
 
 #[cfg(test)]
@@ -71,7 +66,8 @@ mod tests {
         // 1, 2, 6: mean 3, s² = (4 + 1 + 9)/2 = 7, standard error √(7/3) = 1.527525
         let e = Estimate::of(&[1.0, 2.0, 6.0]);
         assert_eq!(e.mean, 3.0);
-        assert!((e.standard_error() - 1.527_525_231_651_947).abs() < 1e-12);
+        let standard_error = (e.ci_high - e.ci_low) / (2.0 * Z_95);
+        assert!((standard_error - 1.527_525_231_651_947).abs() < 1e-12);
         let single = Estimate::of(&[5.0]);
         assert_eq!(
             (single.ci_low, single.mean, single.ci_high),

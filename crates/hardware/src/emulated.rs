@@ -20,8 +20,6 @@ pub struct EmulatedImu {
     lis3: [u8; 0x80],
     /// Accelerations felt last, for the low-pass filter.
     acc_mps2: VecDeque<[f32; 3]>,
-    /// Value registers keep what they hold, as in a chip that hangs.
-    frozen: bool,
     /// Nobody acknowledges.
     unplugged: bool,
 }
@@ -37,7 +35,6 @@ impl Default for EmulatedImu {
             lsm6,
             lis3,
             acc_mps2: VecDeque::with_capacity(FILTER_SAMPLES),
-            frozen: false,
             unplugged: false,
         }
     }
@@ -51,9 +48,6 @@ fn raw(value: f32, lsb: f32) -> [u8; 2] {
 impl EmulatedImu {
     /// What the chips feel from now on, in the chips' own axes: rad/s, m/s², T. To be called every 4 ms.
     pub fn feel(&mut self, gyro_radps: [f32; 3], acc_mps2: [f32; 3], field_t: [f32; 3]) {
-        if self.frozen {
-            return;
-        }
         let acc_mps2 = self.filtered(acc_mps2);
         for axis in 0..3 {
             let at = usize::from(LSM6_OUT) + 2 * axis;
@@ -77,11 +71,6 @@ impl EmulatedImu {
         }
         let count = self.acc_mps2.len() as f32;
         [0, 1, 2].map(|axis| self.acc_mps2.iter().map(|a| a[axis]).sum::<f32>() / count)
-    }
-
-    /// Values stay as they are from now on, or no longer.
-    pub fn freeze(&mut self, frozen: bool) {
-        self.frozen = frozen;
     }
 
     /// Cuts the cable, or mends it.

@@ -4,11 +4,12 @@
 use std::sync::Arc;
 
 use axum::body::{Body, Bytes};
-use axum::extract::{DefaultBodyLimit, State};
+use axum::extract::{DefaultBodyLimit, Request, State};
 use axum::http::header::{
     CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
 };
 use axum::http::{HeaderMap, HeaderName, StatusCode, Uri};
+use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use axum::{Extension, Router};
@@ -89,7 +90,7 @@ pub fn router(title: &str, doors: Doors, hub: Arc<Hub>) -> Router {
     let script = [report::COMMON_SCRIPT.concat(), SCRIPT.concat()].concat();
     let style = [report::STYLE, STYLE].concat();
     let page = report::fill(FRAME, &style, &script, title, "{}").into();
-    let shared = Shared { page, doors, hub };
+    let shared = Arc::new(Shared { page, doors, hub });
     Router::new()
         .route("/", get(page_of))
         .route("/events", get(events))
@@ -99,9 +100,22 @@ pub fn router(title: &str, doors: Doors, hub: Arc<Hub>) -> Router {
             "/change",
             post(change).layer(DefaultBodyLimit::max(CHANGE_BYTES_MAX)),
         )
-        .fallback(|| async { (StatusCode::FORBIDDEN, CLOSED) })
+        .fallback(|| async { closed() })
         .layer(DefaultBodyLimit::max(ORDER_BYTES_MAX))
-        .with_state(Arc::new(shared))
+        .layer(from_fn_with_state(shared.clone(), admitted))
+        .with_state(shared)
+}
+
+/// Turns strangers away before anything of theirs is read.
+async fn admitted(State(shared): State<Arc<Shared>>, request: Request, next: Next) -> Response {
+    match shared.admits(request.uri(), request.headers()) {
+        true => next.run(request).await,
+        false => closed(),
+    }
+}
+
+fn closed() -> Response {
+    (StatusCode::FORBIDDEN, CLOSED).into_response()
 }
 
 /// Headers of every answer that says something.
@@ -115,22 +129,14 @@ fn private(kind: &'static str) -> [(HeaderName, &'static str); 5] {
     ]
 }
 
-async fn page_of(State(shared): State<Arc<Shared>>, uri: Uri, headers: HeaderMap) -> Response {
-    if !shared.admits(&uri, &headers) {
-        return (StatusCode::FORBIDDEN, CLOSED).into_response();
-    }
+async fn page_of(State(shared): State<Arc<Shared>>) -> Response {
     (private("text/html; charset=utf-8"), shared.page.clone()).into_response()
 }
 
 async fn events(
     State(shared): State<Arc<Shared>>,
     Extension(connection): Extension<Connection>,
-    uri: Uri,
-    headers: HeaderMap,
 ) -> Response {
-    if !shared.admits(&uri, &headers) {
-        return (StatusCode::FORBIDDEN, CLOSED).into_response();
-    }
     let Some(queue) = shared.hub.join(connection.clone()) else {
         let full = "As many pages as may look at once look already; close one.\n";
         return (StatusCode::SERVICE_UNAVAILABLE, full).into_response();
@@ -140,15 +146,7 @@ async fn events(
     (private("text/event-stream"), stream).into_response()
 }
 
-async fn order(
-    State(shared): State<Arc<Shared>>,
-    uri: Uri,
-    headers: HeaderMap,
-    body: Bytes,
-) -> Response {
-    if !shared.admits(&uri, &headers) {
-        return (StatusCode::FORBIDDEN, CLOSED).into_response();
-    }
+async fn order(State(shared): State<Arc<Shared>>, body: Bytes) -> Response {
     let order = match Order::parse(&body) {
         Ok(order) => order,
         Err(wrong) => return (StatusCode::BAD_REQUEST, format!("{wrong}\n")).into_response(),
@@ -162,17 +160,11 @@ async fn order(
 }
 
 /// A list of settings, `key=value` each.
-async fn change(
-    State(shared): State<Arc<Shared>>,
-    uri: Uri,
-    headers: HeaderMap,
-    body: Bytes,
-) -> Response {
+async fn change(State(shared): State<Arc<Shared>>, headers: HeaderMap, body: Bytes) -> Response {
     let given = headers.get(CHANGE_HEADER).and_then(|v| v.to_str().ok());
-    let Some(training) = shared.doors.training.clone().filter(|_| {
-        shared.admits(&uri, &headers) && is_token(given.unwrap_or_default(), &shared.doors.change)
-    }) else {
-        return (StatusCode::FORBIDDEN, CLOSED).into_response();
+    let may = is_token(given.unwrap_or_default(), &shared.doors.change);
+    let Some(training) = shared.doors.training.clone().filter(|_| may) else {
+        return closed();
     };
     let set = match serde_json::from_slice::<Vec<String>>(&body) {
         Ok(set) => set,
@@ -187,15 +179,9 @@ async fn change(
 }
 
 /// The name of a run, or null for those that there are.
-async fn beside(
-    State(shared): State<Arc<Shared>>,
-    uri: Uri,
-    headers: HeaderMap,
-    body: Bytes,
-) -> Response {
-    let training = shared.doors.training.clone();
-    let Some(training) = training.filter(|_| shared.admits(&uri, &headers)) else {
-        return (StatusCode::FORBIDDEN, CLOSED).into_response();
+async fn beside(State(shared): State<Arc<Shared>>, body: Bytes) -> Response {
+    let Some(training) = shared.doors.training.clone() else {
+        return closed();
     };
     let run = match serde_json::from_slice::<Option<String>>(&body) {
         Ok(run) => run,

@@ -24,6 +24,7 @@ mod robot_file;
 mod servos;
 mod types;
 mod urdf_export;
+mod xml_text;
 
 pub use error::ModelError;
 pub use extension::{Extension, ExtensionEffect, ExtensionParameter};

@@ -27,6 +27,7 @@ pub struct RobotModel {
     pub(crate) swimming_pos_rad: Option<Vec<f64>>,
     pub(crate) limits_rad: Vec<(f64, f64)>,
     pub(crate) gains: Vec<Gains>,
+    /// Every servo preset of the robot file, by name, in name order; then what it takes from the library.
     pub(crate) servo_presets: Vec<(String, ServoParams)>,
     pub(crate) servo_of: Vec<usize>,
     pub(crate) sensors: SensorParams,
@@ -68,8 +69,6 @@ readers! {
     nominal_pos_rad: &[f64],
     /// Gains of the position loop of each actuated joint, policy order.
     gains: &[Gains],
-    /// Every servo preset of the robot file, by name, in name order; then what it takes from the library.
-    servo_presets: &[(String, ServoParams)],
     /// Sensors outside the servos.
     sensors: &SensorParams,
     /// Supply voltages.
@@ -103,7 +102,7 @@ readers! {
 impl RobotModel {
     /// [`RobotModel::hash`] in lower-case hexadecimal.
     pub fn hash_hex(&self) -> String {
-        self.hash.iter().map(|b| format!("{b:02x}")).collect()
+        hex::encode(self.hash)
     }
 
     /// Index of the link called `name`.

@@ -177,7 +177,11 @@ pub fn quat_from_axes(x: [f64; 3], y: [f64; 3]) -> Option<[f64; 4]> {
 
 /// `R · m · Rᵀ`: a symmetric tensor `m` of the inner frame expressed in the outer frame.
 pub fn rotate_tensor(q: [f64; 4], m: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
-    let r = quat_to_matrix(q);
+    turn_tensor(&quat_to_matrix(q), &m)
+}
+
+/// [`rotate_tensor`] by a rotation matrix.
+pub fn turn_tensor(r: &[[f64; 3]; 3], m: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
     let mut out = [[0.0; 3]; 3];
     for i in 0..3 {
         for j in 0..3 {

@@ -112,6 +112,14 @@ pub struct Softness {
     pub solimp: [f64; 5],
 }
 
+impl Softness {
+    /// Whether `solref` is a time constant and a damping ratio, or stiffness and damping.
+    pub(crate) fn is_usable(&self) -> bool {
+        let [time, damping] = self.solref;
+        time > 0.0 && damping > 0.0 || time < 0.0 && damping <= 0.0
+    }
+}
+
 impl Default for Softness {
     /// MuJoCo's defaults.
     fn default() -> Self {
@@ -177,6 +185,29 @@ impl Shape {
             Self::Box { half_size_m } => ("box", half_size_m.to_vec()),
             Self::Ellipsoid { semi_axes_m } => ("ellipsoid", semi_axes_m.to_vec()),
             Self::Plane => return None,
+        })
+    }
+
+    /// The shape that MuJoCo calls `kind`, where `sizes` begins with as many as it needs, all above zero, m.
+    pub(crate) fn from_mjcf(kind: &str, sizes: &[f64]) -> Option<Self> {
+        let at = |i: usize| sizes.get(i).copied().filter(|x| *x > 0.0);
+        Some(match kind {
+            "sphere" => Self::Sphere { radius_m: at(0)? },
+            "capsule" => Self::Capsule {
+                radius_m: at(0)?,
+                half_length_m: at(1)?,
+            },
+            "cylinder" => Self::Cylinder {
+                radius_m: at(0)?,
+                half_length_m: at(1)?,
+            },
+            "box" => Self::Box {
+                half_size_m: [at(0)?, at(1)?, at(2)?],
+            },
+            "ellipsoid" => Self::Ellipsoid {
+                semi_axes_m: [at(0)?, at(1)?, at(2)?],
+            },
+            _ => return None,
         })
     }
 

@@ -1,10 +1,9 @@
 //! A robot as URDF, for tools that read nothing else.
 
-use std::fmt::Write as _;
-
 use crate::model::RobotModel;
 use crate::pose::{self, Pose};
 use crate::types::{BaseKind, Geom, Joint, JointKind, JointMotion, Shape};
+use crate::xml_text::{escaped, line};
 
 /// Mass of a link that only stands between two joints of one body, kg, and its moments, kg·m²: URDF has one
 /// joint between two links, and some readers want every link to weigh something.
@@ -111,11 +110,6 @@ impl RobotModel {
     }
 }
 
-fn line(w: &mut String, depth: usize, text: &str) {
-    // writing to a string does not fail
-    let _ = writeln!(w, "{}{text}", "  ".repeat(depth));
-}
-
 fn joint(
     w: &mut String,
     name: &str,
@@ -219,10 +213,4 @@ fn origin(at: &Pose) -> String {
         ((-m[1][2]).atan2(m[1][1]), 0.0)
     };
     format!("<origin xyz=\"{x} {y} {z}\" rpy=\"{roll} {pitch} {yaw}\"/>")
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('"', "&quot;")
 }

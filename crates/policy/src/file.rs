@@ -56,10 +56,7 @@ impl PolicyFile {
 
     /// SHA-256 of the bytes, lower-case hexadecimal.
     pub fn sha256_hex(&self) -> String {
-        self.sha256
-            .iter()
-            .map(|byte| format!("{byte:02x}"))
-            .collect()
+        hex::encode(self.sha256)
     }
 
     /// What the file says about itself.

@@ -34,16 +34,6 @@ impl Stream {
         Self { key, purpose, rng }
     }
 
-    /// The key that the stream was made with.
-    pub fn key(&self) -> Key {
-        self.key
-    }
-
-    /// The purpose that the stream was made with.
-    pub fn purpose(&self) -> Purpose {
-        self.purpose
-    }
-
     /// How many 32-bit words have been taken from the stream.
     pub fn word_position(&self) -> u64 {
         self.rng.get_word_pos() as u64

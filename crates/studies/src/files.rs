@@ -177,12 +177,7 @@ pub fn make_folder(path: &Path) -> Result<(), Failure> {
 /// # Errors
 /// As [`read`].
 pub fn sha256(path: &Path) -> Result<String, Failure> {
-    Ok(hex(&Sha256::digest(read(path)?)))
-}
-
-/// Bytes as lower-case hexadecimal.
-pub fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+    Ok(hex::encode(Sha256::digest(read(path)?)))
 }
 
 #[cfg(test)]

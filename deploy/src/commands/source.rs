@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use caudata_model::RobotModel;
 use caudata_proto::registry::{LabelName, StreamName};
-use caudata_registry_client::{RegistryClient, is_loopback};
+use caudata_registry_client::is_loopback;
 use caudata_signing::{Trust, check_private};
 use caudata_telemetry::Metrics;
 
@@ -17,6 +17,7 @@ use crate::keeper::Keeper;
 use crate::metrics::AgentMetrics;
 use crate::probe::{CHILD_DEADLINE, ProbeProgram};
 use crate::reporter::{ReportTo, Reporter};
+use crate::server;
 use crate::store::{PolicyStore, check_without_trust};
 use caudata_durable::shipped_flag;
 
@@ -188,20 +189,9 @@ impl Source {
 
     /// Pulls on a runtime of its own, which ends with the call.
     pub(super) fn pull(&self) -> Result<crate::verify::Verified, DeployError> {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()
-            .map_err(DeployError::system("a network runtime"))?;
-        runtime.block_on(async {
-            let Follow {
-                address,
-                tls_dir,
-                stream,
-                label,
-            } = &self.follow;
-            let mut client = RegistryClient::to_any_host(address, tls_dir.as_deref())?;
-            self.keeper.pull(&mut client, stream, label).await
-        })
+        let follow = &self.follow;
+        let (runtime, mut client) = server::connect(&follow.address, follow.tls_dir.as_deref())?;
+        runtime.block_on(self.keeper.pull(&mut client, &follow.stream, &follow.label))
     }
 }
 

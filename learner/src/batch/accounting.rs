@@ -159,11 +159,6 @@ impl Accounting {
         self.actors.values().all(IncarnationAccount::holds)
     }
 
-    /// All incarnations, ordered by actor, then incarnation.
-    pub fn actors(&self) -> impl Iterator<Item = (ActorKey, &IncarnationAccount)> {
-        self.actors.iter().map(|(key, account)| (*key, account))
-    }
-
     /// The first incarnation of `actor_id` that has not been heard of.
     pub fn next_incarnation(&self, actor_id: u32) -> u64 {
         let of_actor = self.actors.range((actor_id, 0)..=(actor_id, u64::MAX));

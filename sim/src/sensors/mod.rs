@@ -1,15 +1,13 @@
 //! What sensors make of a state: offsets, quantisation, noise, bias. Pure functions of values and a random
 //! stream.
 //!
-//! What is constant and wrong is in [`errors`], what comes late in [`lag`]: a reading is error, then noise,
-//! then lag.
+//! What is constant and wrong is in [`errors`]: a reading is error, then noise.
 //!
 //! Draw a robot's own imperfections once per episode ([`ImuBias::draw`]), then measure every control period.
 //! A white noise of density n (unit/√Hz, one-sided, as data sheets give it) sampled every `period_s` and
 //! band-limited to half the sampling rate has standard deviation n·√(1/(2·period_s)).
 
 pub mod errors;
-pub mod lag;
 
 use caudata_model::{ImuParams, RobotModel, ServoParams};
 use caudata_random::Stream;
@@ -17,7 +15,6 @@ use serde::{Deserialize, Serialize};
 
 use errors::quantise;
 pub use errors::{CurrentErrors, EncoderErrors, ImuMounting, current_a};
-pub use lag::{Delay, Lag};
 
 use crate::State;
 

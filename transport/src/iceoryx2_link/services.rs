@@ -1,5 +1,6 @@
 //! The services of one learner process, and the room they take in shared memory.
 
+use std::fmt::Debug;
 use std::fs::File;
 use std::path::Path;
 use std::time::Duration;
@@ -7,8 +8,9 @@ use std::time::Duration;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::prelude::{
     Config, FileName, LogLevel, Node, NodeBuilder, SemanticString, ServiceName, SignalHandlingMode,
-    ipc_threadsafe, set_log_level_from_env_or,
+    ZeroCopySend, ipc_threadsafe, set_log_level_from_env_or,
 };
+use iceoryx2::service::builder::publish_subscribe::Builder;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 use nix::errno::Errno;
 use nix::fcntl::posix_fallocate;
@@ -61,10 +63,7 @@ impl Services {
     ) -> Result<Self, TransportError> {
         let node = node(paths, tag)?;
         let ports = limits.max_actors + SPARE_PORTS;
-        let data = node
-            .service_builder(&name("data")?)
-            .publish_subscribe::<[u8]>()
-            .user_header::<DataHead>()
+        let data = messages::<DataHead>(&node, "data")?
             .enable_safe_overflow(false)
             .history_size(0)
             .subscriber_max_buffer_size(limits.window_frames + SPARE_MESSAGES)
@@ -74,31 +73,8 @@ impl Services {
             .max_nodes(ports)
             .create()
             .map_err(backend)?;
-        let status = node
-            .service_builder(&name("status")?)
-            .publish_subscribe::<[u8]>()
-            .enable_safe_overflow(true)
-            .history_size(1)
-            .subscriber_max_buffer_size(1)
-            .subscriber_max_borrowed_samples(1)
-            .max_publishers(1)
-            .max_subscribers(ports)
-            .max_nodes(ports)
-            .create()
-            .map_err(backend)?;
-        let policy = node
-            .service_builder(&name("policy")?)
-            .publish_subscribe::<[u8]>()
-            .user_header::<PolicyHeadBytes>()
-            .enable_safe_overflow(true)
-            .history_size(1)
-            .subscriber_max_buffer_size(1)
-            .subscriber_max_borrowed_samples(1)
-            .max_publishers(1)
-            .max_subscribers(ports)
-            .max_nodes(ports)
-            .create()
-            .map_err(backend)?;
+        let status = newest::<()>(&node, "status", ports)?;
+        let policy = newest::<PolicyHeadBytes>(&node, "policy", ports)?;
         let events = |name: &ServiceName, listeners: usize, notifiers: usize| {
             node.service_builder(name)
                 .event()
@@ -125,23 +101,9 @@ impl Services {
     /// The actor's way: joins them. Fails while they are not complete.
     pub(super) fn open(paths: &RunPaths, tag: &str) -> Result<Self, TransportError> {
         let node = node(paths, tag)?;
-        let data = node
-            .service_builder(&name("data")?)
-            .publish_subscribe::<[u8]>()
-            .user_header::<DataHead>()
-            .open()
-            .map_err(backend)?;
-        let status = node
-            .service_builder(&name("status")?)
-            .publish_subscribe::<[u8]>()
-            .open()
-            .map_err(backend)?;
-        let policy = node
-            .service_builder(&name("policy")?)
-            .publish_subscribe::<[u8]>()
-            .user_header::<PolicyHeadBytes>()
-            .open()
-            .map_err(backend)?;
+        let data = messages(&node, "data")?.open().map_err(backend)?;
+        let status = messages(&node, "status")?.open().map_err(backend)?;
+        let policy = messages(&node, "policy")?.open().map_err(backend)?;
         let up = node.service_builder(&name("up")?).event();
         let down = node.service_builder(&name("down")?).event();
         Ok(Self {
@@ -209,6 +171,33 @@ impl Services {
     }
 }
 
+/// A service of messages, each with a head beside it.
+fn messages<H: Debug + ZeroCopySend>(
+    node: &Node<Ipc>,
+    called: &str,
+) -> Result<Builder<[u8], H, Ipc>, TransportError> {
+    let service = node.service_builder(&name(called)?);
+    Ok(service.publish_subscribe::<[u8]>().user_header::<H>())
+}
+
+/// A service of the learner's of which only the newest message counts.
+fn newest<H: Debug + ZeroCopySend>(
+    node: &Node<Ipc>,
+    called: &str,
+    ports: usize,
+) -> Result<publish_subscribe::PortFactory<Ipc, [u8], H>, TransportError> {
+    messages::<H>(node, called)?
+        .enable_safe_overflow(true)
+        .history_size(1)
+        .subscriber_max_buffer_size(1)
+        .subscriber_max_borrowed_samples(1)
+        .max_publishers(1)
+        .max_subscribers(ports)
+        .max_nodes(ports)
+        .create()
+        .map_err(backend)
+}
+
 /// Refuses to start where the learner's segments do not fit.
 pub(super) fn check_room_for_learner(limits: &Limits) -> Result<(), TransportError> {
     let policies = POLICY_SAMPLES * (limits.max_policy_bytes + SAMPLE_OVERHEAD);
@@ -273,7 +262,7 @@ fn node(paths: &RunPaths, tag: &str) -> Result<Node<Ipc>, TransportError> {
     // iceoryx2 logs to standard error by itself; what we act on is in our own errors.
     set_log_level_from_env_or(LogLevel::Fatal);
     let directory = paths.tag_dir(tag);
-    let invalid = |what: &dyn std::fmt::Debug| {
+    let invalid = |what: &dyn Debug| {
         TransportError::Config(format!("iceoryx2.root {}: {what:?}", directory.display()))
     };
     let bytes = directory.as_os_str().as_encoded_bytes();
@@ -296,6 +285,6 @@ fn name(name: &str) -> Result<ServiceName, TransportError> {
     ServiceName::new(name).map_err(backend)
 }
 
-pub(super) fn backend(error: impl std::fmt::Debug) -> TransportError {
+pub(super) fn backend(error: impl Debug) -> TransportError {
     TransportError::Backend(format!("iceoryx2: {error:?}"))
 }

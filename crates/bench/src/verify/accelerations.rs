@@ -384,7 +384,7 @@ impl Motion {
 }
 
 /// No servo, friction, damping or end stop; springs and rotors stay.
-fn smooth(nominal: &LaneParams) -> LaneParams {
+pub(super) fn smooth(nominal: &LaneParams) -> LaneParams {
     let mut p = nominal.clone();
     for per_servo in [
         &mut p.joint_friction_nm,

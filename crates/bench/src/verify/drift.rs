@@ -6,6 +6,7 @@ use caudata_model::BaseKind;
 use caudata_random::{Key, Purpose, Stream};
 use caudata_sim::{InitialState, LaneParams, Momenta, TerrainConfig, build};
 
+use super::accelerations::smooth;
 use super::error::VerifyError;
 use super::row::{Bench, Row, largest};
 
@@ -74,27 +75,15 @@ fn change(before: [f64; 3], after: [f64; 3]) -> f64 {
 
 /// Without weight, servos, friction, damping, springs, or end stops.
 fn loose(nominal: &LaneParams) -> LaneParams {
-    let mut p = nominal.clone();
+    let mut p = smooth(nominal);
     p.gravity_mps2 = [0.0; 3];
-    for per_servo in [
-        &mut p.joint_friction_nm,
-        &mut p.joint_damping_nms_per_rad,
-        &mut p.kp_nm_per_rad,
-        &mut p.kd_nms_per_rad,
-        &mut p.torque_scale,
-    ] {
-        per_servo.fill(0.0);
-    }
     for joint in &mut p.joints {
         joint.spring_nm_per_rad = 0.0;
-        joint.kd_min_nms_per_rad = 0.0;
         joint.low_rad = -caudata_sim::effects::ENDLESS_RAD;
         joint.high_rad = caudata_sim::effects::ENDLESS_RAD;
     }
     for hinge in &mut p.hinges {
         hinge.spring_nm_per_rad = 0.0;
-        hinge.damping_nms_per_rad = 0.0;
-        hinge.friction_nm = 0.0;
         hinge.low_rad = -caudata_sim::effects::ENDLESS_RAD;
         hinge.high_rad = caudata_sim::effects::ENDLESS_RAD;
     }

@@ -45,8 +45,6 @@ pub struct EmulatedBus {
     framer: Framer,
     queue: VecDeque<(u64, Vec<u8>)>,
     free_at_us: u64,
-    /// Questions heard so far.
-    questions: u64,
     /// Group writes of goal positions so far.
     goal_writes: u64,
 }
@@ -62,7 +60,6 @@ impl EmulatedBus {
             framer: Framer::new(),
             queue: VecDeque::new(),
             free_at_us: 0,
-            questions: 0,
             goal_writes: 0,
         }
     }
@@ -85,11 +82,6 @@ impl EmulatedBus {
     /// The servos, to change them from outside.
     pub fn servos_mut(&mut self) -> &mut [EmulatedServo] {
         &mut self.servos
-    }
-
-    /// Questions heard so far.
-    pub fn questions(&self) -> u64 {
-        self.questions
     }
 
     /// Group writes of goal positions heard so far.
@@ -118,7 +110,6 @@ impl EmulatedBus {
         for (id, body, length) in questions {
             let heard_at = now_us.max(self.free_at_us) + wire_us(length, self.host_baud);
             self.free_at_us = heard_at;
-            self.questions += 1;
             if let Some((&instruction, parameters)) = body.split_first() {
                 self.obey(id, instruction, parameters, heard_at);
             }

@@ -47,11 +47,6 @@ impl FilmData {
             effort: Packed::of(&thinned.map(effort).collect::<Vec<_>>()),
         })
     }
-
-    /// Frames.
-    pub fn frames(&self) -> usize {
-        self.pose.rows
-    }
 }
 
 /// Commanded vx, vy, yaw rate; achieved; centre of mass (3); heading; power; height of each foot; force on each

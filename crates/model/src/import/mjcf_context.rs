@@ -218,8 +218,7 @@ pub(super) fn softness(e: &Element, solref: &str, solimp: &str, remarks: &mut Re
     {
         *slot = x;
     }
-    let [time, damping] = out.solref;
-    if !(time > 0.0 && damping > 0.0 || time < 0.0 && damping <= 0.0) {
+    if !out.is_usable() {
         out.solref = Softness::default().solref;
         remarks.note(
             e,

@@ -4,7 +4,7 @@ use super::geometry::{Inertial, Solid};
 use super::mjcf_context::{Context, softness};
 use super::parts::Geom;
 use super::tree::Element;
-use crate::mjcf::z_to;
+use crate::mjcf::between;
 use crate::pose::{self, Pose};
 use crate::types::Shape;
 
@@ -100,20 +100,15 @@ impl Context<'_> {
         let size = e.numbers("size", self.remarks).unwrap_or_default();
         let (mut at, mut size) = (self.pose(e), size);
         if let Some(ends) = e.array::<6>("fromto", self.remarks) {
-            let (a, b) = ([ends[0], ends[1], ends[2]], [ends[3], ends[4], ends[5]]);
-            let along = pose::sub(a, b);
-            let length = pose::norm(along);
+            let (middle, half_length) = between(ends);
             let radius = size.first().copied().unwrap_or(0.0);
             size = match kind {
-                "box" | "ellipsoid" => vec![radius, radius, 0.5 * length],
-                _ => vec![radius, 0.5 * length],
+                "box" | "ellipsoid" => vec![radius, radius, half_length],
+                _ => vec![radius, half_length],
             };
-            at = Pose {
-                pos_m: pose::add(a, b).map(|x| 0.5 * x),
-                quat_wxyz: z_to(along.map(|x| x / length.max(1e-12))),
-            };
+            at = middle;
         }
-        let Some(shape) = primitive(kind, &size) else {
+        let Some(shape) = Shape::from_mjcf(kind, &size) else {
             if matches!(kind, "plane" | "hfield") || collides {
                 let label = e.label();
                 self.remarks
@@ -124,27 +119,4 @@ impl Context<'_> {
         let solid = Solid::of(&shape);
         Some((Some(shape), at, solid))
     }
-}
-
-/// A primitive with positive sizes.
-fn primitive(kind: &str, size: &[f64]) -> Option<Shape> {
-    let at = |i: usize| size.get(i).copied().filter(|x| *x > 0.0);
-    Some(match kind {
-        "sphere" => Shape::Sphere { radius_m: at(0)? },
-        "capsule" => Shape::Capsule {
-            radius_m: at(0)?,
-            half_length_m: at(1)?,
-        },
-        "cylinder" => Shape::Cylinder {
-            radius_m: at(0)?,
-            half_length_m: at(1)?,
-        },
-        "box" => Shape::Box {
-            half_size_m: [at(0)?, at(1)?, at(2)?],
-        },
-        "ellipsoid" => Shape::Ellipsoid {
-            semi_axes_m: [at(0)?, at(1)?, at(2)?],
-        },
-        _ => return None,
-    })
 }

@@ -6,6 +6,7 @@ use super::geometry::principal;
 use super::parts::{Actuator, Body, Geom, Joint, Robot};
 use crate::pose::Pose;
 use crate::types::{JointMotion, Shape, Softness};
+use crate::xml_text::{escaped, line};
 
 /// Writes everything out: no classes, radians, inertia of every body.
 pub(super) fn mjcf(name: &str, robot: &Robot) -> String {
@@ -58,11 +59,6 @@ pub(super) fn mjcf(name: &str, robot: &Robot) -> String {
     line(w, 1, "</actuator>");
     line(w, 0, "</mujoco>");
     out
-}
-
-fn line(w: &mut String, depth: usize, text: &str) {
-    // writing to a string does not fail
-    let _ = writeln!(w, "{}{text}", "  ".repeat(depth));
 }
 
 /// Two bodies that never touch, by the names that they have now; `None`: they are one.
@@ -235,10 +231,4 @@ fn pose(at: &Pose) -> String {
         let _ = write!(out, " quat=\"{qw} {x} {y} {z}\"");
     }
     out
-}
-
-pub(super) fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('"', "&quot;")
 }

@@ -33,6 +33,8 @@ pub(crate) struct Actuator {
     pub joint: String,
 }
 
+/// Shapes of links, as MuJoCo calls them.
+const SHAPES: [&str; 5] = ["sphere", "capsule", "cylinder", "box", "ellipsoid"];
 /// MuJoCo's default sliding friction coefficient.
 const DEFAULT_FRICTION: f64 = 1.0;
 
@@ -164,8 +166,7 @@ fn softness(
     if let Some(given) = e.numbers(solimp, 1, 5)? {
         out.solimp[..given.len()].copy_from_slice(&given);
     }
-    let [time, damping] = out.solref;
-    if !(time > 0.0 && damping > 0.0 || time < 0.0 && damping <= 0.0) {
+    if !out.is_usable() {
         let message =
             "must be a time constant and a damping ratio above zero, or -stiffness and -damping";
         return e.refuse(solref, message);
@@ -196,7 +197,11 @@ pub(super) fn geom(
     let kind = e.text("type").unwrap_or("sphere");
     let (shape, link_from_geom) = match e.array::<6>("fromto")? {
         Some(ends) => segment(e, kind, ends)?,
-        None => (shape(e, kind)?, pose(e, compiler)?),
+        None if kind == "plane" => (Shape::Plane, pose(e, compiler)?),
+        None => {
+            let sizes = e.numbers("size", 1, 3)?.unwrap_or_default();
+            (shape(e, kind, &sizes)?, pose(e, compiler)?)
+        }
     };
     if shape == Shape::Plane && !in_world {
         return e.refuse("type", "a plane belongs in <worldbody>, not on a link");
@@ -221,50 +226,14 @@ pub(super) fn geom(
     })
 }
 
-/// Sizes of a geom, all > 0.
-fn sizes<const N: usize>(e: &Element<'_, '_>) -> Result<[f64; N], ModelError> {
-    // MuJoCo ignores sizes beyond those that the type needs.
-    let Some(v) = e.numbers("size", N, 3)? else {
-        return e.refuse("size", "is missing");
-    };
-    let mut out = [0.0; N];
-    out.copy_from_slice(&v[..N]);
-    if let Some(bad) = out.iter().find(|x| **x <= 0.0) {
-        return e.refuse("size", format!("{bad} is not above zero"));
+fn shape(e: &Element<'_, '_>, kind: &str, sizes: &[f64]) -> Result<Shape, ModelError> {
+    if !SHAPES.contains(&kind) {
+        let known = SHAPES.join(", ");
+        let message = format!("`{kind}` is not supported ({known}; plane in the world)");
+        return e.refuse("type", message);
     }
-    Ok(out)
-}
-
-fn shape(e: &Element<'_, '_>, kind: &str) -> Result<Shape, ModelError> {
-    Ok(match kind {
-        "sphere" => Shape::Sphere {
-            radius_m: sizes::<1>(e)?[0],
-        },
-        "capsule" => {
-            let [radius_m, half_length_m] = sizes::<2>(e)?;
-            Shape::Capsule {
-                radius_m,
-                half_length_m,
-            }
-        }
-        "cylinder" => {
-            let [radius_m, half_length_m] = sizes::<2>(e)?;
-            Shape::Cylinder {
-                radius_m,
-                half_length_m,
-            }
-        }
-        "box" => Shape::Box {
-            half_size_m: sizes::<3>(e)?,
-        },
-        "ellipsoid" => Shape::Ellipsoid {
-            semi_axes_m: sizes::<3>(e)?,
-        },
-        "plane" => Shape::Plane,
-        other => {
-            return e.refuse("type", format!("`{other}` is not supported (sphere, capsule, cylinder, box, ellipsoid; plane in the world)"));
-        }
-    })
+    Shape::from_mjcf(kind, sizes)
+        .ok_or_else(|| e.error("size", "is missing, too short or not above zero"))
 }
 
 /// A capsule or cylinder given by its end points.
@@ -274,34 +243,29 @@ fn segment(e: &Element<'_, '_>, kind: &str, ends: [f64; 6]) -> Result<(Shape, Po
             return e.refuse(other, "stands beside `fromto`; give one of them");
         }
     }
-    let a = [ends[0], ends[1], ends[2]];
-    let b = [ends[3], ends[4], ends[5]];
-    // MuJoCo lets the geom's z axis run from the second point to the first; a symmetric shape does not care.
-    let d = pose::sub(a, b);
-    let length = pose::norm(d);
-    if length < 1e-9 {
+    if !matches!(kind, "capsule" | "cylinder") {
+        return e.refuse("fromto", "is only supported on capsules and cylinders");
+    }
+    let (middle, half_length_m) = between(ends);
+    if half_length_m < 0.5e-9 {
         return e.refuse("fromto", "its two points coincide");
     }
-    let radius_m = sizes::<1>(e)?[0];
-    let half_length_m = 0.5 * length;
-    let shape = match kind {
-        "capsule" => Shape::Capsule {
-            radius_m,
-            half_length_m,
-        },
-        "cylinder" => Shape::Cylinder {
-            radius_m,
-            half_length_m,
-        },
-        _ => return e.refuse("fromto", "is only supported on capsules and cylinders"),
+    let sizes = e.numbers("size", 1, 3)?.unwrap_or_default();
+    let sizes: Vec<f64> = sizes.into_iter().take(1).chain([half_length_m]).collect();
+    Ok((shape(e, kind, &sizes)?, middle))
+}
+
+/// The middle of two points, its z axis along them, and half their distance. MuJoCo lets the axis run from the
+/// second point to the first; a symmetric shape does not care.
+pub(crate) fn between(ends: [f64; 6]) -> (Pose, f64) {
+    let (a, b) = ([ends[0], ends[1], ends[2]], [ends[3], ends[4], ends[5]]);
+    let along = pose::sub(a, b);
+    let length = pose::norm(along);
+    let middle = Pose {
+        pos_m: pose::add(a, b).map(|x| 0.5 * x),
+        quat_wxyz: z_to(along.map(|x| x / length.max(1e-12))),
     };
-    let pos_m = [
-        0.5 * (a[0] + b[0]),
-        0.5 * (a[1] + b[1]),
-        0.5 * (a[2] + b[2]),
-    ];
-    let quat_wxyz = z_to(d.map(|x| x / length));
-    Ok((shape, Pose { pos_m, quat_wxyz }))
+    (middle, 0.5 * length)
 }
 
 /// The shortest turn that takes the z axis to the unit vector `d`.

@@ -27,7 +27,7 @@ use crate::pose::Pose;
 use crate::types::Geom;
 
 pub(crate) use compiler::Compiler;
-pub(crate) use elements::{check_inertia, z_to};
+pub(crate) use elements::{between, check_inertia, z_to};
 
 use elements::{Actuator, MjJoint, MjSite};
 use xml::{DEPTH_LIMIT, Defaults, Source};

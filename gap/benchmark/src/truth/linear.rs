@@ -5,7 +5,7 @@ pub type V3 = [f64; 3];
 /// A matrix, rows first.
 pub type M3 = [[f64; 3]; 3];
 
-pub use caudata_model::pose::{add, cross, dot, norm, sub};
+pub use caudata_model::pose::{add, cross, dot, norm, sub, turn_tensor as turn};
 
 /// `s·a`.
 pub fn scale(a: V3, s: f64) -> V3 {
@@ -37,21 +37,6 @@ pub fn point_inertia(m: f64, r: V3) -> M3 {
             out[i][j] = -m * r[i] * r[j];
         }
         out[i][i] += m * rr;
-    }
-    out
-}
-
-/// `r·m·rᵀ`.
-pub fn turn(r: &M3, m: &M3) -> M3 {
-    let mut out = [[0.0; 3]; 3];
-    for i in 0..3 {
-        for j in 0..3 {
-            for k in 0..3 {
-                for l in 0..3 {
-                    out[i][j] += r[i][k] * m[k][l] * r[j][l];
-                }
-            }
-        }
     }
     out
 }

@@ -2,7 +2,7 @@
 //!
 //! [`Spec::nominal`] is the robot of the model file; hidden effects and nuisances change single numbers.
 
-use caudata_model::{JointKind, RobotModel};
+use caudata_model::RobotModel;
 
 use super::tree::MassChange;
 
@@ -256,12 +256,5 @@ impl Spec {
     /// The joint's link (policy order): what it carries first.
     pub fn link_of(model: &RobotModel, a: usize) -> usize {
         model.joints()[model.actuated()[a]].child_link
-    }
-
-    /// Model indices of hinges without a servo.
-    pub fn passive(model: &RobotModel) -> Vec<usize> {
-        (0..model.joints().len())
-            .filter(|&j| !matches!(model.joints()[j].kind, JointKind::Actuated { .. }))
-            .collect()
     }
 }

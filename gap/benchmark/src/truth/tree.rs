@@ -167,11 +167,6 @@ impl Tree {
         kinetic + potential
     }
 
-    /// Position of the link frame of each link after the last [`Self::equations`].
-    pub fn links<'a>(&self, s: &'a Scratch) -> &'a [pose::Pose] {
-        &s.rotation
-    }
-
     fn place(&self, q: &[f64], s: &mut Scratch) {
         s.axis.clear();
         s.anchor.clear();
