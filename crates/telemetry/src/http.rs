@@ -126,20 +126,21 @@ async fn shake_hands(
     tls: Option<TlsAcceptor>,
 ) {
     let Some(tls) = tls else {
-        return answer(stream, peer, router).await;
+        return answer(Box::new(stream), peer, router).await;
     };
     match tokio::time::timeout(HEADERS_MAX, tls.accept(stream)).await {
-        Ok(Ok(stream)) => answer(stream, peer, router).await,
+        Ok(Ok(stream)) => answer(Box::new(stream), peer, router).await,
         Ok(Err(error)) => tracing::debug!(%peer, %error, "no handshake"),
         Err(_) => tracing::debug!(%peer, "a handshake took too long"),
     }
 }
 
-async fn answer(
-    stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
-    peer: SocketAddr,
-    router: Router,
-) {
+/// Bytes both ways. Behind a pointer, so that there is one HTTP server in a program and not two.
+trait Bytes: AsyncRead + AsyncWrite + Unpin + Send {}
+
+impl<T: AsyncRead + AsyncWrite + Unpin + Send> Bytes for T {}
+
+async fn answer(stream: Box<dyn Bytes>, peer: SocketAddr, router: Router) {
     let connection = Connection::default();
     let router = router.layer(Extension(connection.clone()));
     let served = http1::Builder::new()
