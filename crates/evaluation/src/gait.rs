@@ -50,6 +50,8 @@ pub struct Gait {
     pub tracking_rmse: [f64; 3],
     /// Speed over the ground in a straight line: way from first to last frame over time, m/s.
     pub drift_mps: f64,
+    /// The same along the heading of the first frame: negative where it came back, m/s.
+    pub ahead_mps: f64,
     /// Strongest frequency in the height of the feet, Hz; 0 where the feet do not move.
     pub stride_hz: f64,
     /// Frequency that the gait clock asks for, Hz.
@@ -103,6 +105,7 @@ impl Gait {
         });
         let velocity_mps = [0, 1].map(|i| mean(frames, |f| f64::from(f.velocity_mps[i])));
         let along = velocity_mps[0].hypot(velocity_mps[1]);
+        let time_s = trace.period_s * (frames.len() - 1) as f64;
         Some(Self {
             velocity_mps,
             speed_share: match mean(frames, |f| f64::from(f.command[0])) {
@@ -111,7 +114,8 @@ impl Gait {
             },
             yaw_rate_radps: mean(frames, |f| f64::from(f.yaw_rate_radps)),
             tracking_rmse: tracking_rmse(frames, stride_frames(trace)),
-            drift_mps: way_m(frames) / (trace.period_s * (frames.len() - 1) as f64),
+            drift_mps: way_m(frames).map_or(0.0, |[x, y]| x.hypot(y)) / time_s,
+            ahead_mps: way_m(frames).map_or(0.0, |[x, _]| x) / time_s,
             stride_hz: stride_hz(frames, &spectrum),
             clock_hz: trace.clock_hz,
             duty_factor,
@@ -185,12 +189,12 @@ fn on_ground(frame: &Frame, foot: usize, measure: &Measure) -> u8 {
     u8::from(f64::from(frame.foot_force_n[foot]) > measure.contact_force_n)
 }
 
-fn way_m(frames: &[Frame]) -> f64 {
-    let (Some(first), Some(last)) = (frames.first(), frames.last()) else {
-        return 0.0;
-    };
-    let along = |i: usize| f64::from(last.com_m[i] - first.com_m[i]);
-    along(0).hypot(along(1))
+/// Way from the first frame to the last, ahead and to the left of the first one, m.
+fn way_m(frames: &[Frame]) -> Option<[f64; 2]> {
+    let (first, last) = (frames.first()?, frames.last()?);
+    let [x, y] = [0, 1].map(|i| f64::from(last.com_m[i] - first.com_m[i]));
+    let (sin, cos) = f64::from(first.heading_rad).sin_cos();
+    Some([cos * x + sin * y, cos * y - sin * x])
 }
 
 /// Averages over whole strides, because a trunk that bends sways about its mean velocity.
@@ -368,6 +372,7 @@ pub(crate) mod tests {
         near(gait.stride_hz, 1.4, 0.03);
         near(gait.velocity_mps[0], 0.3, 1e-6);
         near(gait.drift_mps, 0.3, 1e-4);
+        near(gait.ahead_mps, 0.3, 1e-4);
         near(gait.duty_factor[0], 0.5, 0.02);
         near(gait.clearance_m[3], 0.05, 0.001);
         near(gait.slip_mps, 0.02, 1e-6);
@@ -386,6 +391,17 @@ pub(crate) mod tests {
             gait.tracking_rmse
         );
         assert_eq!(gait.trunk_contact_share, 0.0);
+    }
+
+    #[test]
+    fn who_comes_back_is_as_far_off_and_not_ahead() {
+        let mut trace = trot(1.4, 0.0);
+        for frame in &mut trace.frames {
+            frame.com_m[0] = -frame.com_m[0];
+        }
+        let gait = Gait::of(&trace, &measure()).unwrap();
+        near(gait.drift_mps, 0.3, 1e-4);
+        near(gait.ahead_mps, -0.3, 1e-4);
     }
 
     #[test]

@@ -193,10 +193,10 @@ pub(crate) struct Episode {
 }
 
 impl Episode {
-    /// Whether it did not fall and came at least [`ARRIVED_SHARE`] of the way that was commanded.
+    /// Whether it did not fall and, once it had settled, came at least [`ARRIVED_SHARE`] of the way ahead that was
+    /// commanded.
     pub(crate) fn arrived(&self) -> bool {
-        let [vx, vy, _] = self.command.map(f64::from);
-        let far = |gait: &Gait| gait.drift_mps >= ARRIVED_SHARE * vx.hypot(vy);
+        let far = |gait: &Gait| gait.ahead_mps >= ARRIVED_SHARE * f64::from(self.command[0]);
         self.fell.is_none() && self.gait.as_ref().is_some_and(far)
     }
 }

@@ -133,18 +133,7 @@ pub fn run_scenario(
         .judged
         .then(|| judge(&measured, scenario, &config.evaluation.gates));
     let mut result = ScenarioResult::of(&scenario.name, model.feet().len(), &measured, gates);
-    let passages: Vec<_> = measured.iter().filter_map(|e| e.passage).collect();
-    result.transition = shore.map(|_| TransitionResult::of(&passages));
-    result.arrived = (scenario.goal == Some(Goal::Ahead)).then(|| {
-        let arrived = measured.iter().filter(|e| e.arrived()).count();
-        Estimate::share(arrived, measured.len())
-    });
-    result.righting = scenario.fallen.then(|| {
-        let times: Vec<_> = measured.iter().map(|e| e.righted_s).collect();
-        RightingResult::of(&times)
-    });
-    let waves: Vec<_> = measured.iter().filter_map(|e| e.wave).collect();
-    result.wave = WaveResult::of(&waves);
+    what_it_is_about(&mut result, scenario, &measured, shore.is_some());
     let gaits = measured.iter().filter_map(|e| e.gait.as_ref());
     let postures: Vec<_> = gaits.map(|g| &g.posture).collect();
     result.posture = PostureResult::of(&postures, &measure.anatomy);
@@ -156,6 +145,27 @@ pub fn run_scenario(
         tracks,
         film,
     })
+}
+
+/// Figures that only some scenarios have.
+fn what_it_is_about(
+    result: &mut ScenarioResult,
+    scenario: &Scenario,
+    measured: &[Episode],
+    at_shore: bool,
+) {
+    let passages: Vec<_> = measured.iter().filter_map(|e| e.passage).collect();
+    result.transition = at_shore.then(|| TransitionResult::of(&passages));
+    result.arrived = (scenario.goal == Some(Goal::Ahead)).then(|| {
+        let arrived = measured.iter().filter(|e| e.arrived()).count();
+        Estimate::share(arrived, measured.len())
+    });
+    result.righting = scenario.fallen.then(|| {
+        let times: Vec<_> = measured.iter().map(|e| e.righted_s).collect();
+        RightingResult::of(&times)
+    });
+    let waves: Vec<_> = measured.iter().filter_map(|e| e.wave).collect();
+    result.wave = WaveResult::of(&waves);
 }
 
 fn judge(episodes: &[Episode], scenario: &Scenario, limits: &GatesConfig) -> GateReport {

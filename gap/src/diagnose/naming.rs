@@ -105,7 +105,8 @@ pub fn name(context: &Context, found: &mut Found, out: &mut Vec<Named>) -> Resul
             let named = rivals_of(context, found, index)?;
             let mut better = None;
             if steps < MOST_STEPS {
-                better = more_probable(context, &found.best, &named, &seen);
+                better = simpler(context, &found.best, &named, &seen)
+                    .or_else(|| more_probable(context, &found.best, &named, &seen));
                 if better.is_none() && named.worth.cross > 0.0 {
                     let new = |s: &State| !seen.contains(&s.key());
                     better = both(context, &found.best, &named)?.filter(new);
@@ -123,6 +124,46 @@ pub fn name(context: &Context, found: &mut Found, out: &mut Vec<Named>) -> Resul
         }
         return Ok(());
     }
+}
+
+/// The model with the rival that says the same as the cause in `named` with less, which is the first to be
+/// believed: with fewer parameters, or, where nothing at all tells them apart, without several joints that
+/// have the same size of an effect by chance; none that was the best before (`seen`).
+fn simpler(
+    context: &Context,
+    best: &State,
+    named: &Named,
+    seen: &BTreeSet<Vec<String>>,
+) -> Option<State> {
+    let model = context.replayer.model();
+    let size = |s: &State| (s.parameters(model), chances(s));
+    let own = &best.terms[named.index];
+    let same = |r: &Rival| {
+        if r.state.parameters(model) == best.parameters(model) {
+            return indistinguishable(best, &r.state);
+        }
+        if wider(r.state.terms[r.index].effect, own.effect) {
+            // what the wider law has beyond its special case must earn its place as a further cause beside it
+            // would
+            let more = gates::worth(context, &r.state, best, Some(&own.place));
+            return !more.passed || is_a_lead(gates::quiet(context), &more);
+        }
+        // what is clearly worse does not say the same
+        let more = gates::worth(context, &r.state, best, None);
+        more.low <= 0.0 || more.fit <= 0.0
+    };
+    // a law is never simpler than its special case, whatever else is left free
+    let special = |r: &&Rival| !wider(own.effect, r.state.terms[r.index].effect);
+    let new = |r: &&Rival| !seen.contains(&r.state.key());
+    let alike = (named.rivals.iter())
+        .filter(new)
+        .filter(special)
+        .filter(|r| r.in_set && size(&r.state) < size(best) && same(r));
+    let first = alike.min_by(|a, b| {
+        let by_size = size(&a.state).cmp(&size(&b.state));
+        by_size.then(a.short.total_cmp(&b.short))
+    })?;
+    Some(first.state.clone())
 }
 
 /// What [`name`] did not come to when time ended. What each of these causes is worth is known then; it and its

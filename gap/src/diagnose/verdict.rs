@@ -281,6 +281,77 @@ fn verdict(
     }
 }
 
+/// What the rivals of a cause come to.
+#[derive(Default)]
+struct Weighed<'a> {
+    /// Names that are as good.
+    alternatives: Vec<String>,
+    rejected: Vec<Rejected>,
+    /// Probability of the name, wherever it is.
+    same_name: f64,
+    /// Other places of the same name.
+    elsewhere: Vec<Vec<String>>,
+    /// Alternatives that may be there as well.
+    open: Vec<&'a Term>,
+}
+
+fn weigh<'a>(best: &State, named: &'a Named) -> Weighed<'a> {
+    let term = &best.terms[named.index];
+    let mut out = Weighed {
+        same_name: named.probability,
+        ..Weighed::default()
+    };
+    for rival in &named.rivals {
+        let other = &rival.state.terms[rival.index];
+        if other.effect == term.effect {
+            out.same_name += rival.probability;
+            if rival.in_set && another(&term.place, &other.place) {
+                out.elsewhere.push(other.place.names.clone());
+            }
+            continue;
+        }
+        let id = other.effect.id.to_owned();
+        if wider(term.effect, other.effect) {
+            // what speaks for the wider one there speaks for its special case, unless it is better
+            if meet(&term.place, &other.place) && rival.short >= 0.0 {
+                out.same_name += rival.probability.min(named.probability);
+            }
+            let reason = format!(
+                "says the same with more parameters, and nothing more: misfit {:.2} against {:.2}",
+                rival.state.misfit(),
+                best.misfit()
+            );
+            out.rejected.push(Rejected { effect: id, reason });
+        } else if rival.in_set {
+            // two names for the very same motions are one hypothesis, as far as these runs go, if they are of
+            // one kind: a delay is a delay, and less torque is no more weight
+            let same = indistinguishable(best, &rival.state);
+            if same && other.effect.layer == term.effect.layer {
+                out.same_name += rival.probability;
+            }
+            if !out.alternatives.contains(&id) {
+                out.alternatives.push(id);
+                if !same {
+                    // it may be there as well; of two names for the same motions one is enough
+                    out.open.push(other);
+                }
+            }
+        } else if !out.alternatives.contains(&id) && !out.rejected.iter().any(|r| r.effect == id) {
+            let reason = format!(
+                "in its place, refitted, it leaves {:.0} % of what {} explains (misfit {:.2} against {:.2})",
+                100.0 * rival.short.min(9.99),
+                term.effect.id,
+                rival.state.misfit(),
+                best.misfit()
+            );
+            out.rejected.push(Rejected { effect: id, reason });
+        }
+    }
+    out.alternatives
+        .extend(named.untried.iter().map(|id| (*id).to_owned()));
+    out
+}
+
 fn cause(
     context: &Context,
     best: &State,
@@ -289,69 +360,18 @@ fn cause(
     doubts: &Doubts<'_>,
 ) -> Result<Cause, GapError> {
     let term = &best.terms[named.index];
-    let mut alternatives: Vec<String> = Vec::new();
-    let mut rejected: Vec<Rejected> = Vec::new();
-    let mut same_name = named.probability;
-    let mut elsewhere: Vec<Vec<String>> = Vec::new();
-    let mut open: Vec<&Term> = Vec::new();
-    for rival in &named.rivals {
-        let other = &rival.state.terms[rival.index];
-        if other.effect == term.effect {
-            same_name += rival.probability;
-            if rival.in_set && another(&term.place, &other.place) {
-                elsewhere.push(other.place.names.clone());
-            }
-            continue;
-        }
-        let id = other.effect.id.to_owned();
-        if wider(term.effect, other.effect) {
-            // what speaks for the wider one there speaks for its special case, unless it is better
-            if meet(&term.place, &other.place) && rival.short >= 0.0 {
-                same_name += rival.probability.min(named.probability);
-            }
-            let reason = format!(
-                "says the same with more parameters, and nothing more: misfit {:.2} against {:.2}",
-                rival.state.misfit(),
-                best.misfit()
-            );
-            rejected.push(Rejected { effect: id, reason });
-        } else if rival.in_set {
-            // two names for the very same motions are one hypothesis, as far as these runs go, if they are of
-            // one kind: a delay is a delay, and less torque is no more weight
-            let same = indistinguishable(best, &rival.state);
-            if same && other.effect.layer == term.effect.layer {
-                same_name += rival.probability;
-            }
-            if !alternatives.contains(&id) {
-                alternatives.push(id);
-                if !same {
-                    // it may be there as well; of two names for the same motions one is enough
-                    open.push(other);
-                }
-            }
-        } else if !alternatives.contains(&id) && !rejected.iter().any(|r| r.effect == id) {
-            let reason = format!(
-                "in its place, refitted, it leaves {:.0} % of what {} explains (misfit {:.2} against {:.2})",
-                100.0 * rival.short.min(9.99),
-                term.effect.id,
-                rival.state.misfit(),
-                best.misfit()
-            );
-            rejected.push(Rejected { effect: id, reason });
-        }
-    }
-    alternatives.extend(named.untried.iter().map(|id| (*id).to_owned()));
-    let wider = match open.is_empty() {
+    let weighed = weigh(best, named);
+    let wider = match weighed.open.is_empty() {
         true => Vec::new(),
-        false => beside(context, best, named.index, &open, spread)?,
+        false => beside(context, best, named.index, &weighed.open, spread)?,
     };
     let parameters = parameters(context, best, named.index, spread, &wider);
-    let grounds = grounds(context, named, term, same_name, &parameters, doubts);
+    let grounds = grounds(context, named, term, weighed.same_name, &parameters, doubts);
     // the map is of names whose look-alikes were tried
     let most = if named.untried.is_empty() {
         1.0
     } else {
-        same_name
+        weighed.same_name
     };
     Ok(Cause {
         effect: term.effect.id.to_owned(),
@@ -359,11 +379,11 @@ fn cause(
         location: term.place.names.clone(),
         parameters,
         confidence: context.calibration.confidence(&grounds).min(most),
-        alternatives,
+        alternatives: weighed.alternatives,
         synonyms: Vec::new(),
-        elsewhere,
+        elsewhere: weighed.elsewhere,
         evidence: evidence(context, term, named),
-        rejected,
+        rejected: weighed.rejected,
         assumed: (term.effect).assumed(context.replayer.model(), &term.place),
         grounds,
     })

@@ -90,14 +90,20 @@ const UNITS: &[(&str, f64, &str)] = &[
     ("rad", 1.0, "angle"),
     ("deg", std::f64::consts::PI / 180.0, "angle"),
     ("turn", std::f64::consts::TAU, "angle"),
+    ("mrad", 1e-3, "angle"),
     ("rad/s", 1.0, "speed"),
     ("deg/s", std::f64::consts::PI / 180.0, "speed"),
+    ("mrad/s", 1e-3, "speed"),
+    ("rev/s", std::f64::consts::TAU, "speed"),
     ("rev/min", std::f64::consts::TAU / 60.0, "speed"),
     ("A", 1.0, "current"),
     ("mA", 1e-3, "current"),
+    ("uA", 1e-6, "current"),
     ("N·m", 1.0, "torque"),
     ("Nm", 1.0, "torque"),
     ("mNm", 1e-3, "torque"),
+    ("cNm", 1e-2, "torque"),
+    ("kgf·cm", 0.098_066_5, "torque"),
     ("V", 1.0, "voltage"),
     ("mV", 1e-3, "voltage"),
     ("m", 1.0, "length"),
@@ -143,7 +149,7 @@ fn measured(signal: &Signal) -> Option<&'static str> {
 }
 
 /// Whether a unit `of` something goes with a signal that measures `want`; angles, as those of a second, with speeds.
-fn fits(of: &str, want: &str) -> bool {
+pub(super) fn fits(of: &str, want: &str) -> bool {
     of == want || of == "any" || (of, want) == ("angle", "speed")
 }
 

@@ -2,6 +2,8 @@
 
 use caudata_model::RobotModel;
 
+use super::map::{fits, unit};
+
 /// Words that tell a kind of signal, the first that fits; a command is one of the words in [`COMMANDS`] with any
 /// of them or none.
 const KIND_WORDS: &[(&str, &[&str])] = &[
@@ -100,8 +102,15 @@ const UNIT_WORDS: &[(&str, &str)] = &[
     ("°", "deg"),
     ("turns", "turn"),
     ("rev", "turn"),
+    ("mrad", "mrad"),
     ("rad/s", "rad/s"),
+    ("rad/sec", "rad/s"),
+    ("mrad/s", "mrad/s"),
     ("deg/s", "deg/s"),
+    ("deg/sec", "deg/s"),
+    ("rev/s", "rev/s"),
+    ("turns/s", "rev/s"),
+    ("rps", "rev/s"),
     ("°/s", "deg/s"),
     ("rpm", "rev/min"),
     ("rev/min", "rev/min"),
@@ -111,10 +120,22 @@ const UNIT_WORDS: &[(&str, &str)] = &[
     ("min-1", "rev/min"),
     ("ticks", "counts/4096"),
     ("counts", "counts/4096"),
+    ("ticks/s", "counts/4096"),
+    ("counts/s", "counts/4096"),
     ("a", "A"),
     ("ma", "mA"),
+    ("ua", "uA"),
+    ("µa", "uA"),
     ("nm", "Nm"),
     ("mnm", "mNm"),
+    ("nmm", "mNm"),
+    ("n·mm", "mNm"),
+    ("ncm", "cNm"),
+    ("cnm", "cNm"),
+    ("n·cm", "cNm"),
+    ("kgcm", "kgf·cm"),
+    ("kg·cm", "kgf·cm"),
+    ("kgf·cm", "kgf·cm"),
     ("n·m", "Nm"),
     ("v", "V"),
     ("mv", "mV"),
@@ -185,12 +206,32 @@ impl Words {
         let strange =
             in_brackets.filter(|(_, word)| said.is_none() && word.parse::<usize>().is_err());
         let strange_unit = strange.map(|(_, word)| word.to_owned());
-        Self {
+        let mut out = Self {
             words,
             unit,
             strange_unit,
             whole,
+        };
+        // `vel_counts_ms`: its last word is a unit, and not of this
+        if let Some(other) = out.unit.filter(|unit| !out.may_be_in(unit)) {
+            out.strange_unit.get_or_insert(other.to_owned());
+            out.unit = None;
         }
+        out
+    }
+
+    /// Whether a unit goes with what the column is, as far as its name says so.
+    fn may_be_in(&self, name: &str) -> bool {
+        let want = match self.kind() {
+            Some("cmd" | "pos") => "angle",
+            Some("vel") => "speed",
+            Some("cur") => "current",
+            Some("tau") => "torque",
+            Some("volt") => "voltage",
+            _ => return true,
+        };
+        // shares of a range have no size of their own
+        unit(name).map_or(true, |(_, of)| fits(of, want))
     }
 
     pub(super) fn has(&self, any: &[&str]) -> bool {
@@ -228,4 +269,32 @@ impl Words {
 pub(super) fn unit_word(word: &str) -> Option<&'static str> {
     let found = UNIT_WORDS.iter().find(|(said, _)| *said == word);
     found.map(|(_, unit)| *unit)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_unit_is_said_by_the_end_of_a_header_if_it_is_one_of_that_kind() {
+        let cases = [
+            ("vel_deg_s", Some("deg/s"), None),
+            ("velocity_rad_per_sec", Some("rad/s"), None),
+            ("speed [rpm]", Some("rev/min"), None),
+            ("vel_turns_s", Some("rev/s"), None),
+            ("torque_Nmm", Some("mNm"), None),
+            ("torque_Ncm", Some("cNm"), None),
+            ("torque (kgf·cm)", Some("kgf·cm"), None),
+            ("current_uA", Some("uA"), None),
+            ("vel_counts_ms", None, Some("ms")),
+            ("vel(steps/s)", None, Some("steps/s")),
+            ("torque [N mm]", None, Some("n mm")),
+            ("pos_knee", None, None),
+        ];
+        for (header, unit, strange) in cases {
+            let words = Words::of(header);
+            let said = (words.unit, words.strange_unit.as_deref());
+            assert_eq!(said, (unit, strange), "{header}");
+        }
+    }
 }
