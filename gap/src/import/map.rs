@@ -29,7 +29,7 @@ use serde::Deserialize;
 
 use super::run::{ImportError, Imported};
 use super::sheet::{Recording, Sheet};
-use super::words::unit_word;
+use super::units::unit_word;
 
 /// Later than this a stamp is of the calendar (1970 and some months), not of a run, s.
 const CALENDAR_S: f64 = 1e7;

@@ -15,6 +15,7 @@ mod open;
 mod run;
 pub mod sheet;
 mod trajectory;
+mod units;
 mod words;
 
 pub use open::{Format, open, read};

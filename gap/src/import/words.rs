@@ -3,6 +3,7 @@
 use caudata_model::RobotModel;
 
 use super::map::{fits, unit};
+use super::units::unit_word;
 
 /// Words that tell a kind of signal, the first that fits; a command is one of the words in [`COMMANDS`] with any
 /// of them or none.
@@ -91,64 +92,6 @@ pub(super) const CLOCKS: &[&str] = &[
     "zeitstempel",
     "temps",
     "tiempo",
-];
-/// Last words of a header that are units, and what a map calls them.
-const UNIT_WORDS: &[(&str, &str)] = &[
-    ("rad", "rad"),
-    ("rads", "rad"),
-    ("radians", "rad"),
-    ("deg", "deg"),
-    ("degrees", "deg"),
-    ("°", "deg"),
-    ("turns", "turn"),
-    ("rev", "turn"),
-    ("mrad", "mrad"),
-    ("rad/s", "rad/s"),
-    ("rad/sec", "rad/s"),
-    ("mrad/s", "mrad/s"),
-    ("deg/s", "deg/s"),
-    ("deg/sec", "deg/s"),
-    ("rev/s", "rev/s"),
-    ("turns/s", "rev/s"),
-    ("rps", "rev/s"),
-    ("°/s", "deg/s"),
-    ("rpm", "rev/min"),
-    ("rev/min", "rev/min"),
-    ("r/min", "rev/min"),
-    ("u/min", "rev/min"),
-    ("1/min", "rev/min"),
-    ("min-1", "rev/min"),
-    ("ticks", "counts/4096"),
-    ("counts", "counts/4096"),
-    ("ticks/s", "counts/4096"),
-    ("counts/s", "counts/4096"),
-    ("a", "A"),
-    ("ma", "mA"),
-    ("ua", "uA"),
-    ("µa", "uA"),
-    ("nm", "Nm"),
-    ("mnm", "mNm"),
-    ("nmm", "mNm"),
-    ("n·mm", "mNm"),
-    ("ncm", "cNm"),
-    ("cnm", "cNm"),
-    ("n·cm", "cNm"),
-    ("kgcm", "kgf·cm"),
-    ("kg·cm", "kgf·cm"),
-    ("kgf·cm", "kgf·cm"),
-    ("n·m", "Nm"),
-    ("v", "V"),
-    ("mv", "mV"),
-    ("c", "degC"),
-    ("°c", "degC"),
-    ("degc", "degC"),
-    ("%", "%"),
-    ("s", "s"),
-    ("sec", "s"),
-    ("ms", "ms"),
-    ("us", "us"),
-    ("µs", "us"),
-    ("ns", "ns"),
 ];
 
 /// The actuated joint that is called so, or else the one with the longest name that is part of it.
@@ -264,11 +207,6 @@ impl Words {
         };
         joint_called(robot, &self.whole).or_else(number)
     }
-}
-
-pub(super) fn unit_word(word: &str) -> Option<&'static str> {
-    let found = UNIT_WORDS.iter().find(|(said, _)| *said == word);
-    found.map(|(_, unit)| *unit)
 }
 
 #[cfg(test)]

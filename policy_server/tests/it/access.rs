@@ -229,6 +229,23 @@ fn certificates_that_are_not_there_are_named() {
     assert!(matches!(error, ClientError::Certificates { .. }), "{error}");
 }
 
+#[test]
+fn a_certificate_that_nobody_would_take_is_refused_with_the_reason() {
+    let dir = tempfile::tempdir().unwrap();
+    let ours = Authority::create(&dir.path().join("ours"), "lab", SystemTime::now()).unwrap();
+    let server = certificate(&ours, Role::Server, "server");
+    let refused = |folder: &Path, why: &str| {
+        let error = of_the_lab(folder).err().unwrap().to_string();
+        assert!(error.contains("tls.crt") && error.contains(why), "{error}");
+    };
+    refused(&certificate(&ours, Role::Robot, "robot"), "--role server");
+    let other = certificate(&ours, Role::Server, "other");
+    std::fs::copy(other.join("tls.key"), server.join("tls.key")).unwrap();
+    refused(&server, "tls.key");
+    std::fs::write(other.join("tls.crt"), "").unwrap();
+    refused(&other, "holds no certificate");
+}
+
 #[tokio::test]
 async fn tls_1_2_is_not_spoken() {
     use tokio_rustls::TlsConnector;

@@ -14,6 +14,7 @@ use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer, PrivatePkcs
 use tokio_rustls::rustls::server::WebPkiClientVerifier;
 use tokio_rustls::rustls::server::danger::ClientCertVerifier;
 use tokio_rustls::rustls::{Error, RootCertStore, ServerConfig, version};
+use x509_parser::parse_x509_certificate;
 
 use super::authority::set_validity;
 use super::error::{CA_FILE, CERTIFICATE_FILE, KEY_FILE, PkiError, VALID_DAYS_MAX};
@@ -44,11 +45,16 @@ pub fn listen_as(folder: &Path, callers: Callers, protocol: &str) -> Result<TlsA
         })?,
     };
     let chain_path = folder.join(CERTIFICATE_FILE);
-    let chain = read(&chain_path, certificates)?;
+    let chain = read(&chain_path, certificates_of_a_server)?;
     let key = read(&folder.join(KEY_FILE), |pem| {
         PrivateKeyDer::from_pem_slice(pem).map_err(|error| error.to_string())
     })?;
-    acceptor(chain, key, verifier, protocol).map_err(|error| content(&chain_path, &error))
+    acceptor(chain, key, verifier, protocol).map_err(|error| match error {
+        Error::InconsistentKeys(_) => {
+            content(&chain_path, &"is not the certificate of tls.key beside it")
+        }
+        error => content(&chain_path, &error),
+    })
 }
 
 /// TLS with a key and a certificate for `hosts` that are made here and written nowhere, and the certificate's
@@ -95,6 +101,19 @@ fn acceptor(
 fn certificates(pem: &[u8]) -> Result<Vec<CertificateDer<'static>>, String> {
     let read: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(pem).collect();
     read.map_err(|error| error.to_string())
+}
+
+/// Refuses what whoever connects would refuse.
+fn certificates_of_a_server(pem: &[u8]) -> Result<Vec<CertificateDer<'static>>, String> {
+    let chain = certificates(pem)?;
+    let own = chain.first().ok_or("holds no certificate")?;
+    let (_, own) = parse_x509_certificate(own).map_err(|error| error.to_string())?;
+    match own.extended_key_usage() {
+        Ok(Some(usage)) if !usage.value.server_auth && !usage.value.any => {
+            Err("is no certificate of a server (`caudata pki issue --role server`)".to_owned())
+        }
+        _ => Ok(chain),
+    }
 }
 
 fn read<T>(path: &Path, parse: impl Fn(&[u8]) -> Result<T, String>) -> Result<T, PkiError> {
