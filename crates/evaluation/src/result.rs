@@ -169,8 +169,8 @@ pub struct ScenarioResult {
     pub speed_share_least: f64,
     /// Getting into the water or out of it; `None` where the scenario is not about that.
     pub transition: Option<TransitionResult>,
-    /// Share of the episodes that came at least 80 % of the way that was commanded and did not fall; `None`
-    /// where the scenario is not about that.
+    /// Share of the episodes that, once they had settled, came at least 80 % of the way ahead that was commanded
+    /// and did not fall; `None` where the scenario is not about that.
     #[serde(default)]
     pub arrived: Option<Estimate>,
     /// Getting up again; `None` where the scenario is not about that.

@@ -167,9 +167,10 @@ pub fn failure(error: PkiError) -> Failure {
     let code = match &error {
         PkiError::Role(_) | PkiError::Name(_) | PkiError::Days(_) => ExitCode::BadConfig,
         PkiError::Exists(_) => ExitCode::CannotCreate,
-        PkiError::File { source, .. } => match ExitCode::of_io(source, false) {
-            ExitCode::NoInput if source.kind() != std::io::ErrorKind::NotFound => ExitCode::IoError,
-            code => code,
+        PkiError::File { source, .. } => match source.kind() {
+            std::io::ErrorKind::NotFound => ExitCode::NoInput,
+            std::io::ErrorKind::InvalidData => ExitCode::BadInput,
+            _ => ExitCode::IoError,
         },
         PkiError::Content { .. } => ExitCode::BadInput,
         PkiError::Make(_) => ExitCode::Internal,
