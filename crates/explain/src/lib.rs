@@ -14,6 +14,7 @@ mod report;
 mod robot;
 mod run;
 mod search;
+mod stance;
 mod suspect;
 mod table;
 mod terms;

@@ -12,14 +12,14 @@ use crate::report::{Cause, Report, Trial, Verdict};
 use crate::run::Run;
 use crate::suspect::Suspect;
 use crate::trial::{Start, Trainer, change};
-use crate::{observation, robot, table, terms};
+use crate::{observation, robot, stance, table, terms};
 
 /// Suspects that get a training of their own before all are put right together.
 const ALONE: usize = 3;
 /// Suspicion from which one is worth a training of its own.
 const SUSPECT: f64 = 0.8;
-/// How much better it must walk than as it is, of 1.
-const BETTER: f64 = 0.2;
+/// How much better it must walk than as it is, of 1: three times what two healthy trainings differ by.
+const BETTER: f64 = 0.15;
 /// Times the length of the longest training so far that must be left for another.
 const ROOM: f64 = 1.1;
 
@@ -173,6 +173,7 @@ pub fn suspects(run: &Run, behaviour: &Behaviour) -> Result<Vec<Suspect>, Failur
     all.extend(terms::suspects(run, behaviour));
     all.extend(observation::suspects(run, behaviour)?);
     all.extend(robot::suspects(&run.model));
+    all.extend(stance::suspect(run));
     all.sort_by(|a, b| b.suspicion.total_cmp(&a.suspicion));
     Ok(all)
 }
@@ -190,7 +191,7 @@ pub fn explain(
     let began = Instant::now();
     let run = Run::read(&plan.run)?;
     let policy = files::policy(&plan.run.join("policy.onnx"))?;
-    let behaviour = Behaviour::of(&run.config, &run.model, &policy, stop)?;
+    let behaviour = Behaviour::of(&run.config, &run.reference, &run.model, &policy, stop)?;
     let mut report = Report {
         verdict: Verdict::Walks,
         causes: Vec::new(),

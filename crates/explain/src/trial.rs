@@ -18,8 +18,8 @@ use crate::report::Trial;
 use crate::run::{Run, assignment};
 use crate::suspect::{Edit, Seen, Suspect};
 
-/// Environment steps of a training: after so many the presets go at three quarters of their speed and more.
-const ENV_STEPS: u64 = 60 * 6144;
+/// Environment steps of a training: after half as many one quadruped in five stands still, and every biped.
+const ENV_STEPS: u64 = 120 * 6144;
 /// Fewest and most iterations, whatever the batch.
 const ITERATIONS: [u64; 2] = [40, 400];
 /// How often a training is looked at.
@@ -140,7 +140,13 @@ impl Start<'_> {
             put_right: suspects.iter().map(|suspect| suspect.id).collect(),
             seed: self.seed,
             iterations: config.run.iterations,
-            behaviour: Behaviour::of(&config, &model, &policy, &self.trainer.stop)?,
+            behaviour: Behaviour::of(
+                &config,
+                &self.run.reference,
+                &model,
+                &policy,
+                &self.trainer.stop,
+            )?,
             seconds: began.elapsed().as_secs_f64(),
         }))
     }
@@ -269,7 +275,23 @@ pub fn turned(mjcf: &str, joint: &str, [x, y, z]: [f64; 3]) -> String {
 
 /// What putting a suspect right changes, in words that `--set` takes, or about the robot file.
 pub(crate) fn change(run: &Run, suspect: &Suspect) -> Vec<String> {
-    match &suspect.edit {
+    let words = edit_words(&suspect.edit);
+    if !words.is_empty() {
+        return words;
+    }
+    let (before, after) = (run.config.entries(), apply(run, &[suspect], &run.folder));
+    let after = after.map_or_else(|_| Vec::new(), |config| config.entries());
+    let differs = |(a, b): &(&(String, String), &(String, String))| a != b;
+    let pairs = before.iter().zip(&after).filter(differs);
+    pairs
+        .map(|(_, (key, value))| assignment(key, value))
+        .collect()
+}
+
+/// What is to be changed in the robot file, in words; empty where it is the configuration.
+fn edit_words(edit: &Edit) -> Vec<String> {
+    match edit {
+        Edit::All(inner) => inner.iter().flat_map(edit_words).collect(),
         Edit::Axis {
             joint,
             axis: [x, y, z],
@@ -283,15 +305,7 @@ pub(crate) fn change(run: &Run, suspect: &Suspect) -> Vec<String> {
                 "in the robot file: [pose.nominal_rad] {joint} = {rad:.4}"
             )]
         }
-        _ => {
-            let (before, after) = (run.config.entries(), apply(run, &[suspect], &run.folder));
-            let after = after.map_or_else(|_| Vec::new(), |config| config.entries());
-            let differs = |(a, b): &(&(String, String), &(String, String))| a != b;
-            let pairs = before.iter().zip(&after).filter(differs);
-            pairs
-                .map(|(_, (key, value))| assignment(key, value))
-                .collect()
-        }
+        _ => Vec::new(),
     }
 }
 

@@ -24,11 +24,11 @@ use serde_json::Value;
 use catalogue::{Change, Draw, MISTAKES};
 
 /// Robots, by the preset that trains them.
-const ROBOTS: [&str; 3] = ["quick", "quadruped", "hexapod"];
+const ROBOTS: [&str; 4] = ["quick", "quadruped", "hexapod", "biped"];
 /// Every how many seeds a case is healthy.
 const HEALTHY_EVERY: u64 = 4;
-/// Iterations that a case is trained for: healthy ones walk after 60.
-const ITERATIONS: u64 = 90;
+/// Iterations that a case is trained for: healthy ones walk after 120.
+const ITERATIONS: u64 = 180;
 /// Longest that the training of a case may take, s.
 const TRAINING_S: u64 = 1800;
 
@@ -226,7 +226,7 @@ fn explained(
 /// The case of a seed and what is hidden in it; robot files that are changed go into `folder`. `None` where its
 /// mistake is not among those that are wanted.
 fn case(seed: u64, only: &str, folder: &Path) -> Result<Option<(Outcome, Config)>, Failure> {
-    let robot = ROBOTS[(seed / 2 % ROBOTS.len() as u64) as usize];
+    let robot = ROBOTS[(seed / HEALTHY_EVERY % ROBOTS.len() as u64) as usize];
     let reference = Config::load(&Source::preset(robot)).or_exit(ExitCode::BadConfig)?;
     let path = std::path::absolute(reference.robot_path()).or_exit(ExitCode::NoInput)?;
     let model = files::robot(&path)?;
@@ -401,7 +401,9 @@ mod tests {
             let right = |key: &String| outcome.places.contains(key);
             let rank = suspects.iter().position(|s| s.keys.iter().any(right));
             let rank = rank.unwrap_or_else(|| panic!("{name} on {}", outcome.robot));
-            later.extend((rank > 0).then_some(*name));
+            later.extend(
+                (rank > 0).then(|| format!("{name} on {}: {}", outcome.robot, suspects[0].id)),
+            );
         }
         assert!(later.len() <= MISTAKES.len() / 10, "{later:?}");
     }
