@@ -1,6 +1,9 @@
 //! `caudata config`: the configuration in effect.
 
-use caudata_config::{Config, ConfigArgs, PRESETS};
+use std::path::Path;
+
+use caudata_config::{Config, ConfigArgs, PRESETS, TransportKind};
+use caudata_signing::pki::CERTIFICATE_FILE;
 use caudata_sim::Terrain;
 use caudata_task::{Critic, Mirror, PolicyContract};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
@@ -35,6 +38,7 @@ pub fn run(command: &ConfigCommand) -> Result<(), Failure> {
             let config = args.load().or_exit(ExitCode::BadConfig)?;
             fits(&config)?;
             say::line(format!("good; hash {}", config.hash_hex()));
+            note_certificates(&config);
             Ok(())
         }
         ConfigCommand::Presets => {
@@ -57,6 +61,22 @@ fn fits(config: &Config) -> Result<(), Failure> {
     }
     Terrain::generate(&config.terrain, config.run.seed).or_exit(ExitCode::BadConfig)?;
     Ok(())
+}
+
+/// A cluster's file is also checked where none of its processes runs.
+fn note_certificates(config: &Config) {
+    if config.transport.kind != TransportKind::Zenoh {
+        return;
+    }
+    for role in ["server", "learner", "actor"] {
+        let folder = config.cluster.certificates(role).unwrap_or_default();
+        if folder != Path::new("") && !folder.join(CERTIFICATE_FILE).is_file() {
+            let folder = folder.display();
+            say::line(format!(
+                "note: no certificate in {folder}: no {role} starts on this host"
+            ));
+        }
+    }
 }
 
 fn show(args: &ShowArgs) -> Result<(), Failure> {

@@ -104,8 +104,10 @@ pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
     let page = live_page(args, &config, &model, &folder, &view, &desk);
     let shown = page.as_ref().map(|page| (page, desk.as_ref()));
     let supervisor = Supervisor::start(&programs, &config, &folder, &process.stop, view, plan);
-    if supervisor.is_err() && args.resume() == Resume::No {
-        folder.disown();
+    if let Err(failure) = &supervisor
+        && args.resume() == Resume::No
+    {
+        folder.disown(start::is_permanent(failure.code()));
     }
     let mut outcome = supervisor?.shown_on(shown).watch()?;
     if outcome.finished.reason != "completed" {
@@ -276,7 +278,7 @@ fn after_training(failure: Failure, folder: &RunFolder) -> Failure {
     failure
         .context("training is complete, its evaluation is not")
         .hint(format!(
-            "the policy is {policy}; measure it with: caudata eval --policy {policy}"
+            "the policy is {policy}; measure it with: caudata eval {policy}"
         ))
 }
 
