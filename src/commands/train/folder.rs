@@ -136,6 +136,11 @@ impl RunFolder {
         }
     }
 
+    /// Whether nothing was learnt that a training could go on from.
+    pub fn is_without_checkpoints(&self) -> bool {
+        fs::read_dir(self.checkpoints()).is_ok_and(|mut found| found.next().is_none())
+    }
+
     /// The folder itself, absolute.
     pub fn root(&self) -> &Path {
         &self.root

@@ -19,10 +19,10 @@ use std::sync::Arc;
 use caudata_config::{CHANGES, Changes, Config, ConfigArgs, Source, TransportKind};
 use caudata_live::{LivePage, Policy, Show, Training};
 use caudata_model::RobotModel;
-use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use clap::Args;
 
+use crate::commands::config::fits;
 use crate::commands::page::PageArgs;
 use crate::commands::robot::load as load_robot;
 use crate::commands::runs;
@@ -104,12 +104,21 @@ pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
     let page = live_page(args, &config, &model, &folder, &view, &desk);
     let shown = page.as_ref().map(|page| (page, desk.as_ref()));
     let supervisor = Supervisor::start(&programs, &config, &folder, &process.stop, view, plan);
+    let new = args.resume() == Resume::No;
     if let Err(failure) = &supervisor
-        && args.resume() == Resume::No
+        && new
     {
         folder.disown(start::is_permanent(failure.code()));
     }
-    let mut outcome = supervisor?.shown_on(shown).watch()?;
+    let watched = supervisor?.shown_on(shown).watch();
+    if let Err(failure) = &watched
+        && new
+        && start::is_permanent(failure.code())
+        && folder.is_without_checkpoints()
+    {
+        folder.disown(true);
+    }
+    let mut outcome = watched?;
     if outcome.finished.reason != "completed" {
         outcome.stop_server();
         return stopped_early(args, &folder, &outcome);
@@ -212,12 +221,7 @@ fn prepare(
         resume = Resume::Named(fork.name());
         folder
     } else {
-        // A robot or a policy to begin with that cannot be read must not leave a folder behind.
-        load_robot(&config.robot_path())?;
-        config
-            .warm_start_path()
-            .map(|path| files::policy(&path))
-            .transpose()?;
+        fits(&config)?;
         let record = args.changes.as_deref().map(|path| record(path, &config));
         let record = record.transpose()?;
         let folder = RunFolder::create(out, &config.run.out_dir, &config.run.name)?;
