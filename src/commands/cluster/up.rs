@@ -60,8 +60,9 @@ pub fn run(args: &UpArgs, process: &Process) -> Result<(), Failure> {
         actors: args.actors.unwrap_or_else(spare_cores),
         restart_learner: true,
     };
-    let supervisor = Supervisor::start(&programs, &config, &folder, &process.stop, view, plan)?;
-    let mut outcome = supervisor.watch()?;
+    let supervisor = Supervisor::start(&programs, &config, &folder, &process.stop, view, plan);
+    let outcome = supervisor.and_then(Supervisor::watch);
+    let mut outcome = outcome.inspect_err(|failure| folder.disown_if_refused(failure))?;
     outcome.stop_server();
     let finished = &outcome.finished;
     if args.json {

@@ -10,6 +10,8 @@ use caudata_durable::{Owner, OwnerError};
 use caudata_studies::files;
 use caudata_telemetry::{DRAIN_DEADLINE, ExitCode, Failure, FailureExt};
 
+use super::start::is_permanent;
+
 /// Longest `git.diff` that is kept, bytes. A larger one is cut, and says so.
 const DIFF_BYTES_MAX: usize = 4 << 20;
 
@@ -136,9 +138,12 @@ impl RunFolder {
         }
     }
 
-    /// Whether nothing was learnt that a training could go on from.
-    pub fn is_without_checkpoints(&self) -> bool {
-        fs::read_dir(self.checkpoints()).is_ok_and(|mut found| found.next().is_none())
+    /// A run that was refused leaves no folder, unless there is something in it to go on from.
+    pub fn disown_if_refused(&self, failure: &Failure) {
+        let empty = |folder: &Path| fs::read_dir(folder).is_ok_and(|mut f| f.next().is_none());
+        if self.new && is_permanent(failure.code()) && empty(&self.checkpoints()) {
+            self.disown(true);
+        }
     }
 
     /// The folder itself, absolute.

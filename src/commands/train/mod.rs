@@ -104,21 +104,13 @@ pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
     let page = live_page(args, &config, &model, &folder, &view, &desk);
     let shown = page.as_ref().map(|page| (page, desk.as_ref()));
     let supervisor = Supervisor::start(&programs, &config, &folder, &process.stop, view, plan);
-    let new = args.resume() == Resume::No;
     if let Err(failure) = &supervisor
-        && new
+        && args.resume() == Resume::No
     {
         folder.disown(start::is_permanent(failure.code()));
     }
     let watched = supervisor?.shown_on(shown).watch();
-    if let Err(failure) = &watched
-        && new
-        && start::is_permanent(failure.code())
-        && folder.is_without_checkpoints()
-    {
-        folder.disown(true);
-    }
-    let mut outcome = watched?;
+    let mut outcome = watched.inspect_err(|failure| folder.disown_if_refused(failure))?;
     if outcome.finished.reason != "completed" {
         outcome.stop_server();
         return stopped_early(args, &folder, &outcome);
