@@ -10,8 +10,6 @@ use caudata_durable::{Owner, OwnerError};
 use caudata_studies::files;
 use caudata_telemetry::{DRAIN_DEADLINE, ExitCode, Failure, FailureExt};
 
-use super::start::is_permanent;
-
 /// Longest `git.diff` that is kept, bytes. A larger one is cut, and says so.
 const DIFF_BYTES_MAX: usize = 4 << 20;
 
@@ -138,10 +136,10 @@ impl RunFolder {
         }
     }
 
-    /// A run that was refused leaves no folder, unless there is something in it to go on from.
-    pub fn disown_if_refused(&self, failure: &Failure) {
+    /// As [`RunFolder::disown`] of what was refused, unless there is something in it to go on from.
+    pub fn disown_unused(&self) {
         let empty = |folder: &Path| fs::read_dir(folder).is_ok_and(|mut f| f.next().is_none());
-        if self.new && is_permanent(failure.code()) && empty(&self.checkpoints()) {
+        if self.new && empty(&self.checkpoints()) {
             self.disown(true);
         }
     }

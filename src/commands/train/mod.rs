@@ -31,7 +31,7 @@ pub use children::Programs;
 use desk::Desk;
 use folder::RunFolder;
 use fork::{Fork, Origin, same_training};
-pub use start::Resume;
+pub use start::{Resume, clear_if_refused};
 use supervise::{Plan, Supervisor};
 use view::View;
 
@@ -110,7 +110,7 @@ pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
         folder.disown(start::is_permanent(failure.code()));
     }
     let watched = supervisor?.shown_on(shown).watch();
-    let mut outcome = watched.inspect_err(|failure| folder.disown_if_refused(failure))?;
+    let mut outcome = watched.inspect_err(|failure| clear_if_refused(&folder, failure))?;
     if outcome.finished.reason != "completed" {
         outcome.stop_server();
         return stopped_early(args, &folder, &outcome);

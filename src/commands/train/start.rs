@@ -42,6 +42,13 @@ pub fn is_permanent(code: ExitCode) -> bool {
     )
 }
 
+/// A run that was refused leaves no folder.
+pub fn clear_if_refused(folder: &RunFolder, failure: &Failure) {
+    if is_permanent(failure.code()) {
+        folder.disown_unused();
+    }
+}
+
 /// The failure that a child's end amounts to: its own error line and hint; without them, `how` it ended and
 /// its log.
 pub fn failed_child(child: &Process, code: ExitCode, how: &str) -> Failure {
