@@ -136,7 +136,7 @@ def test(folder: str, scratch: str) -> None:
     os.mkdir(work)
     caudata = os.path.join(folder, "bin", "caudata")
     robot_page = ["sim", "show", "--out", "robot.png", "--width", "160"]
-    walk = ["eval", "--policy", "policies/flat.onnx", "--suite", "flat", "--episodes", "1", "--seconds", "4"]
+    walk = ["eval", "policies/flat.onnx", "--suite", "flat", "--episodes", "1", "--seconds", "4"]
     train = ["train", "--iterations", "2", "--set", "evaluation.episodes=1", "--set", "actors.lanes=8"]
     for words in (["--version"], robot_page, walk, train):
         done = subprocess.run([caudata, *words], cwd=work, env={}, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)

@@ -48,7 +48,7 @@ ROS2 = Environment(
     version=RCLPY_VERSION,
     requirements=os.path.join(HERE, "ros2-requirements.txt"),
     variable="CAUDATA_ROS2_PYTHON",
-    imports="import rclpy, rclpy.serialization, sensor_msgs.msg, geometry_msgs.msg, diagnostic_msgs.msg, mcap.writer",
+    imports="import rclpy.serialization, sensor_msgs.msg, geometry_msgs.msg, diagnostic_msgs.msg, mcap.writer, zenoh_ros2_sdk",
     whole=True,
 )
 

@@ -39,7 +39,7 @@ enum Command {
     Up(commands::cluster::up::UpArgs),
     /// Run actors on this host for a learner elsewhere
     Actors(commands::cluster::actors::ActorsArgs),
-    /// Show a running cluster at a glance
+    /// Show a running training at a glance
     Status(commands::cluster::status::StatusArgs),
     /// Make the certificates of a lab
     #[command(subcommand)]

@@ -33,16 +33,21 @@ pub fn transport_config(section: &TransportSection) -> TransportConfig {
 }
 
 /// The transport's configuration as `config` says, certificates included.
-pub fn transport_of(config: &Config) -> TransportConfig {
-    with_certificates(transport_config(&config.transport), config)
+pub fn transport_of(config: &Config, role: &str) -> TransportConfig {
+    with_certificates(transport_config(&config.transport), config, role)
 }
 
-/// With this process's certificates where `transport` has none and `config` says where they are.
-pub fn with_certificates(mut transport: TransportConfig, config: &Config) -> TransportConfig {
+/// With the certificates of a role where `transport` has none and `config` says where they are.
+pub fn with_certificates(
+    mut transport: TransportConfig,
+    config: &Config,
+    role: &str,
+) -> TransportConfig {
     if let TransportConfig::Zenoh(zenoh) = &mut transport
         && zenoh.tls.is_none()
     {
-        zenoh.tls = config.cluster.certificates().map(TlsFiles::in_folder);
+        let folder = config.cluster.certificates(role);
+        zenoh.tls = folder.as_deref().map(TlsFiles::in_folder);
     }
     transport
 }

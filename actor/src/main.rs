@@ -18,6 +18,9 @@ use caudata_telemetry::{
 };
 use clap::Parser;
 
+/// What this process is in a run: which certificates are its own.
+const ROLE: &str = "actor";
+
 /// Steps environments with the newest policy and streams what happened to the learner.
 #[derive(Debug, Parser)]
 #[command(version, about)]
@@ -72,13 +75,13 @@ fn act(args: &Args, process: &Process) -> Result<(), Failure> {
         config.robot.clone_from(robot);
     }
     let transport = match &args.transport {
-        None => transport_of(&config),
+        None => transport_of(&config, ROLE),
         Some(text) => {
             let told = decode_transport(text).or_exit_with(
                 ExitCode::BadConfig,
                 || "--transport is not what a learner prints",
             )?;
-            with_certificates(told, &config)
+            with_certificates(told, &config, ROLE)
         }
     };
     let (actor_id, incarnation) = identity(args)?;

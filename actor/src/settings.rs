@@ -81,7 +81,9 @@ pub fn tracer_of(
     let settings = TraceSettings {
         endpoint: telemetry.otlp_endpoint.clone(),
         every: telemetry.trace_every.into(),
-        tls_dir: config.cluster.certificates().map(PathBuf::from),
+        tls_dir: config
+            .cluster
+            .certificates(service.trim_start_matches("caudata-")),
         service,
         instance,
         run_id: run_id.to_owned(),

@@ -1,6 +1,7 @@
 #!/bin/sh
-# Builds the images:  docker/images/build.sh [--prebuilt] [--push] [actor|policy-server|learner ...]
+# Builds the images:  docker/images/build.sh [--prebuilt] [--push] [actor|policy-server|learner|learner-cuda|operator ...]
 #
+# Without names the first three.
 # --prebuilt takes the executables out of target/release instead of compiling in a container.
 # --push sends each to the registry that IMAGES names, for instance IMAGES=registry.example.org/lab.
 # ENGINE: docker (default), podman, or buildah; BASE: the Debian image; IMAGES, TAG: of the results (caudata, latest).

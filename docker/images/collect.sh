@@ -4,6 +4,7 @@
 #   OUT/lib       libonnxruntime.so
 #   OUT/libtorch  the libraries of libtorch that the learner loads
 #   OUT/robots    robot files
+#   OUT/share     factory.onnx, a robot's last resort
 # LIBTORCH and ORT_DYLIB_PATH say where the libraries are; .cargo/env.sh has them after `make setup`.
 set -eu
 target=$1
@@ -15,7 +16,7 @@ if [ -z "${ORT_DYLIB_PATH:-}" ] && [ -f "$here/.cargo/env.sh" ]; then
 fi
 : "${ORT_DYLIB_PATH:?run make setup first}"
 mkdir -p "$out/bin" "$out/lib" "$out/libtorch"
-for name in caudata caudata-actor caudata-learner caudata-policy-server; do
+for name in caudata caudata-actor caudata-learner caudata-policy-server caudata-robot; do
     strip -o "$out/bin/$name" "$target/$name"
 done
 install -m 0644 "$ORT_DYLIB_PATH" "$out/lib/libonnxruntime.so"
@@ -27,3 +28,5 @@ if [ -n "${LIBTORCH:-}" ]; then
     done
 fi
 cp -r "$here/robots" "$out/robots"
+# What a robot falls back on (docker/systemd/caudata-robot-agent.service).
+install -D -m 0644 "$here/policies/flat.onnx" "$out/share/factory.onnx"

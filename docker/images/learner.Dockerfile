@@ -1,7 +1,4 @@
-# The learner: libtorch and ONNX Runtime. The run folder is a volume at /var/lib/caudata.
-#
-# For a GPU, build `caudata/build` with LIBTORCH pointing at a CUDA build of the same libtorch, and take a CUDA runtime as BASE.
-# The learner then finds CUDA when libtorch_cuda.so is loaded first (LD_PRELOAD; docs/reference/learning.md).
+# The learner: libtorch and ONNX Runtime. The run folder is a volume at /var/lib/caudata. For a GPU: learner-cuda.Dockerfile.
 ARG BUILD=caudata/build
 ARG BASE=docker.io/library/debian:bookworm-slim
 FROM ${BUILD} AS build

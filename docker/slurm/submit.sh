@@ -9,10 +9,12 @@
 # DIR is on a disk that all nodes share. Job numbers go to DIR/slurm-jobs, one per line: `learner 17`, `actors 18 0 63`.
 # CAUDATA_BIN: folder of the executables (default: target/release of this checkout). CAUDATA_RUN_ID: default `salamander`.
 # CAUDATA_LEARNER_ARGS, CAUDATA_ACTOR_ARGS: more flags for sbatch, for instance "--gres=gpu:1 --cpus-per-task=8".
+# CAUDATA_PKI: folder of the certificates' authority, on the shared disk; default DIR/pki, an authority of this run alone, made here.
+#   Each start of the learner's job issues its certificate for the host that it was given, and the actors' where there is none.
 # CAUDATA_SCHEME=tcp and CAUDATA_HOST=127.0.0.1 keep everything on one host without certificates.
 set -eu
 here=$(cd "$(dirname "$0")" && pwd)
-usage() { sed -n '2,8s/^# \{0,1\}//p' "$0" >&2; exit 64; }
+usage() { sed -n '2,7s/^# \{0,1\}//p' "$0" >&2; exit 64; }
 [ $# -gt 0 ] || usage
 what=$1
 shift
@@ -37,7 +39,8 @@ if [ -n "$config" ]; then
     CAUDATA_CONFIG=$(cd "$(dirname "$config")" && pwd)/$(basename "$config")
     export CAUDATA_CONFIG
 fi
-export CAUDATA_RUN CAUDATA_BIN CAUDATA_RUN_ID
+CAUDATA_PKI=${CAUDATA_PKI:-$CAUDATA_RUN/pki}
+export CAUDATA_RUN CAUDATA_BIN CAUDATA_RUN_ID CAUDATA_PKI
 
 array() { # FIRST COUNT, then sbatch flags
     first=$1
@@ -53,6 +56,9 @@ case $what in
     start)
         [ -n "$config" ] && [ -n "$actors" ] || usage
         rm -f "$CAUDATA_RUN/stop" "$CAUDATA_RUN/address"
+        if [ "${CAUDATA_SCHEME:-quic}" = quic ] && [ ! -e "$CAUDATA_PKI/ca.key" ]; then
+            "$CAUDATA_BIN/caudata" pki init --dir "$CAUDATA_PKI" --lab "$CAUDATA_RUN_ID"
+        fi
         # shellcheck disable=SC2086
         job=$(sbatch --parsable --output="$CAUDATA_RUN/logs/learner.log" ${CAUDATA_LEARNER_ARGS:-} "$@" "$here/learner.sbatch")
         echo "learner $job" >> "$jobs"

@@ -48,7 +48,6 @@ class VecEnv(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
     ) -> None:
         self._core = core
         self._reward, self._observe, self._copy = reward, observation, copy
-        self._begun = False
         self.num_envs, self._width, actions = core.shape
         self.signals: Optional[Signals] = Signals(core.signals) if signals else None
         """The true state, where it is read (``signals=True``, or a reward or observation of your own)."""
@@ -98,6 +97,7 @@ class VecEnv(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
         ``options={"command": (vx_mps, vy_mps, yaw_rate_radps)}`` makes every lane follow that command from now on,
         instead of commands that are drawn; ``[N, 3]`` gives each lane its own.
         """
+        self._must_be_open()
         super().reset(seed=seed)
         options = dict(options or {})
         command = options.pop("command", None)
@@ -118,6 +118,7 @@ class VecEnv(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
         self, actions: Array
     ) -> Tuple[Array, NDArray[Any], NDArray[Any], NDArray[Any], Dict[str, Any]]:
         """One control step of all lanes. ``actions`` ``[N, A]``; the task clips them to its action space."""
+        self._must_be_open()
         actions = np.ascontiguousarray(actions, np.float32)
         observations, rewards, terminated, truncated = self._arrays()
         ended = self._core.step(actions, observations, rewards, terminated, truncated)
@@ -135,6 +136,10 @@ class VecEnv(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
     def set_progress(self, env_steps_total: int) -> None:
         """Tells how many environment steps were trained for in all; pushes and costs of some presets grow with it."""
         self._core.set_progress(env_steps_total)
+
+    def _must_be_open(self) -> None:
+        if self.closed:
+            raise gymnasium.error.ClosedEnvironmentError("these environments are closed: make new ones")
 
     def _observed(self, observations: Array) -> Array:
         if self._observe is None:
@@ -258,6 +263,10 @@ class Env(gymnasium.Env[Array, Array]):
             episode = infos["final_info"]["episode"]
             info["episode"] = {"r": float(episode["r"][0]), "l": int(episode["l"][0])}
         return observation, float(rewards[0]), bool(terminated[0]), bool(truncated[0]), info
+
+    def close(self) -> None:
+        """As :meth:`VecEnv.close`."""
+        self.lanes.close()
 
 
 def make(

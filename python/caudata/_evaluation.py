@@ -50,7 +50,7 @@ def evaluate(
     :param preset: the task; without it the one that the policy was made for, where the program can tell.
     :param report: where to write a page with tables, curves and a replay, for a browser.
     """
-    words = ["eval", "--json", "--policy", str(policy_path(policy)), "--suite", suite, "--episodes", str(episodes)]
+    words = ["eval", str(policy_path(policy)), "--json", "--suite", suite, "--episodes", str(episodes)]
     words += ["--seconds", str(seconds), "--seed", str(seed)]
     if preset is not None:
         words += ["--preset", preset]

@@ -53,6 +53,7 @@ def main() -> None:
     options = parser.parse_args()
     # Networks this small are slower on several threads.
     torch.set_num_threads(1)
+    torch.manual_seed(options.seed)
     envs = caudata.make_vec(options.robot, options.task, options.num_envs, seed=options.seed)
     learned = RslRlVecEnv(envs)
     runner = OnPolicyRunner(learned, CONFIGURATION, str(options.out), "cpu")

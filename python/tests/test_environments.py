@@ -142,6 +142,15 @@ class Environments(unittest.TestCase):
             self.assertIn('name = "%s"' % name, envs.configuration)
             self.assertIn("\ncommand_mps = %s" % speed_mps, envs.configuration)
 
+    def test_what_is_closed_is_not_stepped(self):
+        for envs in (caudata.make_vec("polymander", "quick", LANES), caudata.make("polymander", "quick")):
+            envs.reset()
+            envs.close()
+            envs.close()
+            for use in (envs.reset, lambda: envs.step(envs.action_space.sample())):
+                with self.assertRaisesRegex(gymnasium.error.ClosedEnvironmentError, "are closed: make new ones"):
+                    use()
+
     def test_settings_may_be_numbers_of_numpy(self):
         settings = {"task.episode_steps": np.int64(7), "task.command.vx_mps": np.float32([0.25, 0.5])}
         self.assertEqual(caudata.make_vec(num_envs=1, settings=settings).episode_steps, 7)

@@ -128,7 +128,7 @@ class Package(unittest.TestCase):
     def test_programs_run_and_say_what_was_wrong(self):
         self.assertIn("caudata", caudata.run("--version"))
         with self.assertRaisesRegex(caudata.ProgramError, "unicorn") as raised:
-            caudata.run("eval", "--policy", "unicorn.onnx", quiet=True)
+            caudata.run("eval", "unicorn.onnx", quiet=True)
         self.assertEqual(raised.exception.code, 66)
 
     def test_an_evaluation(self):

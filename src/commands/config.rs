@@ -1,7 +1,11 @@
 //! `caudata config`: the configuration in effect.
 
-use caudata_config::{Config, ConfigArgs, PRESETS};
-use caudata_sim::Terrain;
+use std::path::Path;
+
+use caudata_config::{Config, ConfigArgs, PRESETS, TransportKind};
+use caudata_signing::pki::CERTIFICATE_FILE;
+use caudata_sim::{EngineKind, Terrain};
+use caudata_studies::files;
 use caudata_task::{Critic, Mirror, PolicyContract};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::{Args, Subcommand};
@@ -35,6 +39,7 @@ pub fn run(command: &ConfigCommand) -> Result<(), Failure> {
             let config = args.load().or_exit(ExitCode::BadConfig)?;
             fits(&config)?;
             say::line(format!("good; hash {}", config.hash_hex()));
+            note_certificates(&config);
             Ok(())
         }
         ConfigCommand::Presets => {
@@ -47,16 +52,57 @@ pub fn run(command: &ConfigCommand) -> Result<(), Failure> {
     }
 }
 
-/// Refuses what only shows with the robot at hand, as a training would.
-fn fits(config: &Config) -> Result<(), Failure> {
-    let model = robot::load(&config.robot)?;
+/// Refuses what only shows with the robot, the ground and the policy to begin with at hand; a training asks
+/// before it begins.
+pub fn fits(config: &Config) -> Result<(), Failure> {
+    let model = robot::load(&config.robot_path())?;
     let contract = PolicyContract::new(&model, &config.task).or_exit(ExitCode::BadConfig)?;
     Critic::new(&config.task.critic, contract.names()).or_exit(ExitCode::BadConfig)?;
     if config.learner.network.symmetric {
         Mirror::new(&model, &contract.observation).or_exit(ExitCode::BadConfig)?;
     }
     Terrain::generate(&config.terrain, config.run.seed).or_exit(ExitCode::BadConfig)?;
-    Ok(())
+    if config.engine.kind == EngineKind::Mujoco && config.transport.kind == TransportKind::Inproc {
+        let message = "engine.kind = mujoco: it does not go on from a checkpoint";
+        return Err(Failure::message(ExitCode::BadConfig, message)
+            .hint("train on batch; `caudata eval --engine mujoco` measures the policy there"));
+    }
+    match config.warm_start_path() {
+        Some(path) => begins_with(&path, &contract),
+        None => Ok(()),
+    }
+}
+
+/// The learner compares layers, too.
+fn begins_with(path: &Path, contract: &PolicyContract) -> Result<(), Failure> {
+    let policy = files::policy(path)?;
+    let theirs = &policy.metadata().contract;
+    let parts = theirs.observation.slices();
+    let what = match contract.observation.slices().starts_with(parts) {
+        _ if theirs.joint_names != contract.joint_names => {
+            "is for other joints, or another order of them"
+        }
+        false => "has an observation that is no beginning of this task's",
+        true => return Ok(()),
+    };
+    let message = format!("learner.warm_start.policy: {} {what}", path.display());
+    Err(Failure::message(ExitCode::PolicyRefused, message))
+}
+
+/// A cluster's file is also checked where none of its processes runs.
+fn note_certificates(config: &Config) {
+    if config.transport.kind != TransportKind::Zenoh {
+        return;
+    }
+    for role in ["server", "learner", "actor"] {
+        let folder = config.cluster.certificates(role).unwrap_or_default();
+        if folder != Path::new("") && !folder.join(CERTIFICATE_FILE).is_file() {
+            let folder = folder.display();
+            say::line(format!(
+                "note: no certificate in {folder}: no {role} starts on this host"
+            ));
+        }
+    }
 }
 
 fn show(args: &ShowArgs) -> Result<(), Failure> {

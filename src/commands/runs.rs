@@ -106,10 +106,7 @@ impl Run {
     /// When the folder is none of a run, or its configuration cannot be read.
     pub fn read(folder: &Path) -> Result<Self, Failure> {
         let config = folder.join("config.toml");
-        if !folder.join("run_id.txt").is_file() || !config.is_file() {
-            let message = format!("{} is no run folder", folder.display());
-            return Err(Failure::message(ExitCode::NoInput, message));
-        }
+        files::run_folder(folder)?;
         let config = Config::load(&Source::file(&config)).or_exit(ExitCode::BadInput)?;
         let changes = Changes::of_run(folder, &config).or_exit(ExitCode::BadInput)?;
         let text = std::fs::read_to_string(folder.join(PROGRESS)).unwrap_or_default();

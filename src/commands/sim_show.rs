@@ -155,7 +155,11 @@ pub fn run(args: &ShowArgs, stop: &StopFlag) -> Result<(), Failure> {
     });
     say::either(args.json, &made, |_| {
         let out = args.out.display();
-        say::line(format!("{out} ({width} × {height}, {count} frames)"));
+        let frames = match count {
+            1 => String::new(),
+            _ => format!(", {count} frames"),
+        };
+        say::line(format!("{out} ({width} × {height}{frames})"));
     })
 }
 

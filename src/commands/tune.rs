@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use caudata_config::{Changes, Config, Source};
 use caudata_durable::{Owner, OwnerError};
+use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use clap::Args;
 use serde_json::json;
@@ -29,6 +30,7 @@ pub struct Wish {
 
 pub fn run(wish: &Wish, as_json: bool, process: &Process) -> Result<(), Failure> {
     let folder = &wish.run;
+    files::run_folder(folder)?;
     let file = folder.join("config.toml");
     let first = Config::load(&Source::file(&file)).or_exit(ExitCode::NoInput)?;
     let desk = Desk::open(folder, &first)?;

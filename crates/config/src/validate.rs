@@ -2,9 +2,11 @@
 
 use std::fmt::Display;
 
-use crate::{Config, ConfigError};
+use crate::{Config, ConfigError, TransportKind};
 
 type Check = Result<(), ConfigError>;
+
+const NO_CERTIFICATES: &str = "needs certificates: set cluster.tls_dir";
 
 fn within<T: PartialOrd + Display>(key: &'static str, value: T, low: T, high: T) -> Check {
     // Written so that NaN fails.
@@ -240,7 +242,31 @@ impl Config {
         rule!(self, transport.max_frames_per_s in 0, 100_000);
         rule!(self, transport.heartbeat_ms in 10, 60_000);
         rule!(self, transport.peer_timeout_ms in 3 * transport.heartbeat_ms, 3_600_000);
+        if transport.kind == TransportKind::Zenoh {
+            self.check_endpoints("transport.zenoh_listen", &transport.zenoh_listen)?;
+            self.check_endpoints("transport.zenoh_connect", &transport.zenoh_connect)?;
+        }
         Ok(())
+    }
+
+    fn check_endpoints(&self, key: &'static str, endpoints: &[String]) -> Check {
+        for endpoint in endpoints {
+            let rule = match endpoint.split_once('/') {
+                Some(("tcp", address)) if is_loopback(address) => continue,
+                Some(("tcp", _)) => {
+                    "plain connections stay on loopback; beyond this host write quic/ and set cluster.tls_dir"
+                }
+                Some(("quic", _)) if !self.has_certificates() => NO_CERTIFICATES,
+                Some(("quic", _)) => continue,
+                _ => "must be tcp/HOST:PORT on loopback, or quic/HOST:PORT",
+            };
+            broken(key, format!("{endpoint:?}"), rule)?;
+        }
+        Ok(())
+    }
+
+    fn has_certificates(&self) -> bool {
+        !self.cluster.tls_dir.as_os_str().is_empty()
     }
 
     fn check_services(&self) -> Check {
@@ -248,6 +274,10 @@ impl Config {
         let stream = self.policy_server.stream.as_str();
         if !stream.is_empty() {
             word("policy_server.stream", stream, 64, "-_.")?;
+        }
+        let addr = self.policy_server.addr;
+        if !addr.ip().is_loopback() && !self.has_certificates() {
+            broken("policy_server.addr", addr, NO_CERTIFICATES)?;
         }
         self.check_telemetry()
     }
@@ -262,9 +292,7 @@ impl Config {
             Some(("http", _)) => {
                 "is plain and leaves this host: take a collector on this host, or https:// with cluster.tls_dir"
             }
-            Some(("https", _)) if self.cluster.certificates().is_none() => {
-                "needs certificates: set cluster.tls_dir"
-            }
+            Some(("https", _)) if !self.has_certificates() => NO_CERTIFICATES,
             Some(("https", address)) if has_port(address) => return Ok(()),
             _ => "must be http://HOST:PORT on this host, https://HOST:PORT, or empty",
         };

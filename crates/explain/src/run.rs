@@ -57,10 +57,7 @@ impl Run {
     /// Exit codes 64 to 66 where a file of it is missing or wrong.
     pub fn read(folder: &Path) -> Result<Self, Failure> {
         let config = folder.join("config.toml");
-        if !config.is_file() {
-            let message = format!("{} is no run folder", folder.display());
-            return Err(Failure::message(ExitCode::NoInput, message));
-        }
+        files::run_folder(folder)?;
         let config = Config::load(&Source::file(&config)).or_exit(ExitCode::BadConfig)?;
         let changes = Changes::of_run(folder, &config).or_exit(ExitCode::BadInput)?;
         let config = changes.at(&config, u64::MAX).or_exit(ExitCode::BadInput)?;

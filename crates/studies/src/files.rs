@@ -47,7 +47,9 @@ pub fn robot(path: &Path) -> Result<RobotModel, Failure> {
             _ => ExitCode::BadInput,
         };
         let failure = Failure::new(code, error).context(format!("robot file {}", path.display()));
-        meant(failure, path, "robots", ".robot.toml")
+        meant(failure, path, "robots", |file| {
+            ends_with(file, ".robot.toml")
+        })
     })
 }
 
@@ -68,13 +70,34 @@ pub fn policy(path: &Path) -> Result<PolicyFile, Failure> {
     let bytes =
         caudata_durable::read_at_most(&shipped(path), caudata_policy::MAX_FILE_BYTES as u64)
             .or_exit_with(ExitCode::NoInput, || format!("cannot read {}", shown()))
-            .map_err(|failure| meant(failure, path, "policies", ".onnx"))?;
+            .map_err(|failure| meant(failure, path, "policies", |file| ends_with(file, ".onnx")))?;
     PolicyFile::parse(bytes.into()).or_exit_with(ExitCode::BadInput, shown)
 }
 
-/// Adds which file was most likely meant by one that is not there: of those beside it, or of those that came
-/// with the program, in `folder`.
-fn meant(failure: Failure, path: &Path, folder: &str, ending: &str) -> Failure {
+/// Refuses what is not the folder of a training.
+///
+/// # Errors
+/// Exit code 66, with the run that was most likely meant.
+pub fn run_folder(path: &Path) -> Result<(), Failure> {
+    let is_run = |folder: &Path| folder.join("config.toml").is_file();
+    if is_run(path) {
+        return Ok(());
+    }
+    let message = match path.exists() {
+        true => format!("{} is no run folder", path.display()),
+        false => format!("there is no run folder {}", path.display()),
+    };
+    let failure = Failure::message(ExitCode::NoInput, message);
+    Err(meant(failure, path, "runs", is_run))
+}
+
+fn ends_with(file: &Path, ending: &str) -> bool {
+    file.to_str().is_some_and(|name| name.ends_with(ending))
+}
+
+/// Adds what was most likely meant by a path that leads nowhere: of what `is_one` beside it, or in `folder`,
+/// which may be one that came with the program.
+fn meant(failure: Failure, path: &Path, folder: &str, is_one: fn(&Path) -> bool) -> Failure {
     /// Names less alike (0 to 1, Jaro–Winkler) confuse more than they help.
     const ALIKE: f64 = 0.85;
     let stem = |name: &str| name.split('.').next().unwrap_or_default().to_lowercase();
@@ -83,10 +106,10 @@ fn meant(failure: Failure, path: &Path, folder: &str, ending: &str) -> Failure {
     };
     let asked = stem(&asked.to_string_lossy());
     let near = |parent: &Path| {
-        let files = std::fs::read_dir(shipped(parent)).ok()?.flatten();
-        let names = files
-            .filter_map(|f| f.file_name().into_string().ok())
-            .filter(|n| n.ends_with(ending));
+        let found = std::fs::read_dir(shipped(parent)).ok()?.flatten();
+        let names = found
+            .filter(|entry| is_one(&entry.path()))
+            .filter_map(|entry| entry.file_name().into_string().ok());
         let scored = names.map(|n| (strsim::jaro_winkler(&stem(&n), &asked), n));
         let best = scored.max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)))?;
         (best.0 >= ALIKE).then(|| parent.join(best.1))
@@ -203,5 +226,17 @@ mod tests {
         );
         let missed = told(policy(&root.join("policies/zebra.onnx")).unwrap_err());
         assert!(!missed.contains("did you mean"), "{missed}");
+        let runs = tempfile::tempdir().unwrap();
+        for name in ["walk-first", "walk-not-a-run", "swim"] {
+            std::fs::create_dir(runs.path().join(name)).unwrap();
+        }
+        for name in ["walk-first", "swim"] {
+            std::fs::write(runs.path().join(name).join("config.toml"), "").unwrap();
+        }
+        let missed = told(run_folder(&runs.path().join("walk-fisrt")).unwrap_err());
+        assert!(missed.ends_with("/walk-first?"), "{missed}");
+        let none = run_folder(&runs.path().join("walk-not-a-run")).unwrap_err();
+        assert!(none.to_string().ends_with("is no run folder"), "{none}");
+        assert_eq!(none.hint_text(), None);
     }
 }

@@ -9,7 +9,7 @@ use caudata_deploy::boundary::RunFolder;
 use caudata_deploy::command_link::LinkKey;
 use caudata_deploy::failure;
 use caudata_deploy::tap::Tap;
-use caudata_model::RobotModel;
+use caudata_model::{ModelError, RobotModel};
 use caudata_ros2::door::{Appearance, Commands, Door, settings};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, LogArgs, Process, parse_args};
 use clap::Parser;
@@ -29,7 +29,8 @@ struct Args {
     #[arg(
         long,
         value_name = "FILE.robot.toml",
-        default_value = "robots/polymander.robot.toml"
+        default_value = "robots/polymander.robot.toml",
+        value_parser = caudata_durable::shipped_flag
     )]
     robot: PathBuf,
     /// The robot's --run-dir; without one, `run` in its state folder
@@ -91,8 +92,12 @@ fn main() -> OsExitCode {
 }
 
 fn run(args: &Args, process: &Process) -> Result<(), Failure> {
-    let model = RobotModel::load(&args.robot).or_exit_with(ExitCode::BadInput, || {
-        format!("robot file {}", args.robot.display())
+    let model = RobotModel::load(&args.robot).map_err(|error| {
+        let code = match &error {
+            ModelError::Read { .. } => ExitCode::NoInput,
+            _ => ExitCode::BadInput,
+        };
+        Failure::new(code, error).context(format!("robot file {}", args.robot.display()))
     })?;
     let joints = model.actuated_names();
     let torque = (0..joints.len()).map(|i| model.servo(i).torque_per_current_nm_per_a);

@@ -36,6 +36,8 @@ use crate::report::History;
 use crate::task::Task;
 use crate::warm_start::warm_start;
 
+/// What this process is in a run: which certificates are its own.
+const ROLE: &str = "learner";
 /// How long another learner of this folder may take to end: it has [`DRAIN_DEADLINE`] to save.
 const OWNER_PATIENCE: Duration = Duration::from_secs(15).saturating_add(DRAIN_DEADLINE);
 /// Pause between two looks at it.
@@ -54,7 +56,7 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
     let transport = settings
         .transport
         .clone()
-        .unwrap_or_else(|| transport_of(config));
+        .unwrap_or_else(|| transport_of(config, ROLE));
     let inproc = matches!(transport, TransportConfig::Inproc(_));
     let device = device(config.learner.device)?;
     let net = ActorCritic::new(task.networks, config.run.seed, device);
@@ -132,10 +134,14 @@ fn outside(settings: &TrainSettings) -> Result<(Option<Publisher>, Tracer), Lear
     let config = &settings.config;
     let publish = |address: &String| {
         let stream = config.policy_server.stream_of(&settings.run_id);
-        Publisher::start(address, stream, config.cluster.certificates())
+        Publisher::start(
+            address,
+            stream,
+            config.cluster.certificates(ROLE).as_deref(),
+        )
     };
     let publisher = settings.policy_server.as_ref().map(publish).transpose()?;
-    let (service, instance) = ("caudata-learner", "learner".to_owned());
+    let (service, instance) = ("caudata-learner", ROLE.to_owned());
     let tracer = tracer_of(
         config,
         service,

@@ -21,8 +21,8 @@ use crate::say;
 const WATCH_EVERY: Duration = Duration::from_millis(100);
 /// How long actors have to end besides `actors.flush_timeout_s`.
 const STOP_MAX: Duration = Duration::from_secs(5);
-/// While no actor has had a policy, that is said every so often.
-const ALONE_SAID_EVERY: Duration = Duration::from_secs(15);
+/// While no actor has had a policy, that is said after this time, and whenever it has doubled.
+const ALONE_SAID_AFTER: Duration = Duration::from_secs(15);
 
 #[derive(Debug, Args)]
 pub struct ActorsArgs {
@@ -71,7 +71,8 @@ pub fn run(args: &ActorsArgs, process: &Process) -> Result<(), Failure> {
         }
     };
     say::line(format!(
-        "{count} actors of `{name}` for the run {run_id} at {}; logs in {}",
+        "{count} actor{} of `{name}` for the run {run_id} at {}; logs in {}",
+        if count == 1 { "" } else { "s" },
         args.connect.join(", "),
         logs.display()
     ));
@@ -82,7 +83,7 @@ pub fn run(args: &ActorsArgs, process: &Process) -> Result<(), Failure> {
         logs: &logs,
         began: Instant::now(),
         joined: 0,
-        alone_said: Instant::now(),
+        alone_said_at: ALONE_SAID_AFTER,
         slots: (0..count)
             .map(|index| Slot::new(&config, &name, index))
             .collect(),
@@ -113,8 +114,8 @@ struct Host<'a> {
     began: Instant,
     /// How many have had a policy, as it was last said.
     joined: usize,
-    /// When it was last said that none has.
-    alone_said: Instant,
+    /// When it is said, or said again, that none has.
+    alone_said_at: Duration,
     slots: Vec<Slot>,
 }
 
@@ -177,8 +178,8 @@ impl Host<'_> {
             self.joined = joined;
             say::line(format!("{joined} of {all} actors have joined the run"));
         }
-        if joined == 0 && self.alone_said.elapsed() > ALONE_SAID_EVERY {
-            self.alone_said = Instant::now();
+        if joined == 0 && self.began.elapsed() > self.alone_said_at {
+            self.alone_said_at = 2 * self.began.elapsed();
             say::line(format!(
                 "no actor has had a policy for {:.0} s: is the learner up, at that address, with that run id (and \
                  with certificates of the same authority)? Logs in {}",

@@ -30,9 +30,9 @@ pub enum PkiCommand {
         /// learner, actor, server, router, operator or robot
         #[arg(long)]
         role: String,
-        /// Name of the process and of its folder
+        /// Name of the process and of its folder; otherwise its role
         #[arg(long)]
-        name: String,
+        name: Option<String>,
         /// Name or address by which others reach it; may be given several times
         #[arg(long = "host", value_name = "HOST")]
         hosts: Vec<String>,
@@ -87,7 +87,7 @@ pub fn run(command: &PkiCommand) -> Result<(), Failure> {
             }
             let request = Request {
                 role,
-                name: name.clone(),
+                name: name.clone().unwrap_or_else(|| role.to_string()),
                 hosts: hosts.clone(),
                 days: *days,
             };
@@ -96,8 +96,9 @@ pub fn run(command: &PkiCommand) -> Result<(), Failure> {
                 .issue(&request, SystemTime::now(), *renew)
                 .map_err(failure)?;
             say::line(format!(
-                "{}: {role} `{name}`, valid for {days} days",
-                folder.display()
+                "{}: {role} `{}`, valid for {days} days",
+                folder.display(),
+                request.name
             ));
             Ok(())
         }

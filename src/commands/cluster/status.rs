@@ -57,7 +57,7 @@ pub fn run(args: &StatusArgs) -> Result<(), Failure> {
 
 /// The address that a run has announced: the configuration's run, else the newest one below `run.out_dir`.
 fn announced(config: &Config) -> Result<String, Failure> {
-    let hint = "give --metrics HOST:PORT, or --config with telemetry.metrics_addr";
+    let mut hint = "give --metrics HOST:PORT, or --config with telemetry.metrics_addr";
     let named = run_dir(config);
     let folder = match named.join(PROGRESS).is_file() {
         true => Some(named),
@@ -75,15 +75,14 @@ fn announced(config: &Config) -> Result<String, Failure> {
     let last = last.unwrap_or_default();
     let (code, message) = match (last["event"].as_str(), last["metrics"].as_str()) {
         (Some("started"), Some(address)) => return Ok(address.to_owned()),
-        (Some("finished"), _) => (
-            ExitCode::Unavailable,
-            format!(
-                "the run in {} has ended after iteration {} ({})",
-                folder.display(),
-                last["iteration"],
-                last["reason"].as_str().unwrap_or("unknown")
-            ),
-        ),
+        (Some("finished"), _) => {
+            hint = "`caudata runs list` has its figures";
+            let folder = folder.display();
+            let reason = last["reason"].as_str().unwrap_or("unknown");
+            let at = &last["iteration"];
+            let message = format!("the run in {folder} has ended after iteration {at} ({reason})");
+            (ExitCode::Unavailable, message)
+        }
         _ => (
             ExitCode::NoInput,
             format!(

@@ -7,11 +7,11 @@ use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use clap::Args;
 
 use crate::commands::robot;
-use crate::commands::train::Resume;
 use crate::commands::train::children::Programs;
 use crate::commands::train::folder::RunFolder;
 use crate::commands::train::supervise::{Plan, Supervisor};
 use crate::commands::train::view::View;
+use crate::commands::train::{Resume, clear_if_refused};
 use crate::say;
 
 #[derive(Debug, Args)]
@@ -60,8 +60,9 @@ pub fn run(args: &UpArgs, process: &Process) -> Result<(), Failure> {
         actors: args.actors.unwrap_or_else(spare_cores),
         restart_learner: true,
     };
-    let supervisor = Supervisor::start(&programs, &config, &folder, &process.stop, view, plan)?;
-    let mut outcome = supervisor.watch()?;
+    let supervisor = Supervisor::start(&programs, &config, &folder, &process.stop, view, plan);
+    let outcome = supervisor.and_then(Supervisor::watch);
+    let mut outcome = outcome.inspect_err(|failure| clear_if_refused(&folder, failure))?;
     outcome.stop_server();
     let finished = &outcome.finished;
     if args.json {

@@ -24,10 +24,19 @@ pub use caudata_studies::files::policy as read_policy;
 pub use show::print;
 
 #[derive(Debug, Args)]
+#[command(override_usage = "caudata eval [OPTIONS] <P.onnx>")]
 pub struct EvalArgs {
     /// The policy
-    #[arg(long, value_name = "P.onnx")]
-    policy: PathBuf,
+    #[arg(value_name = "P.onnx", required_unless_present = "named")]
+    policy: Option<PathBuf>,
+    /// The same as an option, which is how it was given once
+    #[arg(
+        long = "policy",
+        value_name = "P.onnx",
+        hide = true,
+        conflicts_with = "policy"
+    )]
+    named: Option<PathBuf>,
     /// Under what conditions: flat (the robot's speed, standing, faster), rough (the paper's three grades), omni (75
     /// commands), push, robust (corners of the randomisation), transition (land and water), swim, servo (one limp or stuck), righting (thrown, then walking), steps (of 3 and 5 cm), animal (beside a salamander), paper (all that
     /// walk), acceptance (the project's targets; exit code 79 where one is missed)
@@ -71,6 +80,14 @@ fn seconds(text: &str) -> Result<f64, String> {
     }
 }
 
+impl EvalArgs {
+    /// One of both is there.
+    fn policy(&self) -> &Path {
+        let given = self.policy.as_deref().or(self.named.as_deref());
+        given.unwrap_or(Path::new(""))
+    }
+}
+
 /// The engines of an evaluation, as words on the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Engines {
@@ -94,8 +111,8 @@ impl Engines {
 }
 
 pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
-    let policy = files::policy(&args.policy)?;
-    let (mut config, model) = task_of(&args.policy, &policy, &args.config, args.robot.as_deref())?;
+    let policy = files::policy(args.policy())?;
+    let (mut config, model) = task_of(args.policy(), &policy, &args.config, args.robot.as_deref())?;
     if args.engine.is_some() {
         config.engine.kind = EngineKind::Batch;
     }
@@ -163,7 +180,7 @@ fn finish(
     }
     if args.write_summary {
         let summary = Summary::of(result, model.hash_hex(), settings.seed);
-        write_summary(&args.policy, &summary)?;
+        write_summary(args.policy(), &summary)?;
     }
     match args.json {
         true => say::json(result)?,
@@ -173,7 +190,10 @@ fn finish(
                 say::line(format!("report   {}", path.display()));
             }
             if args.write_summary {
-                say::line(format!("summary  {}", summary_path(&args.policy).display()));
+                say::line(format!(
+                    "summary  {}",
+                    summary_path(args.policy()).display()
+                ));
             }
         }
     }

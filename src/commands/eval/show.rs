@@ -125,6 +125,15 @@ fn stands(r: &ScenarioResult) -> bool {
     told > 0.0 && r.fall_share.mean < 0.5 && !moves && !turns
 }
 
+/// Slower than this, m/s and rad/s, a robot that is told to stand has no gait, and its cost of transport is a
+/// division by nothing.
+const STILL: f64 = 0.01;
+
+fn has_no_gait(r: &ScenarioResult) -> bool {
+    let moves = r.vx_mps.mean.hypot(r.vy_mps.mean) > STILL || r.yaw_rate_radps.mean.abs() > STILL;
+    stands(r) || r.command == [0.0; 3] && !moves
+}
+
 fn body(r: &ScenarioResult) {
     if r.falls.values().sum::<usize>() == r.episodes && r.power_w.mean == 0.0 {
         say::line("  it falls in every episode before its gait can be measured");
@@ -179,7 +188,7 @@ fn figures(r: &ScenarioResult) {
     say::line(format!(
         "  power {} W,{} torque {:.2} N·m rms, {:.2} peak, at the servo's limit {:.1} %",
         pm(r.power_w, 1),
-        match stands(r) {
+        match has_no_gait(r) {
             true => String::new(),
             false => format!(" cost of transport {:.2},", r.cost_of_transport.mean),
         },
@@ -187,7 +196,7 @@ fn figures(r: &ScenarioResult) {
         r.torque_peak_nm,
         100.0 * r.servo_limit_share
     ));
-    if stands(r) {
+    if has_no_gait(r) {
         return;
     }
     say::line(format!(

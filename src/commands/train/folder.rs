@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use caudata_durable::{Owner, OwnerError};
+use caudata_studies::files;
 use caudata_telemetry::{DRAIN_DEADLINE, ExitCode, Failure, FailureExt};
 
 /// Longest `git.diff` that is kept, bytes. A larger one is cut, and says so.
@@ -25,6 +26,8 @@ pub const PROGRESS: &str = "progress.jsonl";
 pub struct RunFolder {
     root: PathBuf,
     run_id: String,
+    /// Made by this command.
+    new: bool,
     _owner: Arc<Owner>,
 }
 
@@ -66,11 +69,13 @@ impl RunFolder {
     fn make(root: &Path, run_id: String) -> Result<Self, Failure> {
         let root = absolute(root)?;
         let cannot = || format!("cannot make {}", root.display());
+        let new = !root.exists();
         fs::create_dir_all(&root).or_exit_with(ExitCode::CannotCreate, cannot)?;
         let owner = owned(&root, Duration::ZERO, &mut |_| false)?;
         let folder = Self {
             root,
             run_id,
+            new,
             _owner: owner,
         };
         for part in [
@@ -99,17 +104,17 @@ impl RunFolder {
             })?,
         };
         let id_path = root.join("run_id.txt");
+        if !id_path.is_file() {
+            files::run_folder(&root)?;
+        }
         let run_id = fs::read_to_string(&id_path).or_exit_with(ExitCode::NoInput, || {
-            format!(
-                "{} is no run folder: cannot read {}",
-                root.display(),
-                id_path.display()
-            )
+            format!("cannot read {}", id_path.display())
         })?;
         let folder = Self {
             _owner: owned(&root, OWNER_PATIENCE, wait)?,
             root: absolute(&root)?,
             run_id: run_id.trim().to_owned(),
+            new: false,
         };
         for part in [folder.logs(), folder.ledgers()] {
             fs::create_dir_all(&part).or_exit_with(ExitCode::CannotCreate, || {
@@ -119,10 +124,23 @@ impl RunFolder {
         Ok(folder)
     }
 
-    /// Nothing was started: the folder is not a run, and its name can be used again. Logs stay.
-    pub fn disown(&self) {
+    /// Nothing was started: the folder is not a run, and its name can be used again. Logs stay, but not of what
+    /// was `refused`: that has said why.
+    pub fn disown(&self, refused: bool) {
+        if refused && self.new {
+            let _ = fs::remove_dir_all(&self.root);
+            return;
+        }
         for path in [self.config(), self.root.join("run_id.txt")] {
             let _ = fs::remove_file(path);
+        }
+    }
+
+    /// As [`RunFolder::disown`] of what was refused, unless there is something in it to go on from.
+    pub fn disown_unused(&self) {
+        let empty = |folder: &Path| fs::read_dir(folder).is_ok_and(|mut f| f.next().is_none());
+        if self.new && empty(&self.checkpoints()) {
+            self.disown(true);
         }
     }
 
@@ -332,9 +350,18 @@ mod tests {
         );
         let taken = RunFolder::create(Some(made.root()), dir.path(), "walk").unwrap_err();
         assert_eq!(taken.code(), ExitCode::CannotCreate);
-        made.disown();
+        made.disown(true);
         drop((made, again));
-        RunFolder::create(Some(&root), dir.path(), "walk").unwrap();
+        let made = RunFolder::create(Some(&root), dir.path(), "walk").unwrap();
+        made.disown(true);
+        assert!(root.exists(), "others have put something into it");
+        let new = dir.path().join("new");
+        for (refused, stays) in [(false, true), (true, false)] {
+            let _ = fs::remove_dir_all(&new);
+            let made = RunFolder::create(Some(&new), dir.path(), "walk").unwrap();
+            made.disown(refused);
+            assert_eq!(new.exists(), stays);
+        }
     }
 
     #[test]

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use caudata_config::{CHANGES, Change, Changes, Config, ConfigError, Source};
+use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 
 use super::folder::RunFolder;
@@ -46,6 +47,7 @@ impl<'a> Fork<'a> {
     /// # Errors
     /// When there is no such checkpoint, or an override is refused.
     pub fn read(origin: &'a Origin, overrides: &[String]) -> Result<Self, Failure> {
+        files::run_folder(&origin.run)?;
         let mut source = Source::file(&origin.run.join("config.toml"));
         let before = Config::load(&source).or_exit(ExitCode::NoInput)?;
         let mut changes = Changes::of_run(&origin.run, &before).or_exit(ExitCode::BadInput)?;

@@ -19,10 +19,10 @@ use std::sync::Arc;
 use caudata_config::{CHANGES, Changes, Config, ConfigArgs, Source, TransportKind};
 use caudata_live::{LivePage, Policy, Show, Training};
 use caudata_model::RobotModel;
-use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use clap::Args;
 
+use crate::commands::config::fits;
 use crate::commands::page::PageArgs;
 use crate::commands::robot::load as load_robot;
 use crate::commands::runs;
@@ -31,7 +31,7 @@ pub use children::Programs;
 use desk::Desk;
 use folder::RunFolder;
 use fork::{Fork, Origin, same_training};
-pub use start::Resume;
+pub use start::{Resume, clear_if_refused};
 use supervise::{Plan, Supervisor};
 use view::View;
 
@@ -104,10 +104,13 @@ pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
     let page = live_page(args, &config, &model, &folder, &view, &desk);
     let shown = page.as_ref().map(|page| (page, desk.as_ref()));
     let supervisor = Supervisor::start(&programs, &config, &folder, &process.stop, view, plan);
-    if supervisor.is_err() && args.resume() == Resume::No {
-        folder.disown();
+    if let Err(failure) = &supervisor
+        && args.resume() == Resume::No
+    {
+        folder.disown(start::is_permanent(failure.code()));
     }
-    let mut outcome = supervisor?.shown_on(shown).watch()?;
+    let watched = supervisor?.shown_on(shown).watch();
+    let mut outcome = watched.inspect_err(|failure| clear_if_refused(&folder, failure))?;
     if outcome.finished.reason != "completed" {
         outcome.stop_server();
         return stopped_early(args, &folder, &outcome);
@@ -210,12 +213,7 @@ fn prepare(
         resume = Resume::Named(fork.name());
         folder
     } else {
-        // A robot or a policy to begin with that cannot be read must not leave a folder behind.
-        load_robot(&config.robot_path())?;
-        config
-            .warm_start_path()
-            .map(|path| files::policy(&path))
-            .transpose()?;
+        fits(&config)?;
         let record = args.changes.as_deref().map(|path| record(path, &config));
         let record = record.transpose()?;
         let folder = RunFolder::create(out, &config.run.out_dir, &config.run.name)?;
@@ -276,7 +274,7 @@ fn after_training(failure: Failure, folder: &RunFolder) -> Failure {
     failure
         .context("training is complete, its evaluation is not")
         .hint(format!(
-            "the policy is {policy}; measure it with: caudata eval --policy {policy}"
+            "the policy is {policy}; measure it with: caudata eval {policy}"
         ))
 }
 

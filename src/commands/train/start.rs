@@ -1,7 +1,7 @@
 //! The processes of a run: how each is started, and what its end means.
 
 use std::net::SocketAddr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
@@ -42,13 +42,27 @@ pub fn is_permanent(code: ExitCode) -> bool {
     )
 }
 
+/// A run that was refused leaves no folder.
+pub fn clear_if_refused(folder: &RunFolder, failure: &Failure) {
+    if is_permanent(failure.code()) {
+        folder.disown_unused();
+    }
+}
+
 /// The failure that a child's end amounts to: its own error line and hint; without them, `how` it ended and
 /// its log.
 pub fn failed_child(child: &Process, code: ExitCode, how: &str) -> Failure {
     let log = format!("its log is {}", child.log().display());
     match child.last_error() {
-        Some(words) => Failure::message(code, format!("{}: {}", child.name(), words.error))
-            .hint(words.hint.unwrap_or(log)),
+        Some(words) => {
+            let failure = Failure::message(code, format!("{}: {}", child.name(), words.error));
+            match words.hint {
+                Some(hint) => failure.hint(hint),
+                // of what was refused the error line says all
+                None if is_permanent(code) => failure,
+                None => failure.hint(log),
+            }
+        }
         None => Failure::message(code, format!("{} {how}", child.name())).hint(log),
     }
 }
@@ -112,9 +126,9 @@ pub fn start_server(
 }
 
 /// The certificates of a policy server that others than this host reach.
-fn server_certificates(config: &Config) -> Option<&Path> {
+fn server_certificates(config: &Config) -> Option<PathBuf> {
     let open = !config.policy_server.addr.ip().is_loopback();
-    config.cluster.certificates().filter(|_| open)
+    config.cluster.certificates("server").filter(|_| open)
 }
 
 /// Starts the learner; its events go to `lines`, and `pulse` beats when it says that it is alive.

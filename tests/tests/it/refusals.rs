@@ -394,6 +394,52 @@ fn what_config_check_calls_good_a_training_takes() {
     assert_eq!(good.code, Some(0), "{}", good.stderr);
 }
 
+/// With the same words and code, and before there is a folder.
+#[test]
+fn what_a_training_refuses_config_check_refuses() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    for (set, code, words) in [
+        ("robot=nix.robot.toml", 66, "nix.robot.toml"),
+        ("learner.warm_start.policy=nix.onnx", 66, "nix.onnx"),
+        (
+            "learner.warm_start.policy=policies/quadruped.onnx",
+            77,
+            "other joints",
+        ),
+        ("engine.kind=mujoco", 64, "checkpoint"),
+        ("policy_server.addr=0.0.0.0:0", 64, "needs certificates"),
+    ] {
+        let check = ["config", "check", "--preset", "quick", "--set", set];
+        refused(
+            &finish(command("caudata", &check).unwrap()).unwrap(),
+            code,
+            &[words],
+        );
+        let train = ["train", "--preset", "quick", "--set", set, "--out"];
+        let train = [&train[..], &[out.to_str().unwrap()]].concat();
+        refused(
+            &finish(command("caudata", &train).unwrap()).unwrap(),
+            code,
+            &[words],
+        );
+        assert!(!out.exists(), "{set}");
+    }
+    // What only the learner can refuse.
+    let layers = "learner.network.policy_hidden=[7]";
+    let begin = "learner.warm_start.policy=policies/flat.onnx";
+    let train = [
+        "train", "--preset", "flat", "--set", layers, "--set", begin, "--out",
+    ];
+    let train = [&train[..], &[out.to_str().unwrap()]].concat();
+    refused(
+        &finish(command("caudata", &train).unwrap()).unwrap(),
+        77,
+        &["its layers are"],
+    );
+    assert!(!out.exists());
+}
+
 /// A Python without libraries, and none: no fault of the recording.
 #[test]
 fn a_recording_whose_python_is_not_there_says_so() {

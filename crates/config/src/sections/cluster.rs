@@ -17,8 +17,9 @@ settings! {
         /// Folder of the run on the learner's host; empty takes `<run.out_dir>/<run_id>`. `caudata up` goes
         /// on with a run that it finds there.
         pub run_dir: PathBuf,
-        /// Folder with this process's `ca.crt`, `tls.crt` and `tls.key` (`caudata pki`). Empty: nothing but
-        /// loopback can be used.
+        /// Folder with this process's `ca.crt`, `tls.crt` and `tls.key` (`caudata pki`). `{role}` in it is
+        /// `learner`, `actor` or `server` (the policy server), so that each that `caudata up` starts has its
+        /// own: `pki/{role}`. Empty: nothing but loopback can be used.
         pub tls_dir: PathBuf,
         /// Policy server for tools and robots, `https://host:port`; plain `host:port` on this host only.
         /// Empty: none.
@@ -31,8 +32,9 @@ settings! {
 }
 
 impl ClusterConfig {
-    /// The folder of certificates, if there is one.
-    pub fn certificates(&self) -> Option<&std::path::Path> {
-        Some(self.tls_dir.as_path()).filter(|folder| !folder.as_os_str().is_empty())
+    /// The folder of certificates of a role, `learner`, `actor` or `server`, if there is one.
+    pub fn certificates(&self, role: &str) -> Option<PathBuf> {
+        let folder = self.tls_dir.to_str()?.replace("{role}", role);
+        (!folder.is_empty()).then(|| folder.into())
     }
 }

@@ -223,6 +223,33 @@ fn traces_go_to_this_host_or_are_encrypted() {
 }
 
 #[test]
+fn what_other_hosts_reach_is_encrypted() {
+    let set = |words: &[&str]| {
+        let source = words.iter().fold(Source::default(), |s, word| s.set(*word));
+        Config::load(&source)
+    };
+    let (zenoh, certificates) = ("transport.kind=zenoh", "cluster.tls_dir=pki/{role}");
+    for (key, value) in [
+        ("transport.zenoh_listen", "[\"tcp/0.0.0.0:7447\"]"),
+        ("transport.zenoh_listen", "[\"quic/0.0.0.0:7447\"]"),
+        ("transport.zenoh_connect", "[\"tcp/learner.lab:7447\"]"),
+        ("transport.zenoh_connect", "[\"learner.lab:7447\"]"),
+        ("policy_server.addr", "\"0.0.0.0:7401\""),
+    ] {
+        let assignment = format!("{key}={value}");
+        let text = complaint(set(&[zenoh, &assignment]));
+        assert!(text.contains(key), "{text}");
+        let with = set(&[zenoh, &assignment, certificates]);
+        let encrypted = value.contains("quic/") || key.starts_with("policy_server");
+        assert_eq!(with.is_ok(), encrypted, "{assignment}");
+    }
+    let config = set(&[certificates]).unwrap();
+    let folder = config.cluster.certificates("actor");
+    assert_eq!(folder.as_deref(), Some("pki/actor".as_ref()));
+    assert_eq!(Config::default().cluster.certificates("actor"), None);
+}
+
+#[test]
 fn the_hash_covers_what_decides_training_and_nothing_else() {
     let hash = |assignment: &str| load_with(assignment).unwrap().hash_hex();
     let base = Config::default().hash_hex();

@@ -15,7 +15,7 @@ const IMU: &str = "3/robot1/imu/data/sensor_msgs::msg::dds_::Imu_/RIHS01_7d9a00f
 const DIAGNOSTICS: &str = "3/diagnostics/diagnostic_msgs::msg::dds_::DiagnosticArray_/RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e";
 const VELOCITY: &str = "3/robot1/cmd_vel/geometry_msgs::msg::dds_::Twist_/RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a";
 
-fn tick() -> Tick {
+pub(crate) fn tick() -> Tick {
     Tick {
         time_s: 1.0,
         pos_rad: std::array::from_fn::<f32, 16, _>(|i| 0.01 * i as f32).into(),
@@ -36,15 +36,15 @@ fn tick() -> Tick {
 }
 
 /// A free port of this host.
-fn endpoint() -> String {
+pub(crate) fn endpoint() -> String {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     format!("tcp/{}", listener.local_addr().unwrap())
 }
 
-fn node(listen: &str) -> zenoh::Session {
+pub(crate) fn node(mode: &str, listen: &str) -> zenoh::Session {
     let mut config = Config::default();
     for (key, value) in [
-        ("mode", "\"peer\"".to_owned()),
+        ("mode", format!("{mode:?}")),
         ("listen/endpoints", format!("[{listen:?}]")),
         ("scouting/multicast/enabled", "false".to_owned()),
     ] {
@@ -53,11 +53,8 @@ fn node(listen: &str) -> zenoh::Session {
     zenoh::open(config).wait().unwrap()
 }
 
-#[test]
-fn a_node_sees_the_robot_and_drives_it() {
-    let endpoint = endpoint();
-    let ros = node(&endpoint);
-    let heard = [JOINTS, IMU, DIAGNOSTICS].map(|key| ros.declare_subscriber(key).wait().unwrap());
+/// The door of a robot called `robot1` in domain 3.
+pub(crate) fn door_to(endpoint: &str) -> Door {
     let appearance = Appearance {
         domain: 3,
         node: "salamander".to_owned(),
@@ -66,8 +63,28 @@ fn a_node_sees_the_robot_and_drives_it() {
         joints: (0..16).map(|i| format!("joint_{i}")).collect(),
         torque_nm_per_a: vec![2.0; 16],
     };
-    let config = settings(std::slice::from_ref(&endpoint), &[]).unwrap();
-    let mut door = Door::open(config, appearance).unwrap();
+    Door::open(settings(&[endpoint.to_owned()], &[]).unwrap(), appearance).unwrap()
+}
+
+/// Both ends of a command link.
+pub(crate) fn command_link() -> (UdpLink, Commands) {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("link.key");
+    std::fs::write(&file, [7; 32]).unwrap();
+    let private = std::os::unix::fs::PermissionsExt::from_mode(0o600);
+    std::fs::set_permissions(&file, private).unwrap();
+    let key = || LinkKey::read(&file).unwrap();
+    let robot = UdpLink::listen("127.0.0.1:0".parse().unwrap(), key(), false).unwrap();
+    let commands = Commands::to(robot.address(), key()).unwrap();
+    (robot, commands)
+}
+
+#[test]
+fn a_node_sees_the_robot_and_drives_it() {
+    let endpoint = endpoint();
+    let ros = node("peer", &endpoint);
+    let heard = [JOINTS, IMU, DIAGNOSTICS].map(|key| ros.declare_subscriber(key).wait().unwrap());
+    let mut door = door_to(&endpoint);
 
     // Until the subscriptions have found their way nothing arrives; a person would see the topic appear.
     let mut first = |index: usize| loop {
@@ -120,14 +137,7 @@ fn a_node_sees_the_robot_and_drives_it() {
     );
 
     // Velocities: from the topic to the robot's end of the command link, authenticated.
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("link.key");
-    std::fs::write(&file, [7; 32]).unwrap();
-    let private = std::os::unix::fs::PermissionsExt::from_mode(0o600);
-    std::fs::set_permissions(&file, private).unwrap();
-    let key = || LinkKey::read(&file).unwrap();
-    let mut robot = UdpLink::listen("127.0.0.1:0".parse().unwrap(), key(), false).unwrap();
-    let mut commands = Commands::to(robot.address(), key()).unwrap();
+    let (mut robot, mut commands) = command_link();
     assert_eq!(door.velocity(), None);
     let twist = Twist {
         linear_mps: [0.25, -0.125, 0.0],

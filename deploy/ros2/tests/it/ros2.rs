@@ -20,19 +20,25 @@ struct Counterpart {
     said: BufReader<std::process::ChildStdout>,
 }
 
+/// A script of this folder in the Python that has ROS 2, where there is one.
+pub(crate) fn counterpart(script: &str) -> Option<Command> {
+    let Some(python) = std::env::var_os("CAUDATA_ROS2_PYTHON") else {
+        // Past what the test harness captures.
+        let _ = writeln!(
+            std::io::stderr(),
+            "skipped: CAUDATA_ROS2_PYTHON names no Python with ROS 2 (`make test-faults` installs one)"
+        );
+        return None;
+    };
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/it");
+    let mut command = Command::new(python);
+    command.arg(folder.join(script));
+    Some(command)
+}
+
 impl Counterpart {
     fn start() -> Option<Self> {
-        let Some(python) = std::env::var_os("CAUDATA_ROS2_PYTHON") else {
-            // Past what the test harness captures.
-            let _ = writeln!(
-                std::io::stderr(),
-                "skipped: CAUDATA_ROS2_PYTHON names no Python with ROS 2 (`make test-faults` installs one)"
-            );
-            return None;
-        };
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/it/ros2_counterpart.py");
-        let mut child = Command::new(python)
-            .arg(script)
+        let mut child = counterpart("ros2_counterpart.py")?
             .env("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
             .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
             .env("ROS_DOMAIN_ID", "77")

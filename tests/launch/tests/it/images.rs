@@ -106,6 +106,44 @@ fn images_go_to_the_registry_that_is_named() {
     );
 }
 
+/// systemd reads every unit without a complaint, but for programs that are not installed here.
+#[test]
+fn systemd_takes_the_units() {
+    if !has_tool("systemd-analyze") {
+        return skipped("systemd-analyze is not installed");
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let units = std::fs::read_dir(repository().join("docker/systemd")).unwrap();
+    let mut paths = Vec::new();
+    for unit in units.flatten() {
+        let text = std::fs::read_to_string(unit.path()).unwrap();
+        let lines = text
+            .lines()
+            .map(|line| match line.split_once("/opt/caudata/bin/") {
+                Some((key, command)) => {
+                    let (_, arguments) = command.split_once(' ').unwrap_or_default();
+                    format!("{key}/bin/true {arguments}")
+                }
+                None => line.replace("User=caudata", "User=root"),
+            });
+        let path = dir.path().join(unit.file_name());
+        std::fs::write(&path, lines.collect::<Vec<_>>().join("\n")).unwrap();
+        paths.push(path);
+    }
+    assert!(paths.len() >= 7, "{paths:?}");
+    let output = Command::new("systemd-analyze")
+        .arg("verify")
+        .args(&paths)
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    let ours: Vec<&str> = said
+        .lines()
+        .filter(|line| line.contains("caudata"))
+        .collect();
+    assert!(output.status.success() && ours.is_empty(), "{said}");
+}
+
 /// What needs no tools: every file that a Dockerfile or its scripts copy out of the repository is there, no
 /// image of a program runs as root, and each listens for SIGTERM.
 #[test]
@@ -132,12 +170,22 @@ fn recipes_name_files_that_exist_and_run_as_nobody() {
             );
         }
     }
+    let cuda = read("docker/images/learner-cuda.Dockerfile").unwrap();
+    let torch = cuda
+        .lines()
+        .find_map(|line| line.strip_prefix("ARG TORCH="));
+    let pinned = format!("libtorch-{}-cpu-x86_64", torch.unwrap());
+    assert!(
+        read("setup/pins.py").unwrap().contains(&pinned),
+        "{pinned}: the CUDA libraries are of the version that the learner is compiled against"
+    );
     let actor = read("docker/images/actor.Dockerfile").unwrap();
     assert!(!actor.contains("libtorch/"), "an actor has no libtorch");
     for script in [
         "images/build.sh",
         "images/collect.sh",
         "images/root.sh",
+        "kubernetes/components/renew/renew.sh",
         "slurm/submit.sh",
     ] {
         output(

@@ -9,4 +9,5 @@
 
 mod images;
 mod manifests;
+mod renew;
 mod slurm;

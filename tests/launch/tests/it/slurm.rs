@@ -15,30 +15,36 @@ const PATIENCE: Duration = Duration::from_secs(300);
 struct Slurm {
     dir: tempfile::TempDir,
     port: u16,
+    hosts: u32,
 }
 
 impl Slurm {
-    fn start() -> Self {
+    /// On this host, or on so many with names and networks of their own.
+    fn start(hosts: u32) -> Self {
         let dir = tempfile::tempdir().unwrap();
-        let output = script("start", dir.path()).output().unwrap();
+        let mut start = script("start", dir.path());
+        let output = start.arg(hosts.to_string()).output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(output.status.success(), "{said}");
         let probe = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
         let port = probe.local_addr().unwrap().port();
-        Self { dir, port }
+        Self { dir, port, hosts }
     }
 
     /// A command of ours or of Slurm's, against this Slurm.
     fn run(&self, program: &str, arguments: &[&str]) -> String {
         let binaries = caudata_launch_tests::program("caudata-actor").unwrap();
+        let alone = [
+            ("CAUDATA_SCHEME", "tcp".to_owned()),
+            ("CAUDATA_HOST", "127.0.0.1".to_owned()),
+            ("CAUDATA_PORT", self.port.to_string()),
+        ];
         let output = Command::new(program)
             .args(arguments)
             .env("SLURM_CONF", self.dir.path().join("slurm.conf"))
             .env("CAUDATA_BIN", binaries.parent().unwrap())
-            .env("CAUDATA_SCHEME", "tcp")
-            .env("CAUDATA_HOST", "127.0.0.1")
-            .env("CAUDATA_PORT", self.port.to_string())
             .env("CAUDATA_RUN_ID", "slurm-test")
+            .envs(alone.into_iter().filter(|_| self.hosts == 0))
             .current_dir(repository())
             .output()
             .unwrap();
@@ -73,6 +79,38 @@ impl Slurm {
             .output()
             .unwrap();
         String::from_utf8_lossy(&output.stdout).into_owned()
+    }
+
+    /// The learner's job goes back into the queue, as at the end of its time, and starts again. `before`: how
+    /// many events there were.
+    fn restart_learner(&self, run: &Path, before: usize) {
+        let learner = std::fs::read_to_string(run.join("slurm-jobs")).unwrap();
+        let learner = learner
+            .lines()
+            .find_map(|line| line.strip_prefix("learner "))
+            .unwrap()
+            .to_owned();
+        self.run("scancel", &["--batch", "--signal=TERM", &learner]);
+        wait_until("the learner has saved and said goodbye", || {
+            has(run, "finished", before)
+        });
+        wait_until("its job waits in the queue", || {
+            self.queue()
+                .lines()
+                .any(|line| line.starts_with(&learner) && line.ends_with(" PD"))
+        });
+        // Slurm waits two minutes before a job that was requeued starts; a test does not. But slurmd refuses a
+        // launch whose credential is not younger, in whole seconds, than the end of the job's last start
+        // ("already killed, do not launch"), and the job then fails for good.
+        std::thread::sleep(Duration::from_secs(3));
+        let release = ["update", &format!("JobId={learner}"), "StartTime=now"];
+        wait_until("the learner started again", || {
+            let _ = Command::new("scontrol")
+                .args(release)
+                .env("SLURM_CONF", self.dir.path().join("slurm.conf"))
+                .output();
+            has(run, "started", before)
+        });
     }
 }
 
@@ -155,28 +193,39 @@ minibatches = 2
 metrics = false
 "#;
 
-#[test]
-fn a_training_is_submitted_grown_hurt_requeued_and_stopped() {
-    let needed = ["munged", "slurmctld", "slurmd", "sbatch"];
+/// Whether there is what the tests need, and `more`; says what is not.
+fn can_run_slurm(more: &[&str]) -> bool {
+    let needed = [&["munged", "slurmctld", "slurmd", "sbatch"], more].concat();
     if let Some(absent) = needed.into_iter().find(|tool| !has_tool(tool)) {
-        return skipped(&format!(
+        skipped(&format!(
             "{absent} is not installed (Debian: slurm-wlm munge)"
         ));
+        return false;
     }
     let is_root = std::fs::metadata("/proc/self").is_ok_and(|own| {
         use std::os::unix::fs::MetadataExt;
         own.uid() == 0
     });
     if !is_root {
-        return skipped("only root can start Slurm's daemons");
+        skipped("only root can start Slurm's daemons");
+        return false;
     }
-    if ["caudata-learner", "caudata-actor"]
+    if ["caudata", "caudata-learner", "caudata-actor"]
         .iter()
         .any(|name| program(name).is_none())
     {
-        return skipped("caudata-learner and caudata-actor are not built");
+        skipped("the programs are not built");
+        return false;
     }
-    let slurm = Slurm::start();
+    true
+}
+
+#[test]
+fn a_training_is_submitted_grown_hurt_requeued_and_stopped() {
+    if !can_run_slurm(&[]) {
+        return;
+    }
+    let slurm = Slurm::start(0);
     let run: PathBuf = slurm.dir.path().join("run");
     let config = slurm.dir.path().join("cluster.toml");
     std::fs::write(&config, CONFIG).unwrap();
@@ -231,34 +280,7 @@ fn a_training_is_submitted_grown_hurt_requeued_and_stopped() {
     // The learner's job goes back into the queue, as at the end of its time; the actors wait and find it
     // again.
     let before = events(&run).len();
-    let learner = std::fs::read_to_string(run.join("slurm-jobs")).unwrap();
-    let learner = learner
-        .lines()
-        .find_map(|line| line.strip_prefix("learner "))
-        .unwrap()
-        .to_owned();
-    slurm.run("scancel", &["--batch", "--signal=TERM", &learner]);
-    wait_until("the learner has saved and said goodbye", || {
-        has(&run, "finished", before)
-    });
-    wait_until("its job waits in the queue", || {
-        slurm
-            .queue()
-            .lines()
-            .any(|line| line.starts_with(&learner) && line.ends_with(" PD"))
-    });
-    // Slurm waits two minutes before a job that was requeued starts; a test does not. But slurmd refuses a
-    // launch whose credential is not younger, in whole seconds, than the end of the job's last start
-    // ("already killed, do not launch"), and the job then fails for good.
-    std::thread::sleep(Duration::from_secs(3));
-    let release = ["update", &format!("JobId={learner}"), "StartTime=now"];
-    wait_until("the learner started again", || {
-        let _ = Command::new("scontrol")
-            .args(release)
-            .env("SLURM_CONF", slurm.dir.path().join("slurm.conf"))
-            .output();
-        has(&run, "started", before)
-    });
+    slurm.restart_learner(&run, before);
     let started = events(&run)
         .into_iter()
         .skip(before)
@@ -282,6 +304,10 @@ fn a_training_is_submitted_grown_hurt_requeued_and_stopped() {
     wait_until("nothing is left in the queue", || {
         slurm.queue().trim().is_empty()
     });
+    accounts_for_everything(&run);
+}
+
+fn accounts_for_everything(run: &Path) {
     let accounting: Value =
         serde_json::from_str(&std::fs::read_to_string(run.join("accounting.json")).unwrap())
             .unwrap();
@@ -316,4 +342,63 @@ fn pid_of_actor(run: &str, id: u32) -> u32 {
         wanted.iter().all(|word| line.contains(word)).then_some(pid)
     });
     found.next().expect("the actor runs")
+}
+
+/// Four nodes with networks of their own: what the nodes are is only known when the job starts, so its
+/// certificates are made then, and again on the node to which it comes back.
+#[test]
+fn over_several_hosts_certificates_are_issued_where_the_job_starts() {
+    if !can_run_slurm(&["ip", "nsenter"]) {
+        return;
+    }
+    let slurm = Slurm::start(4);
+    let run: PathBuf = slurm.dir.path().join("run");
+    let config = slurm.dir.path().join("cluster.toml");
+    std::fs::write(&config, CONFIG).unwrap();
+    let (run_word, config_word) = (run.to_str().unwrap(), config.to_str().unwrap());
+    let submit = [
+        "start",
+        "--run",
+        run_word,
+        "--config",
+        config_word,
+        "--actors",
+        "2",
+    ];
+    slurm.submit(&submit);
+    wait_until("learning over QUIC with two actors", || {
+        iteration(&run) >= 20
+    });
+    slurm.run("squeue", &["--array"]);
+    let address = || std::fs::read_to_string(run.join("address")).unwrap();
+    let first = address();
+    assert!(
+        first.starts_with("quic/n") && first.contains(".lab:"),
+        "{first}"
+    );
+    assert_eq!(slurm.running_actors(), 2);
+    slurm.run(
+        program("caudata").unwrap().to_str().unwrap(),
+        &["pki", "show", "--dir", run.join("pki").to_str().unwrap()],
+    );
+
+    // The node goes, and the learner's job comes back on another one.
+    let node = first.trim_start_matches("quic/").split('.').next().unwrap();
+    let node = format!("NodeName={node}");
+    slurm.run("scontrol", &["update", &node, "State=DRAIN", "Reason=test"]);
+    let before = events(&run).len();
+    slurm.restart_learner(&run, before);
+    let second = address();
+    assert_ne!(first, second);
+    let then = iteration(&run);
+    wait_until("learning goes on with the learner elsewhere", || {
+        iteration(&run) > then + 20
+    });
+    slurm.run("squeue", &["--array"]);
+
+    slurm.submit(&["stop", "--run", run_word]);
+    wait_until("nothing is left in the queue", || {
+        slurm.queue().trim().is_empty()
+    });
+    accounts_for_everything(&run);
 }
