@@ -3,7 +3,7 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode as OsExitCode;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use caudata_deploy::boundary::RunFolder;
 use caudata_deploy::command_link::LinkKey;
@@ -16,6 +16,8 @@ use clap::Parser;
 
 /// How long a tick is waited for before commands are looked at again.
 const TICK_MAX: Duration = Duration::from_millis(25);
+/// After this time without one that is said, once for every silence.
+const SILENCE: Duration = Duration::from_secs(5);
 
 /// Shows a robot that runs with `caudata-robot run --tap` to ROS 2 nodes on rmw_zenoh_cpp, and passes their
 /// velocities on to it.
@@ -129,9 +131,17 @@ fn run(args: &Args, process: &Process) -> Result<(), Failure> {
         session = door.session_id(),
         "the door to ROS is open"
     );
+    let (mut heard, mut said) = (Instant::now(), false);
     while !process.stop.is_set() {
         if let Some(tick) = tap.next(TICK_MAX).or_exit(ExitCode::OsResource)? {
             door.publish(&tick).or_exit(ExitCode::Unavailable)?;
+            (heard, said) = (Instant::now(), false);
+        } else if !said && heard.elapsed() > SILENCE {
+            said = true;
+            tracing::warn!(
+                run_dir = %args.run_dir.display(),
+                "nothing is heard of a robot: does `caudata-robot run --tap` run with this --run-dir?"
+            );
         }
         if let Some(commands) = &mut commands {
             commands.pass_on(door.velocity());
