@@ -98,7 +98,9 @@ impl RegistryClient {
             .keep_alive_timeout(Duration::from_secs(10));
         if encrypted {
             let folder = tls_dir.ok_or_else(|| ClientError::Certificates {
-                reason: format!("{address} is encrypted: give a folder of certificates (--tls-dir)"),
+                reason: format!(
+                    "{address} is encrypted: give a folder of certificates (--tls-dir)"
+                ),
             })?;
             endpoint = endpoint
                 .tls_config(certificates(folder)?)
