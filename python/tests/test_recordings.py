@@ -118,7 +118,7 @@ class Recordings(unittest.TestCase):
                 # neither packages nor the user's own
                 file.write('#!/bin/sh\nexec %s -S -E "$@"\n' % sys.executable)
             os.chmod(bare, 0o755)
-            for python, said in ((bare, "pip install"), ("/no/python", "does not start")):
+            for python, said in ((bare, "needs a Python with pyarrow and numpy"), ("/no/python", "does not start")):
                 with self.subTest(python=python), mock.patch.dict(os.environ, CAUDATA_PYTHON=python):
                     with self.assertRaisesRegex(caudata.ProgramError, said):
                         self.imported(folder, dataset)
