@@ -102,8 +102,14 @@ fn act(args: &Args, process: &Process) -> Result<(), Failure> {
     let registry = Metrics::new();
     let metrics = ActorMetrics::register(&registry);
     let instance = format!("actor {actor_id}, incarnation {incarnation}");
-    let traces = tracer_of(&config, "caudata-actor", instance, &args.run_id, &registry)
-        .or_exit(ExitCode::BadConfig)?;
+    let traces = tracer_of(
+        &config,
+        (ROLE, "caudata-actor"),
+        instance,
+        &args.run_id,
+        &registry,
+    )
+    .or_exit(ExitCode::BadConfig)?;
     let pulse = Pulse::new();
     let patience = Duration::from_secs_f64(config.cluster.hang_timeout_s);
     let stop = &process.stop;

@@ -66,10 +66,10 @@ impl ActorSettings {
     }
 }
 
-/// The tracer of a process as the configuration has it: off where it names no collector.
+/// The tracer of a process, of a role and with a name, as the configuration has it: off where it names no collector.
 pub fn tracer_of(
     config: &Config,
-    service: &'static str,
+    (role, service): (&str, &'static str),
     instance: String,
     run_id: &str,
     metrics: &Metrics,
@@ -81,9 +81,7 @@ pub fn tracer_of(
     let settings = TraceSettings {
         endpoint: telemetry.otlp_endpoint.clone(),
         every: telemetry.trace_every.into(),
-        tls_dir: config
-            .cluster
-            .certificates(service.trim_start_matches("caudata-")),
+        tls_dir: config.cluster.certificates(role),
         service,
         instance,
         run_id: run_id.to_owned(),

@@ -1,4 +1,4 @@
-//! Legs that the nominal pose stretches out: at the end of their reach they can neither push nor step.
+//! Legs that the nominal pose stretches out: at the end of their reach they push and step badly.
 
 use std::path::Path;
 
@@ -69,7 +69,7 @@ fn of(model: &RobotModel, mjcf: &Path) -> Option<Suspect> {
             .iter()
             .map(|(joint, _)| format!("robot.{joint}"))
             .collect(),
-        says: "the legs are stretched out in the nominal pose, and can neither push nor step"
+        says: "the legs are stretched out in the nominal pose, at the end of their reach"
             .to_owned(),
         edit: Edit::All(
             turned

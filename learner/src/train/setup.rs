@@ -141,11 +141,10 @@ fn outside(settings: &TrainSettings) -> Result<(Option<Publisher>, Tracer), Lear
         )
     };
     let publisher = settings.policy_server.as_ref().map(publish).transpose()?;
-    let (service, instance) = ("caudata-learner", ROLE.to_owned());
     let tracer = tracer_of(
         config,
-        service,
-        instance,
+        (ROLE, "caudata-learner"),
+        ROLE.to_owned(),
         &settings.run_id,
         &settings.metrics,
     );

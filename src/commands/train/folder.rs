@@ -136,10 +136,11 @@ impl RunFolder {
         }
     }
 
-    /// As [`RunFolder::disown`] of what was refused, unless there is something in it to go on from.
+    /// As [`RunFolder::disown`] of what was refused, unless it has learnt something.
     pub fn disown_unused(&self) {
+        let progress = fs::read_to_string(self.root.join(PROGRESS)).unwrap_or_default();
         let empty = |folder: &Path| fs::read_dir(folder).is_ok_and(|mut f| f.next().is_none());
-        if self.new && empty(&self.checkpoints()) {
+        if self.new && empty(&self.checkpoints()) && !progress.contains(r#""event":"iteration""#) {
             self.disown(true);
         }
     }

@@ -107,7 +107,7 @@ pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
     if let Err(failure) = &supervisor
         && args.resume() == Resume::No
     {
-        folder.disown(start::is_permanent(failure.code()));
+        folder.disown(start::is_refusal(failure.code()));
     }
     let watched = supervisor?.shown_on(shown).watch();
     let mut outcome = watched.inspect_err(|failure| clear_if_refused(&folder, failure))?;

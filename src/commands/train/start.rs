@@ -42,9 +42,17 @@ pub fn is_permanent(code: ExitCode) -> bool {
     )
 }
 
-/// A run that was refused leaves no folder.
+/// Exit codes that refuse what was asked for: the error line says all, and there is nothing in a log to be read.
+pub fn is_refusal(code: ExitCode) -> bool {
+    matches!(
+        code,
+        ExitCode::BadConfig | ExitCode::BadInput | ExitCode::NoInput | ExitCode::PolicyRefused
+    )
+}
+
+/// A run that was refused before it began leaves no folder.
 pub fn clear_if_refused(folder: &RunFolder, failure: &Failure) {
-    if is_permanent(failure.code()) {
+    if is_refusal(failure.code()) {
         folder.disown_unused();
     }
 }
@@ -58,8 +66,7 @@ pub fn failed_child(child: &Process, code: ExitCode, how: &str) -> Failure {
             let failure = Failure::message(code, format!("{}: {}", child.name(), words.error));
             match words.hint {
                 Some(hint) => failure.hint(hint),
-                // of what was refused the error line says all
-                None if is_permanent(code) => failure,
+                None if is_refusal(code) => failure,
                 None => failure.hint(log),
             }
         }

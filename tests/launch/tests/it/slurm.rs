@@ -58,6 +58,12 @@ impl Slurm {
         text
     }
 
+    /// Submits a training with two actors.
+    fn begin(&self, run: &Path, config: &Path) {
+        let [run, config] = [run, config].map(|path| path.to_str().unwrap());
+        self.submit(&["start", "--run", run, "--config", config, "--actors", "2"]);
+    }
+
     fn submit(&self, arguments: &[&str]) -> String {
         let script = repository().join("docker/slurm/submit.sh");
         self.run(script.to_str().unwrap(), arguments)
@@ -231,15 +237,7 @@ fn a_training_is_submitted_grown_hurt_requeued_and_stopped() {
     std::fs::write(&config, CONFIG).unwrap();
     let (run_word, config_word) = (run.to_str().unwrap(), config.to_str().unwrap());
 
-    slurm.submit(&[
-        "start",
-        "--run",
-        run_word,
-        "--config",
-        config_word,
-        "--actors",
-        "2",
-    ]);
+    slurm.begin(&run, &config);
     wait_until("learning with two actors", || iteration(&run) >= 20);
 
     slurm.submit(&[
@@ -254,7 +252,6 @@ fn a_training_is_submitted_grown_hurt_requeued_and_stopped() {
         "2",
     ]);
     wait_until("four actors run", || slurm.running_actors() == 4);
-    slurm.run("squeue", &["--array"]);
 
     // An actor dies without a word; its task starts it again as another incarnation.
     let ledgers = |actor: u32| {
@@ -355,21 +352,10 @@ fn over_several_hosts_certificates_are_issued_where_the_job_starts() {
     let run: PathBuf = slurm.dir.path().join("run");
     let config = slurm.dir.path().join("cluster.toml");
     std::fs::write(&config, CONFIG).unwrap();
-    let (run_word, config_word) = (run.to_str().unwrap(), config.to_str().unwrap());
-    let submit = [
-        "start",
-        "--run",
-        run_word,
-        "--config",
-        config_word,
-        "--actors",
-        "2",
-    ];
-    slurm.submit(&submit);
+    slurm.begin(&run, &config);
     wait_until("learning over QUIC with two actors", || {
         iteration(&run) >= 20
     });
-    slurm.run("squeue", &["--array"]);
     let address = || std::fs::read_to_string(run.join("address")).unwrap();
     let first = address();
     assert!(
@@ -394,9 +380,8 @@ fn over_several_hosts_certificates_are_issued_where_the_job_starts() {
     wait_until("learning goes on with the learner elsewhere", || {
         iteration(&run) > then + 20
     });
-    slurm.run("squeue", &["--array"]);
 
-    slurm.submit(&["stop", "--run", run_word]);
+    slurm.submit(&["stop", "--run", run.to_str().unwrap()]);
     wait_until("nothing is left in the queue", || {
         slurm.queue().trim().is_empty()
     });
