@@ -44,6 +44,9 @@ pub struct Judge {
     pub data: Data,
     /// Their noise.
     pub noise: Noise,
+    /// What half the step changes, beyond what nuisances explain, in squared noises: the mean over what
+    /// changes most. (Of held runs; 0 where it was not asked.)
+    pub by_step: f64,
     trials: Vec<TrialMetric>,
 }
 
@@ -58,6 +61,7 @@ impl Judge {
         let mut judge = Self {
             data,
             noise,
+            by_step: 0.0,
             trials: Vec::new(),
         };
         judge.cap(replayer)?;
@@ -102,6 +106,9 @@ impl Judge {
                 for piece in &segment.pieces {
                     let of = &off[piece.range.clone()];
                     let square = dot(of, of) / of.len().max(1) as f64;
+                    if base == BaseHold::Fixed {
+                        self.by_step = self.by_step.max(square);
+                    }
                     let grows = 1.0_f32.hypot(times * square.sqrt() as f32);
                     for k in piece.range.clone() {
                         self.noise.grow(k, grows);
@@ -151,6 +158,7 @@ impl Judge {
         let mut judge = Self {
             data,
             noise,
+            by_step: 0.0,
             trials: Vec::new(),
         };
         judge.set_base(replayer, &[])?;

@@ -117,12 +117,13 @@ pub fn diagnose(
         search::settle(&mut context, &mut found)?;
         naming::name_untried(&context, &found.best, &mut named)?;
     }
-    let mut carried = carried::choose(&context, &found.best, &found.supported, &tracking)?;
     // held-out runs, for the first time; naming once more has what time is left
     let end = (request.options.budget_s)
         .map(|budget_s| began + Duration::from_secs_f64(budget_s.max(0.0)));
     let go_on = request.options.go_on.until(end);
-    carried::refuse(&mut context, &go_on, &mut found, &mut named, &mut carried)?;
+    carried::refuse(&mut context, &go_on, &mut found, &mut named)?;
+    let mut carried = carried::choose(&context, &found.best, &found.supported, &tracking)?;
+    carried::gate(&mut context, &mut found, &mut carried)?;
     if let Some(losses) = &context.losses {
         // what was wrong before is said of the robot as its file says
         found.base = context.lossless(losses)?;
@@ -260,6 +261,29 @@ fn mask_disturbed(trials: &mut [Trial]) -> Vec<DataFault> {
         .collect()
 }
 
+/// Where half the step changes a channel by more squared noises than this, everything is simulated with it.
+const COARSE: f64 = 0.04;
+
+/// The runs to fit to, and the simulator with steps that are short enough for them. A servo that is stiff for its
+/// inertia answers within a few milliseconds, and what a step of two does to it is as large as a delay of its loop,
+/// which then looks like a soft gear or a lack of damping. Hinges that nobody drives part simulators whatever the
+/// step.
+fn in_steps(
+    replayer: Replayer,
+    data: Data,
+    options: SegmentOptions,
+) -> Result<(Replayer, judge::Judge), GapError> {
+    let model = replayer.model();
+    let all_driven = model.joints().len() == model.actuated().len();
+    let fit = judge::Judge::new(&replayer, data.clone(), options)?;
+    if !all_driven || fit.by_step <= COARSE {
+        return Ok((replayer, fit));
+    }
+    let finer = replayer.finer();
+    let fit = judge::Judge::new(&finer, data, options)?;
+    Ok((finer, fit))
+}
+
 /// Height of the water's surface that a run notes, m.
 fn water_level(run: &Run) -> Option<f64> {
     match run.log.meta.settings.get("water_level_m") {
@@ -318,7 +342,7 @@ fn context(
         None => replayer,
     };
     let excitation = Excitation::of(model, &fit_trials.iter().collect::<Vec<_>>());
-    let fit = judge::Judge::new(&replayer, Data::new(model, fit_trials, options), options)?;
+    let (replayer, fit) = in_steps(replayer, Data::new(model, fit_trials, options), options)?;
     let holdout = judge::Judge::new(&replayer, Data::new(model, held_out, options), options)?;
     let scout = scout::Scout::new(&replayer, &fit, options)?;
     Ok(state::Context {

@@ -13,7 +13,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use caudata_runlog::BaseHold;
 
-use super::doubt::sizes;
+use super::doubt::{meet, sizes};
 use super::joints::{Angles, Joints, mean_abs, place_of, scale, weights};
 use super::product::dot;
 use super::request::{Progress, Stage};
@@ -87,6 +87,28 @@ pub struct Model {
     pub cross_rad: f64,
     /// Standard deviations of the parameters of each joint, SI. `[A][P]`
     pub deviations: Vec<Vec<f64>>,
+}
+
+impl Model {
+    /// The same around the terms `fixed`, which stay as they are: without what they say, and fitted again.
+    ///
+    /// # Errors
+    /// As [`crate::replay::Replayer::predict`].
+    pub fn around(&self, angles: &Angles<'_>, fixed: Variant) -> Result<Self, GapError> {
+        if fixed.is_empty() {
+            return Ok(self.clone());
+        }
+        let mut joints = self.joints.clone();
+        for terms in joints.own.iter_mut().chain([&mut joints.shared]) {
+            terms.retain(|t| {
+                let said = |f: &Term| f.effect == t.effect && meet(&f.place, &t.place);
+                !fixed.iter().any(said)
+            });
+        }
+        joints.fixed = fixed;
+        angles.fit(&mut joints, ROUNDS_MORE)?;
+        judged(angles, &self.name, joints)
+    }
 }
 
 /// What was fitted to angles. Grows as it goes: where time ends, what is there is there.

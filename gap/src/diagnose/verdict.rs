@@ -367,18 +367,14 @@ fn cause(
     };
     let parameters = parameters(context, best, named.index, spread, &wider);
     let grounds = grounds(context, named, term, weighed.same_name, &parameters, doubts);
-    // the map is of names whose look-alikes were tried
-    let most = if named.untried.is_empty() {
-        1.0
-    } else {
-        weighed.same_name
-    };
+    // a name is no surer than its share among those that say the same
+    let confidence = (context.calibration.confidence(&grounds)).min(weighed.same_name);
     Ok(Cause {
         effect: term.effect.id.to_owned(),
         layer: term.effect.layer.name().to_owned(),
         location: term.place.names.clone(),
         parameters,
-        confidence: context.calibration.confidence(&grounds).min(most),
+        confidence,
         alternatives: weighed.alternatives,
         synonyms: Vec::new(),
         elsewhere: weighed.elsewhere,
