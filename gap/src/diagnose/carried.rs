@@ -68,11 +68,18 @@ pub fn choose(
     }
     // what has a name stays, and what angles do not show they have nothing to say of
     let unseen = |t: &Term| t.effect.layer == Layer::Sensing && !t.effect.id.starts_with("encoder");
-    let kept = (of_search.state.terms.iter()).filter(|t| unseen(t) || is_among(t, &named.terms));
-    let built = built.around(&angles, kept.cloned().collect())?;
-    if built.cross_rad >= BUILT * mean_rad {
-        return Ok(of_search);
+    let own = of_search.state.terms.iter();
+    let (shown, rest): (Vec<&Term>, Vec<&Term>) = own.partition(|t| !unseen(t));
+    let around = |shown: &[&Term]| {
+        let named = shown.iter().filter(|t| is_among(t, &named.terms));
+        built.around(&angles, named.chain(&rest).map(|t| (*t).clone()).collect())
+    };
+    let mut model = around(&shown)?;
+    if model.cross_rad * BUILT >= built.cross_rad {
+        // angles contradict the names: the model does without, and the summary says so
+        model = around(&[])?;
     }
+    let built = model;
     let whole = built.joints.fixed.iter().chain(&built.joints.shared);
     let mut deviations = vec![0.0; whole.map(|t| t.values.len()).sum()];
     deviations.extend(built.deviations.iter().flatten());
@@ -229,7 +236,9 @@ impl Model {
                 first = own.end;
                 let same = |c: &&Cause| {
                     let names = term.effect.parameters.iter().zip(&term.values);
-                    names.into_iter().all(|(p, v)| c.parameters[p.name].value == *v)
+                    names
+                        .into_iter()
+                        .all(|(p, v)| c.parameters[p.name].value == *v)
                 };
                 let cause = cause_of(term, causes);
                 match cause.filter(same) {

@@ -261,8 +261,9 @@ fn mask_disturbed(trials: &mut [Trial]) -> Vec<DataFault> {
         .collect()
 }
 
-/// Where half the step changes a channel by more squared noises than this, everything is simulated with it.
-const COARSE: f64 = 0.04;
+/// Where half the step changes a channel by more squared noises than this, a tolerance's worth, everything is
+/// simulated with it.
+const COARSE: f64 = 1.0 / 16.0;
 
 /// The runs to fit to, and the simulator with steps that are short enough for them. A servo that is stiff for its
 /// inertia answers within a few milliseconds, and what a step of two does to it is as large as a delay of its loop,

@@ -180,15 +180,16 @@ pub fn conclude(
     let local = local_gaps(context, &model.fit, &model.holdout);
     let verdict = verdict(context, found, &causes, &doubts, split, &local);
     if verdict == Verdict::Ambiguous && !evidence.unfinished {
-        find_synonyms(context, &mut causes, best, named)?;
+        count_synonyms(context, &mut causes, best, named)?;
     }
     let told = (&causes[..], &leads[..]);
     let told = summary(context, verdict, told, &doubts, &unexplained, split, found);
     let errors = evidence.tracking.errors(context, &model.terms)?;
     let listed = carried.listed(&entries);
     let first = words::first(verdict, &carried.state, &errors, evidence.unfinished);
-    let last = words::assumed(verdict, &request.data_faults) + &words::last(&listed, &local);
-    let summary = [first, told, last].concat();
+    let assumed = words::assumed(verdict, &request.data_faults);
+    let last = words::last(&causes, &extension.effect, &listed, &local);
+    let summary = [first, told, assumed, last].concat();
     let in_part = matches!(verdict, Verdict::PartlyExplained | Verdict::Unexplained);
     unexplained.retain(|_| in_part);
     let mut plots = pictures::plots(context, found, model, named);
@@ -295,7 +296,8 @@ struct Weighed<'a> {
     open: Vec<&'a Term>,
 }
 
-fn weigh<'a>(best: &State, named: &'a Named) -> Weighed<'a> {
+/// What the rivals of the cause in `named` come to, of which `synonyms` are one robot with it.
+fn weigh<'a>(best: &State, named: &'a Named, synonyms: &[String]) -> Weighed<'a> {
     let term = &best.terms[named.index];
     let mut out = Weighed {
         same_name: named.probability,
@@ -326,7 +328,7 @@ fn weigh<'a>(best: &State, named: &'a Named) -> Weighed<'a> {
             // two names for the very same motions are one hypothesis, as far as these runs go, if they are of
             // one kind: a delay is a delay, and less torque is no more weight
             let same = indistinguishable(best, &rival.state);
-            if same && other.effect.layer == term.effect.layer {
+            if (same && other.effect.layer == term.effect.layer) || synonyms.contains(&id) {
                 out.same_name += rival.probability;
             }
             if !out.alternatives.contains(&id) {
@@ -360,21 +362,19 @@ fn cause(
     doubts: &Doubts<'_>,
 ) -> Result<Cause, GapError> {
     let term = &best.terms[named.index];
-    let weighed = weigh(best, named);
+    let weighed = weigh(best, named, &[]);
     let wider = match weighed.open.is_empty() {
         true => Vec::new(),
         false => beside(context, best, named.index, &weighed.open, spread)?,
     };
     let parameters = parameters(context, best, named.index, spread, &wider);
     let grounds = grounds(context, named, term, weighed.same_name, &parameters, doubts);
-    // a name is no surer than its share among those that say the same
-    let confidence = (context.calibration.confidence(&grounds)).min(weighed.same_name);
     Ok(Cause {
         effect: term.effect.id.to_owned(),
         layer: term.effect.layer.name().to_owned(),
         location: term.place.names.clone(),
         parameters,
-        confidence,
+        confidence: confidence(context, &grounds, &weighed),
         alternatives: weighed.alternatives,
         synonyms: Vec::new(),
         elsewhere: weighed.elsewhere,
@@ -383,6 +383,29 @@ fn cause(
         assumed: (term.effect).assumed(context.replayer.model(), &term.place),
         grounds,
     })
+}
+
+/// Finds what is one robot with each of `causes`, which counts for its name.
+fn count_synonyms(
+    context: &Context,
+    causes: &mut [Cause],
+    best: &State,
+    named: &[Named],
+) -> Result<(), GapError> {
+    find_synonyms(context, causes, best, named)?;
+    for cause in causes {
+        if let Some(own) = named.iter().find(|n| n.is(best, cause)) {
+            let weighed = weigh(best, own, &cause.synonyms);
+            cause.confidence = confidence(context, &cause.grounds, &weighed);
+        }
+    }
+    Ok(())
+}
+
+/// Confidence in a name: no more than its share among those that say the same.
+fn confidence(context: &Context, grounds: &Grounds, weighed: &Weighed<'_>) -> f64 {
+    let told = context.calibration.confidence(grounds);
+    told.min(weighed.same_name)
 }
 
 /// What the confidence in a name of `term`, of probability `among` among its look-alikes, rests on.
