@@ -368,6 +368,9 @@ pub struct Compute {
     pub rollouts: usize,
     /// Simulated time, s.
     pub simulated_s: f64,
+    /// In steps of so much, s.
+    #[serde(default)]
+    pub step_s: f64,
     /// Wall time, s; 0 where nobody measured it.
     pub seconds: f64,
 }

@@ -35,12 +35,31 @@ pub struct Model {
     deviations: Vec<f64>,
 }
 
-/// Which model to carry: the one that causes were named in, the one `before` they were, or the one that was
-/// built joint by joint; of these two what goes with the names.
+/// Which model to carry: the one that causes were named in, the one before they were, or the one that was built
+/// joint by joint; of these two what goes with the names. Where held-out runs are no nearer to it, it is the first.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
 pub fn choose(
+    context: &mut Context,
+    found: &mut Found,
+    tracking: &Tracking,
+) -> Result<Model, GapError> {
+    let mut carried = supported_most(context, &found.best, &found.supported, tracking)?;
+    let terms = found.best.terms.clone();
+    let Found { base, best, .. } = &mut *found;
+    context.judge_held_out(&terms, &mut [base, best, &mut carried.state])?;
+    if !nearer(context, base, &carried.state) {
+        carried = Model {
+            state: best.clone(),
+            deviations: Vec::new(),
+        };
+    }
+    Ok(carried)
+}
+
+/// What the runs that were fitted support most.
+fn supported_most(
     context: &Context,
     named: &State,
     before: &State,
@@ -72,7 +91,11 @@ pub fn choose(
     let (shown, rest): (Vec<&Term>, Vec<&Term>) = own.partition(|t| !unseen(t));
     let around = |shown: &[&Term]| {
         let named = shown.iter().filter(|t| is_among(t, &named.terms));
-        built.around(&angles, named.chain(&rest).map(|t| (*t).clone()).collect())
+        built.around(
+            context,
+            &angles,
+            named.chain(&rest).map(|t| (*t).clone()).collect(),
+        )
     };
     let mut model = around(&shown)?;
     if model.cross_rad * BUILT >= built.cross_rad {
@@ -159,23 +182,6 @@ pub fn refuse(
         found.best = found.base.clone();
         named.clear();
     }
-}
-
-/// The same gate for the model to carry: where it fails, it is the one with the names.
-///
-/// # Errors
-/// As [`crate::replay::Replayer::predict`].
-pub fn gate(context: &mut Context, found: &mut Found, carried: &mut Model) -> Result<(), GapError> {
-    let terms = found.best.terms.clone();
-    let Found { base, best, .. } = &mut *found;
-    context.judge_held_out(&terms, &mut [base, best, &mut carried.state])?;
-    if !nearer(context, base, &carried.state) {
-        *carried = Model {
-            state: best.clone(),
-            deviations: Vec::new(),
-        };
-    }
-    Ok(())
 }
 
 /// Names what is left of the model. Whether there was time for it.

@@ -44,8 +44,8 @@ pub struct Judge {
     pub data: Data,
     /// Their noise.
     pub noise: Noise,
-    /// What half the step changes, beyond what nuisances explain, in squared noises: the mean over what
-    /// changes most. (Of held runs; 0 where it was not asked.)
+    /// What half the step changes, beyond what nuisances explain, in squared noises: the mean over the angle
+    /// that it changes most. (Of held runs; 0 where it was not asked.)
     pub by_step: f64,
     trials: Vec<TrialMetric>,
 }
@@ -106,7 +106,7 @@ impl Judge {
                 for piece in &segment.pieces {
                     let of = &off[piece.range.clone()];
                     let square = dot(of, of) / of.len().max(1) as f64;
-                    if base == BaseHold::Fixed {
+                    if base == BaseHold::Fixed && piece.kind == Kind::Position {
                         self.by_step = self.by_step.max(square);
                     }
                     let grows = 1.0_f32.hypot(times * square.sqrt() as f32);

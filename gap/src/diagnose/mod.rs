@@ -82,7 +82,7 @@ pub fn diagnose(
     if request.runs.is_empty() {
         return Err(GapError::NoRuns);
     }
-    let runs = uses(request);
+    let mut runs = uses(request);
     if request.data_faults.iter().any(|f| f.fatal) {
         return Ok(verdict::data_fault(request, &model, runs));
     }
@@ -93,7 +93,6 @@ pub fn diagnose(
         .collect::<Result<Vec<_>, _>>()?;
     repeats::group(&mut trials);
     let split = hold_out(&mut trials);
-    let mut runs = runs;
     for (run, trial) in runs.iter_mut().zip(&trials) {
         run.role = role_name(trial.role).to_owned();
     }
@@ -118,12 +117,11 @@ pub fn diagnose(
         naming::name_untried(&context, &found.best, &mut named)?;
     }
     // held-out runs, for the first time; naming once more has what time is left
-    let end = (request.options.budget_s)
-        .map(|budget_s| began + Duration::from_secs_f64(budget_s.max(0.0)));
+    let budget = request.options.budget_s.map(|s| s.max(0.0));
+    let end = budget.map(|s| began + Duration::from_secs_f64(s));
     let go_on = request.options.go_on.until(end);
     carried::refuse(&mut context, &go_on, &mut found, &mut named)?;
-    let mut carried = carried::choose(&context, &found.best, &found.supported, &tracking)?;
-    carried::gate(&mut context, &mut found, &mut carried)?;
+    let carried = carried::choose(&mut context, &mut found, &tracking)?;
     if let Some(losses) = &context.losses {
         // what was wrong before is said of the robot as its file says
         found.base = context.lossless(losses)?;
@@ -146,6 +144,7 @@ pub fn diagnose(
         candidates: found.tried,
         rollouts,
         simulated_s,
+        step_s: context.replayer.step_s(),
         seconds: 0.0,
     };
     Ok(diagnosis)
@@ -261,28 +260,28 @@ fn mask_disturbed(trials: &mut [Trial]) -> Vec<DataFault> {
         .collect()
 }
 
-/// Where half the step changes a channel by more squared noises than this, a tolerance's worth, everything is
-/// simulated with it.
-const COARSE: f64 = 1.0 / 16.0;
+/// Where half the step changes an angle by more squared noises than this, everything is simulated with it: half of
+/// what one tolerance comes to. (Angles are what every log has: which other channels there are must not decide.)
+const COARSE: f64 = 1.0 / 32.0;
 
-/// The runs to fit to, and the simulator with steps that are short enough for them. A servo that is stiff for its
-/// inertia answers within a few milliseconds, and what a step of two does to it is as large as a delay of its loop,
-/// which then looks like a soft gear or a lack of damping. Hinges that nobody drives part simulators whatever the
-/// step.
+/// The simulator with steps that are short enough for the runs of `fit`, around which both judges have tolerances
+/// then; what the longer steps change stays allowed. A servo that is stiff for its inertia answers within a few
+/// milliseconds, and what a step of two does to it is as large as a delay of its loop, which then looks like a soft
+/// gear or a lack of damping. Hinges that nobody drives part simulators whatever the step.
 fn in_steps(
     replayer: Replayer,
-    data: Data,
-    options: SegmentOptions,
-) -> Result<(Replayer, judge::Judge), GapError> {
+    fit: &mut judge::Judge,
+    holdout: &mut judge::Judge,
+) -> Result<Replayer, GapError> {
     let model = replayer.model();
     let all_driven = model.joints().len() == model.actuated().len();
-    let fit = judge::Judge::new(&replayer, data.clone(), options)?;
     if !all_driven || fit.by_step <= COARSE {
-        return Ok((replayer, fit));
+        return Ok(replayer);
     }
     let finer = replayer.finer();
-    let fit = judge::Judge::new(&finer, data, options)?;
-    Ok((finer, fit))
+    fit.set_base(&finer, &[])?;
+    holdout.set_base(&finer, &[])?;
+    Ok(finer)
 }
 
 /// Height of the water's surface that a run notes, m.
@@ -343,8 +342,9 @@ fn context(
         None => replayer,
     };
     let excitation = Excitation::of(model, &fit_trials.iter().collect::<Vec<_>>());
-    let (replayer, fit) = in_steps(replayer, Data::new(model, fit_trials, options), options)?;
-    let holdout = judge::Judge::new(&replayer, Data::new(model, held_out, options), options)?;
+    let judged = |trials| judge::Judge::new(&replayer, Data::new(model, trials, options), options);
+    let [mut fit, mut holdout] = [judged(fit_trials)?, judged(held_out)?];
+    let replayer = in_steps(replayer, &mut fit, &mut holdout)?;
     let scout = scout::Scout::new(&replayer, &fit, options)?;
     Ok(state::Context {
         replayer,

@@ -15,7 +15,7 @@ use super::local::local_gaps;
 use super::naming::{self, Named};
 use super::request::{Diagnosis, Request, Split};
 use super::search::Found;
-use super::spread::{Spread, beside, correlation, parameters, spread};
+use super::spread::{Spread, beside, correlation, parameters, spread, widen};
 use super::state::{Context, On, State};
 use super::synonyms::find_synonyms;
 use super::tracking::Tracking;
@@ -112,44 +112,6 @@ fn told_of<'a>(context: &Context, found: &'a Found, named: &[Named]) -> Result<T
         doubts,
         spread,
     })
-}
-
-/// A size is known no better than the names beside it: the intervals of `cause`, which is the term `own` of
-/// `best`, hold what it would be with another of its answer set in the place of each other cause.
-fn widen(cause: &mut Cause, own: &Term, best: &State, causes: &[&Named]) {
-    let rivals = causes
-        .iter()
-        .flat_map(|n| n.rivals.iter().map(move |r| (n, r)));
-    for (named, rival) in rivals.filter(|(_, r)| r.in_set) {
-        let (instead, of) = (&rival.state.terms[rival.index], &best.terms[named.index]);
-        let same = |t: &&Term| t.effect == own.effect && t.place == own.place;
-        let other = rival.state.terms.iter().find(same);
-        let Some(other) = other.filter(|_| of != own && !wider(of.effect, instead.effect)) else {
-            continue;
-        };
-        for (spec, &value) in own.effect.parameters.iter().zip(&other.values) {
-            let Some(p) = cause.parameters.get_mut(spec.name) else {
-                continue;
-            };
-            if (p.ci_low..=p.ci_high).contains(&value) {
-                continue;
-            }
-            let instead = instead.place.label(instead.effect.id);
-            let of = of.place.label(of.effect.id);
-            let unit = format!(" {}", spec.unit);
-            cause.evidence.push(format!(
-                "with {instead} instead of {of} its {} would be {}{}",
-                spec.name,
-                words::rounded(value),
-                unit.trim_end()
-            ));
-            let moved = value - p.value;
-            (p.ci_low, p.ci_high) = (
-                p.ci_low.min(p.ci_low + moved),
-                p.ci_high.max(p.ci_high + moved),
-            );
-        }
-    }
 }
 
 /// Draws the conclusion.

@@ -104,6 +104,12 @@ impl Replayer {
         other
     }
 
+    /// Length of a step, s.
+    #[must_use]
+    pub fn step_s(&self) -> f64 {
+        self.step_s
+    }
+
     /// The same with half the step.
     pub fn finer(&self) -> Self {
         self.with(0.5 * self.step_s, self.contact_hardness)

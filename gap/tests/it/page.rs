@@ -156,7 +156,7 @@ fn sample() -> (Report, Plots) {
             RunUse { name: "chirp_1".to_owned(), role: "fit".to_owned(), duration_s: 14.0, sha256: "ab".repeat(32) },
             RunUse { name: "gait_1".to_owned(), role: "holdout".to_owned(), duration_s: 20.0, sha256: "cd".repeat(32) },
         ],
-        compute: Compute { candidates: 412, rollouts: 5180, simulated_s: 61234.0, seconds: 41.2 },
+        compute: Compute { candidates: 412, rollouts: 5180, simulated_s: 61234.0, step_s: 0.002, seconds: 41.2 },
     };
     (report, plots())
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use caudata_gap::repeats;
-use caudata_gap::replay::{Data, Replayer, SegmentOptions};
+use caudata_gap::replay::{Data, Replayer, SegmentOptions, Variant};
 use caudata_gap::report::Verdict;
 use caudata_gap::trial::Trial;
 use caudata_gap::{Diagnosis, GapError, GoOn, Options, Request, Role, Run, diagnose, extension};
@@ -227,15 +227,17 @@ fn a_soft_loop_is_named_and_its_score_comes_again_from_the_file() {
         repeats::collapse(&trials),
         SegmentOptions::default(),
     );
-    let from_file = Replayer::new(Arc::clone(&extended), 2)
-        .unwrap()
-        .predict(&data, &[Vec::new()])
-        .unwrap();
+    // in the steps of the diagnosis
+    let predicted = |model: Arc<RobotModel>, threads: usize, terms: Variant| {
+        let mut replayer = Replayer::new(model, threads).unwrap();
+        while replayer.step_s() > d.report.compute.step_s {
+            replayer = replayer.finer();
+        }
+        replayer.predict(&data, &[terms]).unwrap()
+    };
     let terms = extension::terms(&d.extension, &plain).unwrap();
-    let in_memory = Replayer::new(plain, 1)
-        .unwrap()
-        .predict(&data, &[terms])
-        .unwrap();
+    let from_file = predicted(Arc::clone(&extended), 2, Variant::new());
+    let in_memory = predicted(plain, 1, terms);
     let bits = |x: &[Vec<f32>]| x[0].iter().map(|v| v.to_bits()).collect::<Vec<_>>();
     assert_eq!(bits(&from_file), bits(&in_memory));
     let square = |x: &[f32]| -> f64 {
