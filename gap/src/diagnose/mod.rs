@@ -263,9 +263,6 @@ fn mask_disturbed(trials: &mut [Trial]) -> Vec<DataFault> {
 /// Where half the step changes an angle by more squared noises than this, everything is simulated with it: half of
 /// what one tolerance comes to. (Angles are what every log has: which other channels there are must not decide.)
 const COARSE: f64 = 1.0 / 32.0;
-/// Unless it changes one by about the noise or more: half a step is as wrong then, and what is allowed for it is
-/// less (a healthy servo without noise was a gap).
-const COARSEST: f64 = 0.5;
 
 /// The simulator with steps that are short enough for the runs of `fit`, around which both judges have tolerances
 /// then; what the longer steps change stays allowed. A servo that is stiff for its inertia answers within a few
@@ -278,7 +275,7 @@ fn in_steps(
 ) -> Result<Replayer, GapError> {
     let model = replayer.model();
     let all_driven = model.joints().len() == model.actuated().len();
-    if !all_driven || !(COARSE..COARSEST).contains(&fit.by_step) {
+    if !all_driven || fit.by_step <= COARSE {
         return Ok(replayer);
     }
     let finer = replayer.finer();
