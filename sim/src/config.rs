@@ -95,6 +95,10 @@ settings! {
         /// `batch`: how many times faster contacts push back than the MJCF's `solref` says, 0.1..=10. Default
         /// 1. Harder: feet land with a jolt, and small steps are needed. Softer: they sink in.
         pub contact_hardness: f64 = 1.0,
+        /// `batch`: whether dampers and the servo's damping act at the time of the positions, half a step on
+        /// from that of the velocities. Default false. True: a servo answers as in much smaller steps, with
+        /// an error of the second order in `dt_s`; diagnosis replays logs so.
+        pub centred: bool = false,
     }
 }
 

@@ -3,14 +3,15 @@
 
 use std::collections::BTreeSet;
 
-use super::fits::penalised;
+use super::fits::{penalised, single};
 use super::gates::{self, Worth};
 use super::joints::{Angles, mean_abs};
 use super::levels::NOTHING_LEFT;
 use super::naming::{self, Named};
+use super::refine::refine;
 use super::search::{Found, MOST_TERMS};
 use super::state::{Context, State};
-use super::tracking::Tracking;
+use super::tracking::{self, Tracking};
 use crate::effects::Layer;
 use crate::error::GapError;
 use crate::extension::{ExtensionEffect, ExtensionParameter};
@@ -34,60 +35,115 @@ pub struct Model {
     deviations: Vec<f64>,
 }
 
-/// Which model to carry: the one that causes were named in, the one `before` they were, or the one that was
-/// built joint by joint.
+/// Which model to carry: the one that causes were named in, the one before they were, or the one that was built
+/// joint by joint; of these two what goes with the names. Where held-out runs are no nearer to it, it is the first.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
 pub fn choose(
+    context: &mut Context,
+    found: &mut Found,
+    tracking: &Tracking,
+) -> Result<Model, GapError> {
+    let mut carried = supported_most(context, &found.best, &found.supported, tracking)?;
+    let terms = found.best.terms.clone();
+    let Found { base, best, .. } = &mut *found;
+    context.judge_held_out(&terms, &mut [base, best, &mut carried.state])?;
+    if !nearer(context, base, &carried.state) {
+        carried = Model {
+            state: best.clone(),
+            deviations: Vec::new(),
+        };
+    }
+    Ok(carried)
+}
+
+/// What the runs that were fitted support most.
+fn supported_most(
     context: &Context,
     named: &State,
     before: &State,
     tracking: &Tracking,
 ) -> Result<Model, GapError> {
-    let supported = penalised(context, before) < SUPPORTED * penalised(context, named);
-    let of_search = if supported { before } else { named };
-    if let Some(built) = &tracking.built {
-        let angles = Angles::of(context, &context.fit.data);
-        let off = angles
-            .residuals(std::slice::from_ref(&of_search.terms))?
-            .swap_remove(0);
-        let own: Vec<f64> = (0..off.len())
-            .filter(|&a| angles.measured(a))
-            .map(|a| mean_abs(&off[a]))
-            .collect();
-        let mean_rad = own.iter().sum::<f64>() / own.len().max(1) as f64;
-        // a few causes that explain the runs are carried as they are, unless a standard model does better
-        let better = |m: &super::tracking::Model| m.cross_rad < mean_rad;
-        let wanted = gates::worst(context, of_search) >= NOTHING_LEFT
-            || tracking.standard.iter().any(better);
-        if wanted && built.cross_rad < BUILT * mean_rad {
-            let mut variant = built.joints.variant();
-            // what angles do not show they have nothing to say of
-            let unseen =
-                |t: &&Term| t.effect.layer == Layer::Sensing && !t.effect.id.starts_with("encoder");
-            variant.extend(of_search.terms.iter().filter(unseen).cloned());
-            let shared: usize = built.joints.shared.iter().map(|t| t.values.len()).sum();
-            let mut deviations = vec![0.0; shared];
-            deviations.extend(built.deviations.iter().flatten());
-            return Ok(Model {
-                state: context.states(&[variant])?.swap_remove(0),
-                deviations,
-            });
-        }
+    let of_search = supported(context, named, before)?;
+    let Some(built) = &tracking.built else {
+        return Ok(of_search);
+    };
+    let angles = Angles::of(context, &context.fit.data);
+    let off = angles
+        .residuals(std::slice::from_ref(&of_search.state.terms))?
+        .swap_remove(0);
+    let own: Vec<f64> = (0..off.len())
+        .filter(|&a| angles.measured(a))
+        .map(|a| mean_abs(&off[a]))
+        .collect();
+    let mean_rad = own.iter().sum::<f64>() / own.len().max(1) as f64;
+    // a few causes that explain the runs are carried as they are, unless a standard model does better
+    let better = |m: &tracking::Model| m.cross_rad < mean_rad;
+    let wanted = gates::worst(context, &of_search.state) >= NOTHING_LEFT
+        || tracking.standard.iter().any(better);
+    if !wanted || built.cross_rad >= BUILT * mean_rad {
+        return Ok(of_search);
     }
+    // what has a name stays, and what angles do not show they have nothing to say of
+    let unseen = |t: &Term| t.effect.layer == Layer::Sensing && !t.effect.id.starts_with("encoder");
+    let own = of_search.state.terms.iter();
+    let (shown, rest): (Vec<&Term>, Vec<&Term>) = own.partition(|t| !unseen(t));
+    let around = |shown: &[&Term]| {
+        let named = shown.iter().filter(|t| is_among(t, &named.terms));
+        built.around(
+            context,
+            &angles,
+            named.chain(&rest).map(|t| (*t).clone()).collect(),
+        )
+    };
+    let mut model = around(&shown)?;
+    if model.cross_rad * BUILT >= built.cross_rad {
+        // angles contradict the names: the model does without, and the summary says so
+        model = around(&[])?;
+    }
+    let built = model;
+    let whole = built.joints.fixed.iter().chain(&built.joints.shared);
+    let mut deviations = vec![0.0; whole.map(|t| t.values.len()).sum()];
+    deviations.extend(built.deviations.iter().flatten());
     Ok(Model {
-        deviations: match supported {
-            true => deviations(context, before)?,
-            false => Vec::new(),
-        },
-        state: of_search.clone(),
+        state: single(context, built.joints.variant())?,
+        deviations,
     })
 }
 
-/// The last gate: what is no nearer to held-out runs than the robot as given is not carried. Causes are left out
+/// The model that causes were `named` in, or, if that leaves much more, what was found `before` with it.
+fn supported(context: &Context, named: &State, before: &State) -> Result<Model, GapError> {
+    let much = |state: &State| penalised(context, state) < SUPPORTED * penalised(context, named);
+    let mut state = before.clone();
+    if much(&state) && !named.terms.iter().all(|t| is_among(t, &before.terms)) {
+        let others = (before.terms.iter()).filter(|t| !is_among(t, &named.terms));
+        let together = named.terms.iter().chain(others).cloned().collect();
+        let fitted = refine(context, &context.fit, vec![together], None, None)?;
+        state = single(context, fitted.into_iter().flat_map(|f| f.0).collect())?;
+    }
+    Ok(match much(&state) {
+        true => Model {
+            deviations: deviations(context, &state)?,
+            state,
+        },
+        false => Model {
+            state: named.clone(),
+            deviations: Vec::new(),
+        },
+    })
+}
+
+/// Whether `terms` have this effect at this place.
+fn is_among(term: &Term, terms: &[Term]) -> bool {
+    terms
+        .iter()
+        .any(|t| t.effect == term.effect && t.place == term.place)
+}
+
+/// The last gate: what is no nearer to held-out runs than the robot as given is not named. Causes are left out
 /// until what remains is, the one whose gain is least sure on the fitted runs first: held-out runs say how many of
-/// them there are, and not which. Naming what remains ends when `go_on` says so, and nothing is carried then.
+/// them there are, and not which. Naming what remains ends when `go_on` says so, and nothing is named then.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
@@ -96,15 +152,14 @@ pub fn refuse(
     go_on: &GoOn,
     found: &mut Found,
     named: &mut Vec<Named>,
-    carried: &mut Model,
 ) -> Result<(), GapError> {
     let mut refused: BTreeSet<Vec<String>> = BTreeSet::new();
     loop {
         let terms = found.best.terms.clone();
         let Found { base, best, .. } = &mut *found;
-        context.judge_held_out(&terms, &mut [base, best, &mut carried.state])?;
+        context.judge_held_out(&terms, &mut [base, best])?;
         if nearer(context, base, best) {
-            break;
+            return Ok(());
         }
         refused.insert(best.key());
         if refused.len() == 1 {
@@ -127,13 +182,6 @@ pub fn refuse(
         found.best = found.base.clone();
         named.clear();
     }
-    if !nearer(context, &found.base, &carried.state) {
-        *carried = Model {
-            state: found.best.clone(),
-            deviations: Vec::new(),
-        };
-    }
-    Ok(())
 }
 
 /// Names what is left of the model. Whether there was time for it.
@@ -192,9 +240,16 @@ impl Model {
             .map(|term| {
                 let own = first..first + term.values.len();
                 first = own.end;
-                match cause_of(term, causes) {
-                    Some(cause) if self.deviations.is_empty() => super::extend::entry(cause),
-                    cause => unnamed(context, term, self.deviations.get(own), cause),
+                let same = |c: &&Cause| {
+                    let names = term.effect.parameters.iter().zip(&term.values);
+                    names
+                        .into_iter()
+                        .all(|(p, v)| c.parameters[p.name].value == *v)
+                };
+                let cause = cause_of(term, causes);
+                match cause.filter(same) {
+                    Some(cause) => super::extend::entry(cause),
+                    None => unnamed(context, term, self.deviations.get(own), cause),
                 }
             })
             .collect()

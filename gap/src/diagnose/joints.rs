@@ -35,6 +35,8 @@ pub struct Joints {
     pub own: Vec<Variant>,
     /// Terms of the whole robot.
     pub shared: Variant,
+    /// Terms that stay as they are.
+    pub fixed: Variant,
 }
 
 impl Joints {
@@ -43,18 +45,15 @@ impl Joints {
     pub fn as_given(joints: usize) -> Self {
         Self {
             own: vec![Vec::new(); joints],
-            shared: Vec::new(),
+            ..Self::default()
         }
     }
 
     /// As a candidate. Terms at different joints do not meet, so that their order says nothing.
     #[must_use]
     pub fn variant(&self) -> Variant {
-        self.shared
-            .iter()
-            .chain(self.own.iter().flatten())
-            .cloned()
-            .collect()
+        let first = self.fixed.iter().chain(&self.shared);
+        first.chain(self.own.iter().flatten()).cloned().collect()
     }
 
     fn slots(&self) -> usize {
@@ -292,7 +291,7 @@ impl<'a> Angles<'a> {
                 let fell = |(was, is): (&f64, &f64)| (was - is) / was.max(1e-12) < SETTLED;
                 b.iter().zip(&costs).all(fell)
             });
-            if settled || values(&model.variant()) == 0 {
+            if settled || values(&model.variant()) == values(&model.fixed) {
                 break;
             }
             self.step(model, &linear, &scales, &mut damping)?;

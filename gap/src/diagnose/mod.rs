@@ -82,7 +82,7 @@ pub fn diagnose(
     if request.runs.is_empty() {
         return Err(GapError::NoRuns);
     }
-    let runs = uses(request);
+    let mut runs = uses(request);
     if request.data_faults.iter().any(|f| f.fatal) {
         return Ok(verdict::data_fault(request, &model, runs));
     }
@@ -93,7 +93,6 @@ pub fn diagnose(
         .collect::<Result<Vec<_>, _>>()?;
     repeats::group(&mut trials);
     let split = hold_out(&mut trials);
-    let mut runs = runs;
     for (run, trial) in runs.iter_mut().zip(&trials) {
         run.role = role_name(trial.role).to_owned();
     }
@@ -117,12 +116,12 @@ pub fn diagnose(
         search::settle(&mut context, &mut found)?;
         naming::name_untried(&context, &found.best, &mut named)?;
     }
-    let mut carried = carried::choose(&context, &found.best, &found.supported, &tracking)?;
     // held-out runs, for the first time; naming once more has what time is left
-    let end = (request.options.budget_s)
-        .map(|budget_s| began + Duration::from_secs_f64(budget_s.max(0.0)));
+    let budget = request.options.budget_s.map(|s| s.max(0.0));
+    let end = budget.map(|s| began + Duration::from_secs_f64(s));
     let go_on = request.options.go_on.until(end);
-    carried::refuse(&mut context, &go_on, &mut found, &mut named, &mut carried)?;
+    carried::refuse(&mut context, &go_on, &mut found, &mut named)?;
+    let carried = carried::choose(&mut context, &mut found, &tracking)?;
     if let Some(losses) = &context.losses {
         // what was wrong before is said of the robot as its file says
         found.base = context.lossless(losses)?;
@@ -318,8 +317,8 @@ fn context(
         None => replayer,
     };
     let excitation = Excitation::of(model, &fit_trials.iter().collect::<Vec<_>>());
-    let fit = judge::Judge::new(&replayer, Data::new(model, fit_trials, options), options)?;
-    let holdout = judge::Judge::new(&replayer, Data::new(model, held_out, options), options)?;
+    let judged = |trials| judge::Judge::new(&replayer, Data::new(model, trials, options), options);
+    let [fit, holdout] = [judged(fit_trials)?, judged(held_out)?];
     let scout = scout::Scout::new(&replayer, &fit, options)?;
     Ok(state::Context {
         replayer,

@@ -18,12 +18,17 @@ use crate::report::Cause;
 
 /// Rivals that are fitted per cause, besides the declared look-alikes.
 const RIVALS: usize = 8;
-/// A rival within this share of the cause's own gain belongs to the answer set …
-const MARGIN: f64 = 0.06;
-/// … if its misfit is not higher by more than this share of the best's, …
-const MARGIN_OF_REST: f64 = 0.25;
-/// … and this many floors.
-const MARGIN_FLOORS: f64 = 0.06;
+/// A misfit is a mean of so many squares that a law of nature, which no model has, makes independent of each
+/// other: of two models the likelihoods differ by the ratio of their misfits to the power of half of that. (The
+/// samples are far more, and their errors are not independent: by their number the better of two wrong laws is
+/// always certain.)
+const ERRORS_OF_LAW: f64 = 13.0;
+/// What the right model leaves as well, floors.
+const RIGHT_LEAVES: f64 = 0.24;
+/// A rival with this likelihood, that of the cause being 1, belongs to the answer set.
+const AS_LIKELY: f64 = 0.19;
+/// A rival that fails to explain this share of what the cause does explains something else that is left.
+const STANDS_IN: f64 = 0.5;
 /// A rival that fails to explain this share of what the cause does is none, even if what it does could as well be
 /// done by other sizes of the model's effects ([`trades`]).
 const TRADES_AT_MOST: f64 = 0.03;
@@ -44,8 +49,6 @@ const MORE_TOGETHER_CROSS: f64 = 0.2;
 const FAR_MORE: f64 = 2.0;
 /// After so many steps causes are dropped only.
 const MOST_STEPS: usize = 2 * MOST_TERMS;
-/// Temperature of the probabilities, as a share of the margin.
-const TEMPERATURE: f64 = 0.6;
 
 /// A rival of a cause.
 pub struct Rival {
@@ -59,8 +62,6 @@ pub struct Rival {
     pub probability: f64,
     /// Whether it belongs to the answer set.
     pub in_set: bool,
-    /// Whether it does so because its size trades with those of the model ([`trades`]).
-    traded: bool,
 }
 
 /// A cause with its rivals.
@@ -337,32 +338,31 @@ fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, Ga
             index,
             probability: 0.0,
             in_set: false,
-            traded: false,
         })
         .collect();
     rivals.sort_by(|a, b| a.short.total_cmp(&b.short));
-    // what is left at the joints that it concerns, as a part of the whole
+    // the misfit is a mean over all joints: where one of many is concerned, the others' say nothing
     let joints = context.replayer.model().actuated().len().max(1);
     let concerned = match term.place.domain {
         Domain::Joints => term.place.items.len().clamp(1, joints) as f64 / joints as f64,
         _ => 1.0,
     };
-    let rest = (MARGIN_OF_REST * penalised(context, best) + MARGIN_FLOORS) * concerned;
-    let margin = MARGIN.min(rest / gain.max(1e-9));
-    // places of one effect are one name
-    let weight = |short: f64| (-short.max(-margin) / (TEMPERATURE * margin)).exp();
+    let own = penalised(context, best);
     for r in &mut rivals {
         let other = &r.state.terms[r.index];
-        let alike = r.short < margin;
-        let traded = || trades(context, best, other);
+        r.probability = match r.short < STANDS_IN {
+            true => likelihood(own, penalised(context, &r.state), concerned),
+            false => 0.0,
+        };
+        r.in_set = r.probability > AS_LIKELY;
         let special = wider(other.effect, term.effect) || wider(term.effect, other.effect);
         let may = r.short < TRADES_AT_MOST && other.effect != term.effect && !special;
-        r.traded = !alike && may && traded()?;
-        r.in_set = alike || r.traded;
-        // where sizes trade, the misfit does not tell them apart
-        r.probability = weight(if r.traded { 0.0 } else { r.short });
+        if !r.in_set && may && trades(context, best, other)? {
+            // where sizes trade, the misfit does not tell them apart
+            (r.in_set, r.probability) = (true, 1.0);
+        }
     }
-    let total = weight(0.0) + rivals.iter().map(|r| r.probability).sum::<f64>();
+    let total = 1.0 + rivals.iter().map(|r| r.probability).sum::<f64>();
     for r in &mut rivals {
         r.probability /= total;
     }
@@ -370,10 +370,19 @@ fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, Ga
         index,
         worth: gates::worth(context, &without, best, Some(&term.place)),
         without,
-        probability: weight(0.0) / total,
+        probability: 1.0 / total,
         rivals,
         untried: Vec::new(),
     })
+}
+
+/// Likelihood of a model that leaves `rival` floors, where one that leaves `own` has 1 and they differ at the share
+/// `concerned` of the joints.
+fn likelihood(own: f64, rival: f64, concerned: f64) -> f64 {
+    let ratio = (own + RIGHT_LEAVES) / (rival + RIGHT_LEAVES);
+    ratio
+        .powf(0.5 * ERRORS_OF_LAW / concerned)
+        .min(1.0 / AS_LIKELY)
 }
 
 /// Declared look-alikes at their best place, and whatever screening likes.
@@ -415,6 +424,19 @@ fn rivals<'a>(term: &crate::replay::Term, screened: &'a [Screened]) -> Vec<&'a S
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_a_model_leaves_is_the_measure_of_what_tells_it_from_another() {
+        // a tenth of a floor between them: of what a careful lab leaves it decides little, and much less of more
+        let (little, more) = (likelihood(0.24, 0.34, 1.0), likelihood(1.0, 1.1, 1.0));
+        assert!(little > AS_LIKELY && little < 0.5, "{little}");
+        assert!(more > little && more < 1.0, "{more}");
+        // as good is as likely, and several floors are certain
+        assert_eq!(likelihood(0.5, 0.5, 1.0), 1.0);
+        assert!(likelihood(0.5, 4.0, 1.0) < 1e-4);
+        // of one joint in four the mean over all shows a quarter
+        assert!((likelihood(0.24, 0.265, 0.25) - little).abs() < 0.1);
+    }
 
     /// Takes `cross` of 1 off in cross-validation and `fit` of 1 off the runs as they are fitted.
     fn worth(cross: f64, fit: f64) -> Worth {

@@ -19,7 +19,8 @@ const GAINS_TOLERANCE: f64 = 0.01;
 /// Supply by this share.
 const SUPPLY_TOLERANCE: f64 = 0.015;
 /// When within its loop a servo reads its current, and over how long: s. Between two commands the torque falls
-/// as the joint follows, so that this is a current in proportion to the speed.
+/// as the joint follows, so that this is a current in proportion to the speed. Its speed is the difference of
+/// angles over some periods of the loop, and as late.
 const READING_TOLERANCE_S: f64 = 0.002;
 /// Ground friction by this share.
 const GROUND_TOLERANCE: f64 = 0.1;
@@ -130,6 +131,7 @@ fn of_joints(replayer: &Replayer, base: &[Term]) -> Vec<Row> {
         ("servo_loop_delay", 0, 6.0 * LOOP_TOLERANCE_S, 6.0, true),
         ("armature", 0, ROTOR_TOLERANCE * rotor_kgm2, 1.0, true),
         ("current_lag", 0, READING_TOLERANCE_S, 1.0, true),
+        ("velocity_lag", 0, READING_TOLERANCE_S, 1.0, true),
     ]);
     rows
 }

@@ -4,12 +4,15 @@ use std::collections::BTreeMap;
 
 use nalgebra::DMatrix;
 
+use super::alike::wider;
+use super::naming::Named;
 use super::product::{gram, stiffen};
 use super::state::{Context, Derivatives, State};
+use super::words::rounded;
 use crate::error::GapError;
 use crate::plots::Correlation;
 use crate::replay::Term;
-use crate::report::Parameter;
+use crate::report::{Cause, Parameter};
 
 /// Half an interval is at least this part of the smallest change that matters: labs differ by more than the
 /// noise of one session …
@@ -179,6 +182,44 @@ pub fn beside(
             (known * grows).max((together[(i, i)] - alone[(i, i)]) * steps[i] * steps[i])
         })
         .collect())
+}
+
+/// A size is known no better than the names beside it: the intervals of `cause`, which is the term `own` of
+/// `best`, hold what it would be with another of its answer set in the place of each other cause.
+pub fn widen(cause: &mut Cause, own: &Term, best: &State, causes: &[&Named]) {
+    let rivals = causes
+        .iter()
+        .flat_map(|n| n.rivals.iter().map(move |r| (n, r)));
+    for (named, rival) in rivals.filter(|(_, r)| r.in_set) {
+        let (instead, of) = (&rival.state.terms[rival.index], &best.terms[named.index]);
+        let same = |t: &&Term| t.effect == own.effect && t.place == own.place;
+        let other = rival.state.terms.iter().find(same);
+        let Some(other) = other.filter(|_| of != own && !wider(of.effect, instead.effect)) else {
+            continue;
+        };
+        for (spec, &value) in own.effect.parameters.iter().zip(&other.values) {
+            let Some(p) = cause.parameters.get_mut(spec.name) else {
+                continue;
+            };
+            if (p.ci_low..=p.ci_high).contains(&value) {
+                continue;
+            }
+            let instead = instead.place.label(instead.effect.id);
+            let of = of.place.label(of.effect.id);
+            let unit = format!(" {}", spec.unit);
+            cause.evidence.push(format!(
+                "with {instead} instead of {of} its {} would be {}{}",
+                spec.name,
+                rounded(value),
+                unit.trim_end()
+            ));
+            let moved = value - p.value;
+            (p.ci_low, p.ci_high) = (
+                p.ci_low.min(p.ci_low + moved),
+                p.ci_high.max(p.ci_high + moved),
+            );
+        }
+    }
 }
 
 /// Correlation of all fitted parameters.

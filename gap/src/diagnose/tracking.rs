@@ -13,7 +13,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use caudata_runlog::BaseHold;
 
-use super::doubt::sizes;
+use super::alike::look_alike;
+use super::doubt::{meet, sizes};
 use super::joints::{Angles, Joints, mean_abs, place_of, scale, weights};
 use super::product::dot;
 use super::request::{Progress, Stage};
@@ -87,6 +88,38 @@ pub struct Model {
     pub cross_rad: f64,
     /// Standard deviations of the parameters of each joint, SI. `[A][P]`
     pub deviations: Vec<Vec<f64>>,
+}
+
+impl Model {
+    /// The same around the terms `fixed`, which stay as they are, fitted again: without what they say, and from
+    /// nothing of what looks like them.
+    ///
+    /// # Errors
+    /// As [`crate::replay::Replayer::predict`].
+    pub fn around(
+        &self,
+        context: &Context,
+        angles: &Angles<'_>,
+        fixed: Variant,
+    ) -> Result<Self, GapError> {
+        if fixed.is_empty() {
+            return Ok(self.clone());
+        }
+        let said = |t: &Term, how: fn(&Effect, &Effect) -> bool| {
+            let mut here = fixed.iter().filter(|f| meet(&f.place, &t.place));
+            here.any(|f| how(f.effect, t.effect))
+        };
+        let mut joints = self.joints.clone();
+        for terms in joints.own.iter_mut().chain([&mut joints.shared]) {
+            terms.retain(|t| !said(t, |f, own| f == own));
+            for t in terms.iter_mut().filter(|t| said(t, look_alike)) {
+                t.values = t.effect.neutral(context.replayer.model(), &t.place);
+            }
+        }
+        joints.fixed = fixed;
+        angles.fit(&mut joints, ROUNDS)?;
+        judged(angles, &self.name, joints)
+    }
 }
 
 /// What was fitted to angles. Grows as it goes: where time ends, what is there is there.

@@ -15,7 +15,7 @@ use super::local::local_gaps;
 use super::naming::{self, Named};
 use super::request::{Diagnosis, Request, Split};
 use super::search::Found;
-use super::spread::{Spread, beside, correlation, parameters, spread};
+use super::spread::{Spread, beside, correlation, parameters, spread, widen};
 use super::state::{Context, On, State};
 use super::synonyms::find_synonyms;
 use super::tracking::Tracking;
@@ -114,44 +114,6 @@ fn told_of<'a>(context: &Context, found: &'a Found, named: &[Named]) -> Result<T
     })
 }
 
-/// A size is known no better than the names beside it: the intervals of `cause`, which is the term `own` of
-/// `best`, hold what it would be with another of its answer set in the place of each other cause.
-fn widen(cause: &mut Cause, own: &Term, best: &State, causes: &[&Named]) {
-    let rivals = causes
-        .iter()
-        .flat_map(|n| n.rivals.iter().map(move |r| (n, r)));
-    for (named, rival) in rivals.filter(|(_, r)| r.in_set) {
-        let (instead, of) = (&rival.state.terms[rival.index], &best.terms[named.index]);
-        let same = |t: &&Term| t.effect == own.effect && t.place == own.place;
-        let other = rival.state.terms.iter().find(same);
-        let Some(other) = other.filter(|_| of != own && !wider(of.effect, instead.effect)) else {
-            continue;
-        };
-        for (spec, &value) in own.effect.parameters.iter().zip(&other.values) {
-            let Some(p) = cause.parameters.get_mut(spec.name) else {
-                continue;
-            };
-            if (p.ci_low..=p.ci_high).contains(&value) {
-                continue;
-            }
-            let instead = instead.place.label(instead.effect.id);
-            let of = of.place.label(of.effect.id);
-            let unit = format!(" {}", spec.unit);
-            cause.evidence.push(format!(
-                "with {instead} instead of {of} its {} would be {}{}",
-                spec.name,
-                words::rounded(value),
-                unit.trim_end()
-            ));
-            let moved = value - p.value;
-            (p.ci_low, p.ci_high) = (
-                p.ci_low.min(p.ci_low + moved),
-                p.ci_high.max(p.ci_high + moved),
-            );
-        }
-    }
-}
-
 /// Draws the conclusion.
 pub fn conclude(
     request: &Request,
@@ -180,15 +142,16 @@ pub fn conclude(
     let local = local_gaps(context, &model.fit, &model.holdout);
     let verdict = verdict(context, found, &causes, &doubts, split, &local);
     if verdict == Verdict::Ambiguous && !evidence.unfinished {
-        find_synonyms(context, &mut causes, best, named)?;
+        count_synonyms(context, &mut causes, best, named)?;
     }
     let told = (&causes[..], &leads[..]);
     let told = summary(context, verdict, told, &doubts, &unexplained, split, found);
     let errors = evidence.tracking.errors(context, &model.terms)?;
     let listed = carried.listed(&entries);
     let first = words::first(verdict, &carried.state, &errors, evidence.unfinished);
-    let last = words::assumed(verdict, &request.data_faults) + &words::last(&listed, &local);
-    let summary = [first, told, last].concat();
+    let assumed = words::assumed(verdict, &request.data_faults);
+    let last = words::last(&causes, &extension.effect, &listed, &local);
+    let summary = [first, told, assumed, last].concat();
     let in_part = matches!(verdict, Verdict::PartlyExplained | Verdict::Unexplained);
     unexplained.retain(|_| in_part);
     let mut plots = pictures::plots(context, found, model, named);
@@ -295,7 +258,8 @@ struct Weighed<'a> {
     open: Vec<&'a Term>,
 }
 
-fn weigh<'a>(best: &State, named: &'a Named) -> Weighed<'a> {
+/// What the rivals of the cause in `named` come to, of which `synonyms` are one robot with it.
+fn weigh<'a>(best: &State, named: &'a Named, synonyms: &[String]) -> Weighed<'a> {
     let term = &best.terms[named.index];
     let mut out = Weighed {
         same_name: named.probability,
@@ -326,7 +290,7 @@ fn weigh<'a>(best: &State, named: &'a Named) -> Weighed<'a> {
             // two names for the very same motions are one hypothesis, as far as these runs go, if they are of
             // one kind: a delay is a delay, and less torque is no more weight
             let same = indistinguishable(best, &rival.state);
-            if same && other.effect.layer == term.effect.layer {
+            if (same && other.effect.layer == term.effect.layer) || synonyms.contains(&id) {
                 out.same_name += rival.probability;
             }
             if !out.alternatives.contains(&id) {
@@ -360,25 +324,19 @@ fn cause(
     doubts: &Doubts<'_>,
 ) -> Result<Cause, GapError> {
     let term = &best.terms[named.index];
-    let weighed = weigh(best, named);
+    let weighed = weigh(best, named, &[]);
     let wider = match weighed.open.is_empty() {
         true => Vec::new(),
         false => beside(context, best, named.index, &weighed.open, spread)?,
     };
     let parameters = parameters(context, best, named.index, spread, &wider);
     let grounds = grounds(context, named, term, weighed.same_name, &parameters, doubts);
-    // the map is of names whose look-alikes were tried
-    let most = if named.untried.is_empty() {
-        1.0
-    } else {
-        weighed.same_name
-    };
     Ok(Cause {
         effect: term.effect.id.to_owned(),
         layer: term.effect.layer.name().to_owned(),
         location: term.place.names.clone(),
         parameters,
-        confidence: context.calibration.confidence(&grounds).min(most),
+        confidence: confidence(context, &grounds, &weighed),
         alternatives: weighed.alternatives,
         synonyms: Vec::new(),
         elsewhere: weighed.elsewhere,
@@ -387,6 +345,29 @@ fn cause(
         assumed: (term.effect).assumed(context.replayer.model(), &term.place),
         grounds,
     })
+}
+
+/// Finds what is one robot with each of `causes`, which counts for its name.
+fn count_synonyms(
+    context: &Context,
+    causes: &mut [Cause],
+    best: &State,
+    named: &[Named],
+) -> Result<(), GapError> {
+    find_synonyms(context, causes, best, named)?;
+    for cause in causes {
+        if let Some(own) = named.iter().find(|n| n.is(best, cause)) {
+            let weighed = weigh(best, own, &cause.synonyms);
+            cause.confidence = confidence(context, &cause.grounds, &weighed);
+        }
+    }
+    Ok(())
+}
+
+/// Confidence in a name: no more than its share among those that say the same.
+fn confidence(context: &Context, grounds: &Grounds, weighed: &Weighed<'_>) -> f64 {
+    let told = context.calibration.confidence(grounds);
+    told.min(weighed.same_name)
 }
 
 /// What the confidence in a name of `term`, of probability `among` among its look-alikes, rests on.

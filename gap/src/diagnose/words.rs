@@ -8,6 +8,7 @@ use super::request::Split;
 use super::search::Found;
 use super::state::{Context, State};
 use crate::check::ASSUMED;
+use crate::extension::ExtensionEffect;
 use crate::replay::Term;
 use crate::report::{
     Carried, Cause, DataFault, DoubtKind, LocalGap, PositionError, Unexplained, Verdict,
@@ -172,9 +173,15 @@ pub fn assumed(verdict: Verdict, faults: &[DataFault]) -> String {
     told.concat()
 }
 
-/// What comes last: effects that are in the model without a name, and stretches that are far off.
-pub fn last(model: &[Carried], local: &[LocalGap]) -> String {
-    let mut text = String::new();
+/// What comes last: `causes` that are not in the model, which is of these `effects`; effects that are in it without
+/// a name, and stretches that are far off.
+pub fn last(
+    causes: &[Cause],
+    effects: &[ExtensionEffect],
+    model: &[Carried],
+    local: &[LocalGap],
+) -> String {
+    let mut text = left_out(causes, effects);
     let unnamed = model.iter().filter(|c| !c.named).count();
     if unnamed > 0 {
         text.push_str(&format!(
@@ -188,6 +195,22 @@ pub fn last(model: &[Carried], local: &[LocalGap]) -> String {
         ));
     }
     text
+}
+
+/// Which of `causes` the extended file, which has `effects`, does without.
+fn left_out(causes: &[Cause], effects: &[ExtensionEffect]) -> String {
+    let out = |cause: &&Cause| {
+        let same = |e: &ExtensionEffect| e.id == cause.effect && e.location == cause.location;
+        !effects.iter().any(same)
+    };
+    let without: Vec<Cause> = causes.iter().filter(out).cloned().collect();
+    match without.is_empty() {
+        true => String::new(),
+        false => format!(
+            " The extended model does without {}: angles of the runs that were fitted are nearer to it.",
+            names(&without)
+        ),
+    }
 }
 
 /// To two digits.

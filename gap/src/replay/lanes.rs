@@ -1,7 +1,7 @@
 //! One engine full of jobs: reset, step, record.
 
 use caudata_sim::batch::{BatchEngine, Readout};
-use caudata_sim::{Engine, InitialState};
+use caudata_sim::{Engine, InitialState, MAX_LOOP_DELAY_S};
 
 use super::commands::{Reader, Readers, true_angle};
 use super::cuts::replay_span;
@@ -12,9 +12,10 @@ use crate::error::GapError;
 use crate::plant::Plant;
 use crate::trial::{Trial, attitude_of};
 
-/// How long a command waits in any servo, s: half a period of a firmware loop of about 1 kHz and its bridge.
-/// The simulated loop acts at once; without this every faultless servo shows 0.5 to 0.8 ms of delay.
-const SERVO_TICK_S: f64 = 0.0006;
+/// Period of a servo's loop, s: 1 ms in the firmware of hobby servos, a tenth of it in drives with a current loop.
+/// A command waits for half of it on average, and the torque of a tick is held until the next, which makes the
+/// loop late by another half.
+const FIRMWARE_TICK_S: f64 = 0.0005;
 
 /// How long a held robot stands at its first commands before a recording begins, where a loop has an integral
 /// part, s: nobody begins to record in the moment of switching on, and what has been integrated by then no
@@ -46,7 +47,8 @@ impl<'a> Lane<'a> {
             false => 0,
         };
         let from_s = own.start_s - stand as f64 * period_s;
-        let window_s = (from_s, from_s + (stand + periods) as f64 * period_s);
+        let to_s = from_s + (stand + periods) as f64 * period_s;
+        let window_s = (from_s - 0.5 * period_s, to_s);
         let again = own.again.as_ref().map(|(at_s, measured)| {
             let after = ((at_s - own.start_s) / period_s).round() as usize;
             (after, measured)
@@ -76,7 +78,8 @@ impl<'a> Lane<'a> {
             self.sound &= correct(engine, lane, &self.plant, &own.start);
         }
         if k >= stand && k - stand < self.trace.rows() {
-            self.trace.record(engine.state(), lane, &self.plant.model);
+            let (state, model) = (engine.state(), &self.plant.model);
+            self.trace.record(state, lane, model, targets);
         }
         if let Some((_, measured)) = self.again.filter(|(after, _)| stand + after == k)
             && self.sound
@@ -84,7 +87,9 @@ impl<'a> Lane<'a> {
             self.sound &= correct(engine, lane, &self.plant, measured);
         }
         let from = own.start_s + (k as f64 - stand as f64) * period_s;
-        self.readers.means(from, from + period_s, targets);
+        // a step takes velocities from half a step before to half a step after the time of the positions
+        let half_s = 0.5 * period_s;
+        self.readers.means(from - half_s, from + half_s, targets);
         if self.switches.due(from) && self.sound {
             let params = self.switches.apply(&self.plant, from);
             self.sound &= engine.set_params(lane, &params).is_ok();
@@ -220,7 +225,7 @@ fn readers_of<'a>(trial: &'a Trial, plant: &Plant, window_s: (f64, f64)) -> Read
             let delay = plant.lane.command_delay_s + plant.lane.joints[a].command_skew_s;
             Reader::new(
                 steps,
-                SERVO_TICK_S + f64::from(delay),
+                0.5 * FIRMWARE_TICK_S + f64::from(delay),
                 plant.sensing.encoders[a],
                 &plant.lane.command_loss,
                 window_s,
@@ -303,6 +308,8 @@ impl Switches {
         params.command_loss = caudata_sim::CommandLoss::default();
         for joint in &mut params.joints {
             joint.command_skew_s = 0.0;
+            let late_s = joint.loop_delay_s + 0.5 * FIRMWARE_TICK_S as f32;
+            joint.loop_delay_s = late_s.min(MAX_LOOP_DELAY_S);
         }
         for (a, on) in self.on.iter().enumerate() {
             if !on {

@@ -36,6 +36,8 @@ pub(super) struct Trace {
     /// Which body signals are recorded.
     readout: Readout,
     feet: usize,
+    /// Command (rad) and torque (N·m) of each joint in the last step.
+    last: Vec<(f32, f32)>,
     /// `[rows, width]`: positions, velocities, torques, and then body signals: IMU, base, feet, as far as
     /// they are read out.
     values: Vec<f32>,
@@ -74,6 +76,7 @@ impl Trace {
             joints,
             readout,
             feet,
+            last: vec![(f32::NAN, 0.0); joints],
             values: Vec::new(),
         };
         trace.width = trace.foot_column() + 3 * feet;
@@ -100,14 +103,26 @@ impl Trace {
         self.base_column() + if self.readout.base { BASE } else { 0 }
     }
 
-    pub fn record(&mut self, state: &State, lane: usize, model: &RobotModel) {
+    /// Records `state`, to which the commands `targets_rad` led.
+    pub fn record(&mut self, state: &State, lane: usize, model: &RobotModel, targets_rad: &[f32]) {
         let row = |k: usize| k * lane..k * (lane + 1);
         let values = &mut self.values;
         for joints in [&state.joint_pos_rad, &state.joint_vel_radps] {
             let own = &joints[row(state.joints)];
             values.extend(model.actuated().iter().map(|&j| own[j]));
         }
-        values.extend_from_slice(&state.motor_torque_nm[row(self.joints)]);
+        // the torque is that of the positions before the step. While the command stays, it goes on as it went;
+        // what the next command does to it, nobody has read yet
+        let torques = &state.motor_torque_nm[row(self.joints)];
+        for (last, now) in self.last.iter_mut().zip(targets_rad.iter().zip(torques)) {
+            let goes_on = if last.0 == *now.0 {
+                now.1 - last.1
+            } else {
+                0.0
+            };
+            values.push(now.1 + goes_on);
+            *last = (*now.0, *now.1);
+        }
         if self.readout.imu {
             values.extend_from_slice(&state.imu_gyro_radps[row(3)]);
             values.extend_from_slice(&state.imu_acc_mps2[row(3)]);
@@ -119,6 +134,16 @@ impl Trace {
             values.extend_from_slice(&state.base_quat_wxyz[row(4)]);
         }
         values.extend_from_slice(&state.foot_pos_m[row(3 * state.feet)][..3 * self.feet]);
+    }
+
+    /// How much later than what it shows of `kind` a state is, s: velocities are those of half a step before,
+    /// and the IMU takes the difference of two of them.
+    fn recorded_late_s(&self, kind: Kind) -> f64 {
+        match kind {
+            Kind::Velocity | Kind::Gyro | Kind::BaseVelocity => -0.5 * self.period_s,
+            Kind::Acceleration => -self.period_s,
+            _ => 0.0,
+        }
     }
 
     fn last_row(&self) -> usize {
@@ -359,7 +384,7 @@ fn channel<'a>(seen: &mut Seen<'a>, piece: &Piece, times_s: &'a [f64], out: &mut
         Kind::Current => f64::from(sensing.current_delay_s[i]),
         _ => 0.0,
     };
-    let number = seen.stamps(times_s, late_s);
+    let number = seen.stamps(times_s, late_s + trace.recorded_late_s(piece.kind));
     let stamps = &seen.stamps[number];
     match piece.kind {
         Kind::Position => {

@@ -252,6 +252,7 @@ impl Replayer {
             substeps: 1,
             fixed_base: hold == 0,
             contact_hardness: self.contact_hardness,
+            centred: true,
             ..EngineConfig::default()
         };
         let mut ground = TerrainConfig::default();

@@ -53,6 +53,7 @@ fn record(kind: usize, repeat: u64, late: usize, change: &dyn Fn(&mut LaneParams
         substeps: 20,
         precision: Precision::Double,
         fixed_base: true,
+        centred: true,
         ..EngineConfig::default()
     };
     let terrain = Arc::new(Terrain::generate(&TerrainConfig::default(), 1).unwrap());

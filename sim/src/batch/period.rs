@@ -255,6 +255,7 @@ fn load_joints<R: Lanes>(
     let (q, qd) = (&x[lay.q()..lay.q() + n], &x[lay.qd()..lay.qd() + n]);
     let bristle = &x[lay.bristle()..lay.bristle() + n];
     let free = &x[lay.free()..lay.free() + n];
+    let qdd = &x[lay.qdd()..lay.qdd() + n];
     let step = &shared.step;
     let since = R::splat(shared.dt_s * f64::from(substep));
     let bus = Bus::at(x[Layout::BUS]);
@@ -286,6 +287,7 @@ fn load_joints<R: Lanes>(
                 command,
                 q[i],
                 qd[i],
+                qdd[i],
                 stop,
             );
             current += driven.current_a;

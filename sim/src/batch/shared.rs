@@ -45,7 +45,7 @@ impl<R: Lanes> Shared<R> {
             law: ContactLaw::new(config),
             dt_s: config.dt_s,
             substeps: config.substeps,
-            step: Step::new(config.dt_s),
+            step: Step::new(config.dt_s, config.centred),
             water_level_m,
             max_joint_speed: config.max_joint_speed_radps,
             max_base_speed: config.max_base_speed_mps,

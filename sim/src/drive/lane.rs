@@ -128,7 +128,7 @@ impl LaneDrive {
                 .map(DriveFeatures::of)
                 .fold(DriveFeatures::default(), DriveFeatures::or),
             loss: params.command_loss,
-            step: Step::new(dt_s),
+            step: Step::new(dt_s, false),
             supply: PerLane::splat(&Supply::new(params, dt_s)),
             servos: servos.iter().map(PerLane::splat).collect(),
             passive: JointPassive::all(model, params)
@@ -195,6 +195,7 @@ impl LaneDrive {
                         command,
                         at.pos,
                         at.vel,
+                        0.0,
                         stop,
                     );
                     current_a += driven.current_a;

@@ -21,15 +21,48 @@ pub struct Step<R> {
     pub dt_s: R,
     /// 1/dt.
     pub per_dt: R,
+    /// Whether what damps acts at the time of the positions, see [`EngineConfig::centred`].
+    ///
+    /// [`EngineConfig::centred`]: crate::EngineConfig::centred
+    pub centred: bool,
 }
 
 impl<R: Real> Step<R> {
     /// A step of `dt_s`.
-    pub fn new(dt_s: f64) -> Self {
+    pub fn new(dt_s: f64, centred: bool) -> Self {
         Self {
             dt_s: R::splat(dt_s),
             per_dt: R::splat(1.0 / dt_s),
+            centred,
         }
+    }
+
+    /// By how much a velocity is greater at the time of the positions, half a step on, with the last step's
+    /// acceleration.
+    #[inline(always)]
+    fn ahead_radps(&self, qdd_radps2: R) -> R {
+        if self.centred {
+            R::splat(0.5) * self.dt_s * qdd_radps2
+        } else {
+            R::zero()
+        }
+    }
+
+    /// `drag` with a damper, at the step's end or in its middle.
+    #[inline(always)]
+    fn damped(
+        &self,
+        mut drag: ImplicitTorque<R>,
+        damping_nms_per_rad: R,
+        qd_radps: R,
+    ) -> ImplicitTorque<R> {
+        let mut at_end = damping_nms_per_rad;
+        if self.centred {
+            at_end = R::splat(0.5) * damping_nms_per_rad;
+            drag.now_nm -= at_end * qd_radps;
+        }
+        drag.damping_nms_per_rad += at_end;
+        drag
     }
 }
 
@@ -101,6 +134,7 @@ pub fn start<R: Real>(
     command_rad: R,
     q_rad: R,
     qd_radps: R,
+    qdd_radps2: R,
     stop: StopAt<'_, R>,
 ) -> Driven<R> {
     let soft = R::splat(0.5).lt(p.gear_is_soft);
@@ -110,6 +144,7 @@ pub fn start<R: Real>(
         qd_radps
     };
     let target_rad = follow(f, p, m, step, command_rad);
+    let ahead_radps = step.ahead_radps(qdd_radps2);
     let motor_nm = motor(
         f,
         p,
@@ -118,19 +153,19 @@ pub fn start<R: Real>(
         step,
         bus,
         target_rad - q_rad,
-        qd_radps,
-        motor_radps,
+        qd_radps + ahead_radps,
+        motor_radps + ahead_radps,
     );
 
     let bound_nm = friction_bound(f, p, hinge, m, motor_radps);
-    let mut drag = friction::bristle_torque(
+    let drag = friction::bristle_torque(
         bound_nm,
         hinge.presliding_rad,
         motor_radps,
         m.bristle_rad,
         step.dt_s,
     );
-    drag.damping_nms_per_rad += hinge.damping_nms_per_rad;
+    let mut drag = step.damped(drag, hinge.damping_nms_per_rad, motor_radps);
     if f.ripple {
         let turns = (p.ripple_per_turn * q_rad + p.ripple_phase_rad) * R::splat(1.0 / TAU);
         let within = turns - (turns + R::splat(0.5)).floor();
@@ -218,15 +253,15 @@ pub fn hinge_torque<R: Real>(
     qd_radps: R,
     stop: StopAt<'_, R>,
 ) -> ImplicitTorque<R> {
-    let mut drag = friction::bristle_torque(
+    let drag = friction::bristle_torque(
         hinge.friction_nm,
         hinge.presliding_rad,
         qd_radps,
         bristle_rad,
         step.dt_s,
     );
-    drag.damping_nms_per_rad += hinge.damping_nms_per_rad;
-    drag.plus(passive::spring_and_stops(hinge, stop, q_rad, qd_radps))
+    step.damped(drag, hinge.damping_nms_per_rad, qd_radps)
+        .plus(passive::spring_and_stops(hinge, stop, q_rad, qd_radps))
 }
 
 /// The command after low-pass and profile, rad.

@@ -60,6 +60,9 @@ struct Rig {
     motor_nm: f64,
     stop: Stop,
     free: f64,
+    qdd: f64,
+    /// Whether dampers act at the time of the positions.
+    centred: bool,
 }
 
 impl Rig {
@@ -71,6 +74,8 @@ impl Rig {
             // the stop reckons with the load and the rotor
             stop: Stop::new(&Default::default(), 1.0 / (0.01 + servo.rotor_kgm2)),
             free: 0.0,
+            qdd: 0.0,
+            centred: false,
             servo,
             hinge,
             memory: JointMemory::rest(0.0, 0.0),
@@ -84,7 +89,7 @@ impl Rig {
     /// One step under a load torque; an engine's part is the implicit solution for q̇⁺.
     fn step(&mut self, command: f64, load: f64) {
         let f = DriveFeatures::of(&self.servo);
-        let dt = Step::new(DT);
+        let dt = Step::new(DT, self.centred);
         let bus = Bus::at(self.volt);
         let m = &mut self.memory;
         self.wanted.begin_step();
@@ -103,6 +108,7 @@ impl Rig {
             command,
             self.q,
             self.qd,
+            self.qdd,
             stop,
         );
         self.wanted.end_step();
@@ -124,7 +130,7 @@ impl Rig {
         let qdd = (qd - self.qd) / DT;
         self.free = passive::free_radps2(&self.hinge, stop, self.q, self.qd, DT * qd, qd, qdd);
         self.q += DT * qd;
-        self.qd = qd;
+        (self.qd, self.qdd) = (qd, qdd);
         self.motor_nm = d.motor_nm;
     }
 
@@ -133,6 +139,37 @@ impl Rig {
             self.step(command(k as f64 * DT), load);
         }
     }
+}
+
+/// Let go at 0.1 rad with kp 15, kd 0.3 and a damper of 0.1 N·m·s/rad on 0.0122 kg·m²: e^(−16.39·t)·(cos ω·t +
+/// 16.39/ω·sin ω·t) of it, ω² = 15/0.0122 − 16.39² = 30.99².
+#[test]
+fn swings_as_the_formula_says_with_dampers_at_the_time_of_the_positions() {
+    let sigma = 0.5 * 0.4 / 0.0122;
+    let omega = (15.0 / 0.0122 - sigma * sigma).sqrt();
+    let worst = |centred: bool| {
+        let damped = JointPassive {
+            damping_nms_per_rad: 0.1,
+            ..hinge()
+        };
+        let mut rig = Rig::new(servo(), damped);
+        rig.centred = centred;
+        rig.q = 0.1;
+        // at rest at t = 0: half a step before that it moved the other way
+        rig.qd = 0.5 * DT * 15.0 * 0.1 / 0.0122;
+        rig.qdd = -15.0 * 0.1 / 0.0122;
+        let mut worst = 0.0_f64;
+        for k in 1..=150 {
+            rig.step(0.0, 0.0);
+            let t = f64::from(k) * DT;
+            let swing = (omega * t).cos() + sigma / omega * (omega * t).sin();
+            worst = worst.max((rig.q - 0.1 * (-sigma * t).exp() * swing).abs());
+        }
+        worst
+    };
+    let (as_trained, centred) = (worst(false), worst(true));
+    assert!(as_trained > 2e-4, "{as_trained}");
+    assert!(centred < 2e-5, "{centred}");
 }
 
 #[test]
@@ -553,7 +590,7 @@ fn a_lane_that_does_not_need_a_stage_is_not_touched_by_it() {
         damping_nms_per_rad: 0.0064,
         ..hinge()
     });
-    let (dt, bus) = (Step::<f32>::new(DT), Bus::at(12.0_f32));
+    let (dt, bus) = (Step::<f32>::new(DT, false), Bus::at(12.0_f32));
     let stop = Stop::new(&Default::default(), 1.0 / 0.0122);
     let mut memories: [JointMemory<f32>; 2] = [PerLane::splat(&JointMemory::rest(0.0, 0.0)); 2];
     let mut at = [(0.0_f32, 0.0_f32); 2];
@@ -569,7 +606,20 @@ fn a_lane_that_does_not_need_a_stage_is_not_touched_by_it() {
                 law: &stop,
                 free_radps2: 0.0,
             };
-            let d = step::start(f, &p, &h, m, late.joint(0), &dt, &bus, command, q, qd, stop);
+            let d = step::start(
+                f,
+                &p,
+                &h,
+                m,
+                late.joint(0),
+                &dt,
+                &bus,
+                command,
+                q,
+                qd,
+                0.0,
+                stop,
+            );
             let t = d.torque;
             let next = (0.0122 * qd + dt.dt_s * t.now_nm)
                 / (0.0122 + dt.dt_s * (t.damping_nms_per_rad + dt.dt_s * t.stiffness_nm_per_rad));
