@@ -6,12 +6,11 @@ use std::collections::BTreeSet;
 use super::fits::{penalised, single};
 use super::gates::{self, Worth};
 use super::joints::{Angles, mean_abs};
-use super::levels::NOTHING_LEFT;
 use super::naming::{self, Named};
 use super::refine::refine;
 use super::search::{Found, MOST_TERMS};
 use super::state::{Context, State};
-use super::tracking::{self, Tracking};
+use super::tracking::Tracking;
 use crate::effects::Layer;
 use crate::error::GapError;
 use crate::extension::{ExtensionEffect, ExtensionParameter};
@@ -78,11 +77,7 @@ fn supported_most(
         .map(|a| mean_abs(&off[a]))
         .collect();
     let mean_rad = own.iter().sum::<f64>() / own.len().max(1) as f64;
-    // a few causes that explain the runs are carried as they are, unless a standard model does better
-    let better = |m: &tracking::Model| m.cross_rad < mean_rad;
-    let wanted = gates::worst(context, &of_search.state) >= NOTHING_LEFT
-        || tracking.standard.iter().any(better);
-    if !wanted || built.cross_rad >= BUILT * mean_rad {
+    if built.cross_rad >= BUILT * mean_rad {
         return Ok(of_search);
     }
     // what has a name stays, and what angles do not show they have nothing to say of
