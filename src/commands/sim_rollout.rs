@@ -108,8 +108,11 @@ pub fn run(args: &RolloutArgs, stop: &StopFlag) -> Result<(), Failure> {
         .or_exit_with(code, || format!("commands {}", args.commands.display()))?;
     check_out(&args.out, &args.commands)?;
     let mut commands = Commands::new(&table, &model)?;
-    commands.fit(config.engine.control_period_s())?;
-    let periods = periods(args, &commands, config.engine.control_period_s())?;
+    let row_s = config.engine.control_period_s();
+    commands.fit(row_s)?;
+    let rows = periods(args, &commands, row_s)?;
+    // what is told is of an instant, as a servo reads its current, and not the mean over a row
+    let steps = std::mem::replace(&mut config.engine.substeps, 1);
     let (seed, robot) = (config.run.seed, Arc::clone(&model));
     let mut engine = caudata_sim::build(robot, 1, &config.engine, &config.terrain, seed, 1)
         .or_exit(ExitCode::BadConfig)?;
@@ -119,9 +122,9 @@ pub fn run(args: &RolloutArgs, stop: &StopFlag) -> Result<(), Failure> {
         ..InitialState::nominal(&model)
     };
     engine.reset(0, &start).or_exit(ExitCode::BadConfig)?;
-    let rows = simulate(engine.as_mut(), &commands, periods, &args.out, stop)?;
+    let rows = simulate(engine.as_mut(), &commands, (rows, steps), &args.out, stop)?;
     let meta_path = args.out.with_extension("toml");
-    let meta = circumstances(args, &config, &params, engine.as_ref())
+    let meta = circumstances(args, &config, &params, engine.as_ref(), row_s)
         .to_toml()
         .or_exit(ExitCode::Internal)?;
     files::write(&meta_path, meta)?;
@@ -192,6 +195,7 @@ fn circumstances(
     config: &Config,
     params: &LaneParams,
     engine: &dyn Engine,
+    row_s: f64,
 ) -> LogMeta {
     let ground = caudata_sim::Terrain::generate(&config.terrain, args.seed);
     let wet = ground.is_ok_and(|t| t.water_level_m().is_some());
@@ -201,7 +205,7 @@ fn circumstances(
         Base::Free if wet => BaseHold::Water,
         Base::Free => BaseHold::Free,
     };
-    let rate_hz = 1.0 / engine.config().control_period_s();
+    let rate_hz = 1.0 / row_s;
     let mut meta = LogMeta::new(args.robot.display().to_string(), base, rate_hz);
     meta.terrain = config.terrain.kind.name().to_owned();
     meta.notes = "caudata sim rollout".to_owned();
@@ -352,7 +356,7 @@ impl Commands {
 fn simulate(
     engine: &mut dyn Engine,
     commands: &Commands,
-    periods: u64,
+    (periods, steps): (u64, u32),
     out: &Path,
     stop: &StopFlag,
 ) -> Result<u64, Failure> {
@@ -364,7 +368,7 @@ fn simulate(
     let signals = signals(engine.model());
     let mut table = TableWriter::new(BufWriter::new(file), &signals, 0.5)
         .or_exit_with(ExitCode::IoError, cannot_write)?;
-    let period_s = engine.config().control_period_s();
+    let period_s = engine.config().dt_s * f64::from(steps);
     let first = commands.time_s[0];
     let mut values = Vec::with_capacity(signals.len());
     for period in 0..=periods {
@@ -379,7 +383,10 @@ fn simulate(
         table
             .row(t_s, &values)
             .or_exit_with(ExitCode::IoError, cannot_write)?;
-        if period < periods {
+        if period == periods {
+            break;
+        }
+        for _ in 0..steps {
             engine
                 .step(command, &[0.0; 6])
                 .or_exit(ExitCode::Internal)?;

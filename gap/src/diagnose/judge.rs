@@ -27,10 +27,6 @@ use crate::trial::Kind;
 
 /// Mean square error of one channel in one run, in squared noises, that counts at most.
 const MOST_MISFIT: f64 = 80.0;
-/// With hinges that nobody drives, engines part by so many times (and not once) what halving the step
-/// changes: Rapier at 1 ms from the batch engine at 2 ms by 1.2 to 4.5 times on one day and 5.2 on another,
-/// in the spine of a salamander on a stand in which nothing is hidden. With 5 the second day is a gap.
-const ENGINES_APART: f32 = 7.0;
 /// Nobody has measured how hard the ground is: what one of a quarter of the file's time constant changes
 /// belongs to the floor.
 const HARDER_GROUND: f64 = 4.0;
@@ -74,22 +70,12 @@ impl Judge {
         if self.data.trials.iter().all(|t| t.base == BaseHold::Water) {
             return Ok(false);
         }
-        let model = replayer.model();
-        let apart = if model.joints().len() == model.actuated().len() {
-            1.0
-        } else {
-            ENGINES_APART
-        };
         let others = [
-            (BaseHold::Fixed, replayer.finer(), apart),
-            (
-                BaseHold::Free,
-                replayer.on_harder_ground(HARDER_GROUND),
-                1.0,
-            ),
+            (BaseHold::Fixed, replayer.of_first_order()),
+            (BaseHold::Free, replayer.on_harder_ground(HARDER_GROUND)),
         ];
         let as_given = replayer.predict(&self.data, &[Vec::new()])?.swap_remove(0);
-        for (base, other, times) in others {
+        for (base, other) in others {
             if self.data.trials.iter().all(|t| t.base != base) {
                 continue;
             }
@@ -102,7 +88,7 @@ impl Judge {
                 for piece in &segment.pieces {
                     let of = &off[piece.range.clone()];
                     let square = dot(of, of) / of.len().max(1) as f64;
-                    let grows = 1.0_f32.hypot(times * square.sqrt() as f32);
+                    let grows = 1.0_f32.hypot(square.sqrt() as f32);
                     for k in piece.range.clone() {
                         self.noise.grow(k, grows);
                     }

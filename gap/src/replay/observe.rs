@@ -30,6 +30,8 @@ pub(super) fn readout(trial: &Trial) -> Readout {
 pub(super) struct Trace {
     start_s: f64,
     period_s: f64,
+    /// How long before the time of the positions velocities are, s.
+    ahead_s: f64,
     rows: usize,
     width: usize,
     joints: usize,
@@ -61,6 +63,7 @@ impl Trace {
         start_s: f64,
         period_s: f64,
         periods: usize,
+        ahead_s: f64,
     ) -> Self {
         let joints = plant.model.actuated().len();
         let feet = if readout.feet {
@@ -71,6 +74,7 @@ impl Trace {
         let mut trace = Self {
             start_s,
             period_s,
+            ahead_s,
             rows: periods + 1,
             width: 0,
             joints,
@@ -136,12 +140,12 @@ impl Trace {
         values.extend_from_slice(&state.foot_pos_m[row(3 * state.feet)][..3 * self.feet]);
     }
 
-    /// How much later than what it shows of `kind` a state is, s: velocities are those of half a step before,
-    /// and the IMU takes the difference of two of them.
+    /// How much later than what it shows of `kind` a state is, s. The IMU takes the difference of two
+    /// velocities.
     fn recorded_late_s(&self, kind: Kind) -> f64 {
         match kind {
-            Kind::Velocity | Kind::Gyro | Kind::BaseVelocity => -0.5 * self.period_s,
-            Kind::Acceleration => -self.period_s,
+            Kind::Velocity | Kind::Gyro | Kind::BaseVelocity => -self.ahead_s,
+            Kind::Acceleration => -2.0 * self.ahead_s,
             _ => 0.0,
         }
     }
