@@ -46,8 +46,8 @@ class Browser:
 
     def __init__(self, program, width, height):
         self.home = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
-        command = [program, "--headless", "--no-sandbox", "--disable-dev-shm-usage", "--use-gl=angle",
-                   "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--remote-debugging-pipe",
+        command = [program, "--headless", "--no-sandbox", "--hide-scrollbars", "--disable-dev-shm-usage",
+                   "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--remote-debugging-pipe",
                    f"--window-size={width},{height}", f"--user-data-dir={self.home.name}", "about:blank"]
         shell = ["sh", "-c", 'exec "$@" 3<&0 4>&1 1>/dev/null 2>/dev/null', "sh", *command]
         self.process = subprocess.Popen(shell, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
