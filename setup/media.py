@@ -24,8 +24,9 @@ PATIENCE_S = 180
 # What `caudata sim show` is told, by file.
 DRAWN = {
     "walk.gif": "--policy policies/flat.onnx --view side --distance 1.7",
-    "walk-above.gif": "--policy policies/flat.onnx --view top --distance 1.9",
     "swim.gif": "--policy policies/amphibious.onnx --terrain shore --place 2.6,0 --distance 2",
+    "ashore.gif": "--policy policies/amphibious.onnx --terrain shore --place 2.6,0 --heading-deg 180 --distance 2"
+                  " --width 320 --fps 5 --seconds 7 --settle-s 6",
     "quadruped.gif": "--robot robots/quadruped.robot.toml --policy policies/quadruped.onnx --command 0.6,0,0"
                      " --view side --distance 1.6",
     "biped.gif": "--robot robots/biped.robot.toml --policy policies/biped.onnx --command 0.15,0,0 --view side"
@@ -46,8 +47,8 @@ class Browser:
 
     def __init__(self, program, width, height):
         self.home = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
-        command = [program, "--headless", "--no-sandbox", "--disable-dev-shm-usage", "--use-gl=angle",
-                   "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--remote-debugging-pipe",
+        command = [program, "--headless", "--no-sandbox", "--hide-scrollbars", "--disable-dev-shm-usage",
+                   "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--remote-debugging-pipe",
                    f"--window-size={width},{height}", f"--user-data-dir={self.home.name}", "about:blank"]
         shell = ["sh", "-c", 'exec "$@" 3<&0 4>&1 1>/dev/null 2>/dev/null', "sh", *command]
         self.process = subprocess.Popen(shell, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
@@ -94,7 +95,7 @@ class Browser:
 
 
 def draw(name, flags):
-    animated = ANIMATED.split() if name.endswith(".gif") else []
+    animated = ANIMATED.split() if name.endswith(".gif") and "--fps" not in flags else []
     caudata("sim", "show", "--out", MEDIA / name, *flags.split(), *animated)
 
 

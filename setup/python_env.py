@@ -9,7 +9,7 @@ import platform
 import shutil
 import subprocess
 import sys
-from typing import NamedTuple, Optional
+from typing import Any, NamedTuple, Optional
 
 import parts
 from common import cache_dir, pip_environment, say
@@ -114,9 +114,12 @@ def _install(wanted: Environment, building: str) -> None:
     else:
         site = _run(python, "-c", "import sysconfig; print(sysconfig.get_paths()['purelib'])").strip()
         where = ("--target", site)
+    # On a terminal pip shows how long the downloads will take.
+    shown = sys.stderr.isatty()
     _run(
-        *pip, *("install", "--quiet", "--disable-pip-version-check", "--no-deps", "--require-hashes"),
-        *("--only-binary=:all:", *where, "--requirement", wanted.requirements),
+        *pip, "install", *(() if shown else ("--quiet",)), "--disable-pip-version-check", "--no-deps",
+        *("--require-hashes", "--only-binary=:all:", *where, "--requirement", wanted.requirements),
+        stdout=sys.stderr if shown else subprocess.PIPE,
     )
     if not _imports(wanted, python):
         raise Unavailable("installed, but `%s` fails" % wanted.imports)
@@ -147,10 +150,10 @@ def _imports(wanted: Environment, python: str) -> bool:
     return done.returncode == 0
 
 
-def _run(*command: str) -> str:
-    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=pip_environment())
+def _run(*command: str, stdout: Any = subprocess.PIPE) -> str:
+    done = subprocess.run(command, stdout=stdout, stderr=subprocess.PIPE, env=pip_environment())
     if done.returncode != 0:
         lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
         errors = [line for line in lines if line.startswith("ERROR")] or lines[-1:] or ["no message"]
         raise Unavailable(errors[-1])
-    return done.stdout.decode("utf-8", "replace")
+    return (done.stdout or b"").decode("utf-8", "replace")

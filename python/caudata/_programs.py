@@ -109,8 +109,10 @@ def needs_libtorch(name: str, words: List[str]) -> bool:
     """Whether a command starts the learner."""
     if any(word in ("-h", "--help", "-V", "--version") for word in words):
         return False
-    commands = [word for word in words if not word.startswith("-")]
-    return name == "caudata-learner" or (name == "caudata" and commands[:1] in (["train"], ["up"], ["adapt"]))
+    command, *more = [word for word in words if not word.startswith("-")] or [""]
+    trains = command in ("train", "up", "adapt", "sweep", "explain")
+    trains |= command == "bench" and more[:1] in (["explain"], ["lag"], ["learner"], ["skill"], ["train"])
+    return name == "caudata-learner" or (name == "caudata" and trains)
 
 
 def _become(name: str) -> NoReturn:
@@ -144,3 +146,7 @@ def caudata_policy_server() -> NoReturn:
 
 def caudata_robot() -> NoReturn:
     _become("caudata-robot")
+
+
+def caudata_ros2() -> NoReturn:
+    _become("caudata-ros2")

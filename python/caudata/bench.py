@@ -1,8 +1,9 @@
 """``python -m caudata.bench``: environment steps per second on one thread, beside the same in Rust and beside others.
 
 All take three turns in one run, in rounds; the figure is that of the median round of the best turn, in processor time
-with all threads of the process (in Rust: in time), so that other work on the machine spoils little. A step of ours is one of 20 ms with contacts, servos, delays, noise and reward; a step of Ant is 50 ms of
-physics without a model of its drives.
+with all threads of the process (in Rust: in time), so that other work on the machine spoils little. A step of ours is
+one of 20 ms with contacts, servos, delays, noise and reward; so is one of MuJoCo Playground's Go1, whose drives are
+gains; a step of Ant is 50 ms of physics without a model of its drives.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import itertools
 import json
 import statistics
 import time
+from functools import partial
 from typing import Any, Callable, Dict, List, Tuple
 
 import numpy as np
@@ -25,8 +27,8 @@ Peer = Tuple[int, Callable[[], Any]]
 """Environments that one call steps, and the call."""
 
 
-def ours(lanes: int) -> Peer:
-    envs = make_vec("polymander", "quick", lanes, copy=False)
+def ours(robot: str, task: str, lanes: int) -> Peer:
+    envs = make_vec(robot, task, lanes, copy=False)
     envs.reset()
     # The gait-like motion of `caudata bench sim`, so that contacts come and go; 2π is 39.27 steps of 0.16.
     joints = np.arange(envs.action_space.shape[1])
@@ -53,10 +55,10 @@ def gymnasium_ant(lanes: int) -> Peer:
     return 1, step
 
 
-def envpool_ant(lanes: int) -> Peer:
+def of_envpool(task: str, lanes: int) -> Peer:
     import envpool
 
-    envs = envpool.make("Ant-v4", env_type="gymnasium", num_envs=lanes, num_threads=1)
+    envs = envpool.make(task, env_type="gymnasium", num_envs=lanes, num_threads=1)
     envs.reset()
     actions = np.random.default_rng(1).uniform(-1, 1, (lanes,) + envs.action_space.shape)
     return lanes, lambda: envs.step(actions)
@@ -71,7 +73,14 @@ def rust(lanes: int, seconds: float) -> float:
 
 def measure(lanes: int, seconds: float) -> Dict[str, float]:
     """Environment steps per second by name; a package that is not installed is left out."""
-    makers = {"caudata": ours, "gymnasium Ant-v5": gymnasium_ant, "EnvPool Ant-v4": envpool_ant}
+    makers: Dict[str, Callable[[int], Peer]] = {
+        "caudata": partial(ours, "polymander", "quick"),
+        "caudata quadruped": partial(ours, "quadruped", "quadruped"),
+        "gymnasium Ant-v5": gymnasium_ant,
+        "EnvPool Ant-v4": partial(of_envpool, "Ant-v4"),
+        # MuJoCo Playground's quadruped on MuJoCo in C++
+        "EnvPool Go1Joystick": partial(of_envpool, "Go1JoystickFlatTerrain-v1"),
+    }
     peers: Dict[str, Peer] = {}
     for name, maker in makers.items():
         try:

@@ -1,11 +1,13 @@
 """The programs, policies and logs of the package."""
 
+import json
 import os
 import pathlib
 import subprocess
 import sys
 import tempfile
 import unittest
+from unittest import mock
 
 import caudata
 import numpy as np
@@ -108,6 +110,52 @@ class Package(unittest.TestCase):
         rates = bench.measure(8, 0.2)
         self.assertLessEqual({"caudata", "caudata in Rust"}, set(rates))
         self.assertTrue(all(rate > 10 for rate in rates.values()), rates)
+
+    def test_a_folder_for_a_hub_is_used_elsewhere_as_it_is(self):
+        from caudata import hub
+
+        with tempfile.TemporaryDirectory() as scratch:
+            folder = hub.export(caudata.policy_path("quadruped"), pathlib.Path(scratch, "walk"), "quadruped")
+            found = caudata.evaluate(folder / "policy.onnx", robot=folder / "robot/quadruped.robot.toml", episodes=2)
+            self.assertIn(found.policy_sha256, (folder / "README.md").read_text())
+            self.assertTrue((folder / "walk.gif").read_bytes().startswith(b"GIF89a"))
+            with self.assertRaises(FileExistsError):
+                hub.export(caudata.policy_path("quadruped"), folder, "quadruped")
+
+    def test_a_training_is_handed_to_a_tracker_while_it_goes_on(self):
+        from caudata import track
+
+        got = {"curves": [], "files": [], "ended": 0}
+
+        def tracker(name, settings):
+            got.update(name=name, seed=settings.get("run.seed"))
+            end = lambda: got.update(ended=got["ended"] + 1)  # noqa: E731
+            return track.Tracker(lambda *point: got["curves"].append(point), got["files"].append, end)
+
+        events = [
+            {"event": "started", "run_id": "walk"},
+            {"event": "iteration", "iteration": 7, "mean_return": 2.5, "kl": 0.01, "reward_terms": {"slip": -1.0}},
+            {"event": "finished"},
+        ]
+        lines = "".join(json.dumps(event) + "\n" for event in events)
+        with tempfile.TemporaryDirectory() as scratch, mock.patch.dict(track.TRACKERS, {"wandb": tracker}):
+            run = pathlib.Path(scratch, "walk")
+            run.mkdir()
+            (run / "config.toml").write_text("[run]\nseed = 3\n")
+            half = len(lines) // 2
+            (run / "progress.jsonl").write_text(lines[:half])
+
+            def go_on(_):
+                with open(run / "progress.jsonl", "a") as file:
+                    file.write(lines[half:])
+
+            with mock.patch("caudata.track.time.sleep", go_on):
+                self.assertEqual(track.track(run, "wandb", 60), 1)
+        values = {"Train/mean_reward": 2.5, "Caudata/kl": 0.01, "Episode/slip": -1.0}
+        self.assertEqual(got["curves"], [(values, 7)])
+        self.assertEqual((got["name"], [path.name for path in got["files"]]), ("walk", ["config.toml"]))
+        self.assertEqual(got["ended"], 1)
+        self.assertIn(got["seed"], (3, None))  # None: Python 3.10 reads no TOML
 
     @needs("nbclient", "ipykernel")
     def test_the_notebook_runs(self):

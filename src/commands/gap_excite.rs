@@ -61,7 +61,7 @@ fn print(trials: &[Trial]) {
     say::records(trials, "name base duration_s repeats effort purpose");
     let total_s: f64 = trials.iter().map(|t| t.duration_s * t.repeats as f64).sum();
     say::line(format!(
-        "\n{:.0} minutes in all, repeats included",
+        "\n{:.1} min in all, repeats included",
         total_s / 60.0
     ));
 }

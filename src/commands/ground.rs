@@ -21,6 +21,14 @@ pub fn triple(text: &str) -> Result<[f32; 3], String> {
     numbers(text).ok_or_else(|| "must be three numbers, like 0.3,0,-0.1".to_owned())
 }
 
+/// Reads an angle of a turn at most.
+pub fn degrees(text: &str) -> Result<f32, String> {
+    match numbers(text) {
+        Some([x]) if x.abs() <= 360.0 => Ok(x),
+        _ => Err("must be -360 to 360 degrees".to_owned()),
+    }
+}
+
 /// So many finite numbers with commas between them.
 fn numbers<const N: usize>(text: &str) -> Option<[f32; N]> {
     let parts = text.split(',').map(|part| part.trim().parse::<f32>().ok());

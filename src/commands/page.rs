@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::SystemTime;
 
 use caudata_live::{LivePage, Show, Training};
-use caudata_signing::pki::{Callers, listen_as, listen_unknown};
+use caudata_signing::pki::{CERTIFICATE_FILE, Callers, hosts_of_pem, listen_as, listen_unknown};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Args;
 
@@ -41,16 +41,21 @@ impl PageArgs {
         training: Option<Training>,
         tell: &dyn Fn(&str),
     ) -> Result<LivePage, Failure> {
+        let mut name = caudata_actor::host_name().ok();
         let tls = match &self.page_tls {
             Some(folder) => {
-                Some(listen_as(folder, Callers::Anyone, PROTOCOL).map_err(pki::failure)?)
+                let tls = listen_as(folder, Callers::Anyone, PROTOCOL).map_err(pki::failure)?;
+                // browsers take the page by a name that its certificate holds
+                let held = hosts_of_pem(&folder.join(CERTIFICATE_FILE)).map_err(pki::failure)?;
+                if !name.as_ref().is_some_and(|own| held.contains(own)) {
+                    let told = held.into_iter().find(|host| !host.starts_with('*'));
+                    name = told.or(name);
+                }
+                Some(tls)
             }
             None if self.page.ip().is_loopback() => None,
             None => {
-                let hosts = [
-                    caudata_actor::host_name().ok(),
-                    Some(self.page.ip().to_string()),
-                ];
+                let hosts = [name.clone(), Some(self.page.ip().to_string())];
                 let hosts = hosts.into_iter().flatten().collect();
                 let (tls, fingerprint) =
                     listen_unknown(hosts, SystemTime::now(), PROTOCOL).map_err(pki::failure)?;
@@ -61,6 +66,6 @@ impl PageArgs {
                 Some(tls)
             }
         };
-        LivePage::start(self.page, show, training, tls).or_exit(ExitCode::OsResource)
+        LivePage::start(self.page, name, show, training, tls).or_exit(ExitCode::OsResource)
     }
 }

@@ -183,10 +183,12 @@ fn show(path: &Path, policy: &PolicyFile, json: bool) -> Result<(), Failure> {
         policy.sha256_hex(),
         policy.bytes().len()
     ));
-    say::line(format!(
-        "trained by commit {}, configuration {}",
-        metadata.training_commit, metadata.config_hash
-    ));
+    let commit = match metadata.training_commit.as_str() {
+        "" => "unknown",
+        known => known,
+    };
+    let hash = &metadata.config_hash;
+    say::line(format!("trained by commit {commit}, configuration {hash}"));
     say::line(format!("robot {} {}", contract.robot, contract.robot_hash));
     say::line(format!(
         "network {} → {} ({:?}), control period {} s, action scale {} rad",

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use caudata_config::{Config, ConfigArgs};
 use caudata_model::import::{self, ImportError, ImportOptions};
-use caudata_model::{BaseKind, RobotModel};
+use caudata_model::{BaseKind, ModelError, RobotModel};
 use caudata_sim::{Engine, EngineConfig, InitialState, SimError, TerrainConfig};
 use caudata_task::{PolicyContract, TaskConfig};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
@@ -218,6 +218,10 @@ fn import(args: &ImportArgs) -> Result<(), Failure> {
             let message = format!("{}: {count} refused", args.file.display());
             let hint = "each is said above, with what to do";
             return Err(Failure::message(ExitCode::BadInput, message).hint(hint));
+        }
+        Err(ImportError::File(ModelError::Read { path, source })) => {
+            let message = format!("cannot read {}: {source}", path.display());
+            return Err(Failure::message(ExitCode::NoInput, message));
         }
         other => other.or_exit(ExitCode::BadInput)?,
     };

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use caudata_config::{Config, ConfigArgs};
+use caudata_env::StartShift;
 use caudata_model::{Pose, RobotModel};
 use caudata_render::{Camera, Image, Quality, Scene, View, encode, render, robot_items};
 use caudata_runlog::{Axis, QuatPart, RunLog, Setting, Signal, Table};
@@ -15,7 +16,7 @@ use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
 use clap::{Args, ValueEnum};
 use serde_json::json;
 
-use crate::commands::ground::{pair, terrain_parser, triple};
+use crate::commands::ground::{degrees, pair, terrain_parser, triple};
 use crate::commands::sim_walk::{Moment, Walk};
 use crate::commands::{eval, robot};
 use crate::say;
@@ -49,6 +50,9 @@ pub struct ShowArgs {
     /// Where a scene's robot starts, m; default: the origin, on a shore the waterline (1.6, 0)
     #[arg(long, value_name = "X,Y", value_parser = pair, allow_hyphen_values = true)]
     place: Option<[f32; 2]>,
+    /// Which way a policy's robot faces at first, degrees from the x axis to the left
+    #[arg(long, value_name = "DEG", value_parser = degrees, default_value = "0", allow_negative_numbers = true)]
+    heading_deg: f32,
     /// How long a scene's robot settles before the picture, s
     #[arg(long, default_value_t = 1.0)]
     settle_s: f64,
@@ -128,7 +132,10 @@ pub fn run(args: &ShowArgs, stop: &StopFlag) -> Result<(), Failure> {
         (Some(log), _) => moments_of_log(args, log, &model, &terrain, animated)?,
         (None, Some(policy)) => {
             let walk = Walk {
-                place_m: args.place.unwrap_or_default(),
+                start: StartShift {
+                    xy_m: args.place.unwrap_or_default(),
+                    yaw_rad: args.heading_deg.to_radians(),
+                },
                 command: args.command,
                 settle_s: args.settle_s.clamp(0.0, 60.0),
                 pictures: if animated {

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use caudata_config::Config;
+use caudata_env::StartShift;
 use caudata_live::{Order, Stage};
 use caudata_model::{Pose, RobotModel};
 use caudata_policy::PolicyFile;
@@ -22,8 +23,8 @@ pub struct Moment {
 
 /// What is drawn of it.
 pub struct Walk {
-    /// Where it starts, world, m.
-    pub place_m: [f32; 2],
+    /// Where it starts, and which way it faces.
+    pub start: StartShift,
     /// vx, vy (m/s), yaw rate (rad/s).
     pub command: [f32; 3],
     /// Time before the first picture, s.
@@ -46,7 +47,7 @@ impl Walk {
         policy: &PolicyFile,
     ) -> Result<Vec<Moment>, Failure> {
         let mut stage = Stage::new(config, model, Some(policy)).or_exit(ExitCode::BadConfig)?;
-        stage.place(self.place_m).or_exit(ExitCode::BadConfig)?;
+        stage.place(self.start).or_exit(ExitCode::BadConfig)?;
         let velocity = self.command;
         stage
             .obey(&Order::Drive { velocity })

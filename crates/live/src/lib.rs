@@ -58,6 +58,7 @@ pub enum LiveError {
 #[derive(Debug)]
 pub struct LivePage {
     scheme: &'static str,
+    name: Option<String>,
     server: HttpServer,
     token: String,
     /// With which a training may be changed; empty where nothing can be.
@@ -68,12 +69,14 @@ pub struct LivePage {
 }
 
 impl LivePage {
-    /// Serves `show` at `addr` (port 0: any free port), within TLS where `tls` is there.
+    /// Serves `show` at `addr` (port 0: any free port), within TLS where `tls` is there. At any address of this
+    /// computer it is told by `name`.
     ///
     /// # Errors
     /// When the address is taken, or the system refuses a thread.
     pub fn start(
         addr: SocketAddr,
+        name: Option<String>,
         show: Show,
         training: Option<Training>,
         tls: Option<TlsAcceptor>,
@@ -103,6 +106,7 @@ impl LivePage {
         };
         Ok(Self {
             scheme,
+            name: name.filter(|_| addr.ip().is_unspecified()),
             server,
             token,
             change,
@@ -112,12 +116,11 @@ impl LivePage {
         })
     }
 
-    /// Where the page is, with the token that opens it. At any address of this computer it is told by the name.
+    /// Where the page is, with the token that opens it.
     pub fn address(&self) -> String {
         let addr = self.server.addr();
-        let own = caudata_actor::host_name().ok();
-        let own = own.filter(|_| addr.ip().is_unspecified());
-        let at = own.map_or(addr.to_string(), |name| format!("{name}:{}", addr.port()));
+        let named = |name: &String| format!("{name}:{}", addr.port());
+        let at = self.name.as_ref().map_or(addr.to_string(), named);
         format!("{}://{at}/?token={}", self.scheme, self.token)
     }
 

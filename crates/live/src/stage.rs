@@ -196,15 +196,12 @@ impl Stage {
             .map(|[least, most]| [least.min(0.0), most.max(0.0)])
     }
 
-    /// Puts it at another place, at rest, m.
+    /// Puts it at another place and heading, at rest.
     ///
     /// # Errors
     /// When the engine refuses.
-    pub fn place(&mut self, xy_m: [f32; 2]) -> Result<(), EvaluationError> {
-        self.env.shift_starts(StartShift {
-            xy_m,
-            ..StartShift::default()
-        })?;
+    pub fn place(&mut self, start: StartShift) -> Result<(), EvaluationError> {
+        self.env.shift_starts(start)?;
         Ok(())
     }
 

@@ -298,6 +298,11 @@ mod tests {
             "unit = \"s\"",
             "cmd.swing: unit `s` is one of time, and not of angle",
         );
+        says(
+            "\"pos.swing\"",
+            "\"vel.swing\"",
+            "vel.swing: unit `counts/4096` is one of angle, and not of speed",
+        );
         says("kp = 2", "Kp = 2", "line 2: unknown field `Kp`");
         says("pos.swing", "place.swing", "place.swing");
         let dir = tempfile::tempdir().unwrap();

@@ -142,7 +142,7 @@ fn by_numbers(
             (None, Some("A" | "mA")) => {
                 out.insert(column.to_owned(), "cur");
             }
-            (None, Some("rad/s" | "deg/s" | "rev/min")) => {
+            (None, Some(name)) if unit(name).is_ok_and(|(_, of)| of == "speed") => {
                 out.insert(column.to_owned(), "vel");
             }
             (None, None | Some("rad" | "deg" | "turn")) => {
@@ -359,6 +359,9 @@ impl Draft<'_> {
             None => words.kind().or(self.by_numbers.get(column).copied()),
         };
         let kind = kind.filter(|_| !values.is_empty()).ok_or(String::new())?;
+        if let (None, Some(why)) = (hint, words.moves_otherwise()) {
+            return Err(why);
+        }
         let joint = match hint.map(|hint| &hint.joint) {
             _ if kind == "volt" => None,
             Some(None) => None,
@@ -530,8 +533,8 @@ mod tests {
     fn columns_find_their_joints_and_units() {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("dog.csv");
-        let text = "timestamp,FL_hip_cmd,FL_hip_pos_deg,q_1,torque.HR_calf,cmd_vel_2,target_99,FL_hip_vel_deg_s\n\
-            1000000,0.1,205.0,2048,1.0,0,0,1\n1010000,0.1,205.0,2100,1.0,0,0,1\n";
+        let text = "timestamp,FL_hip_cmd,FL_hip_pos_deg,q_1,torque.HR_calf,cmd_vel_2,target_99,FL_hip_vel_deg_s,FR_hip_vel_deg_s2,HL_hip_vel_deg\n\
+            1000000,0.1,205.0,2048,1.0,0,0,1,1,1\n1010000,0.1,205.0,2100,1.0,0,0,1,1,1\n";
         std::fs::write(&file, text).unwrap();
         let recordings = open(&file, Format::Csv, None).unwrap();
         let draft = map(&recordings, &robot("quadruped")).unwrap().map;
@@ -544,6 +547,8 @@ mod tests {
             "signal = \"tau.HR_calf\"",
             "signal = \"vel.FL_hip\"\ncolumn = \"FL_hip_vel_deg_s\"\nunit = \"deg/s\"",
             "# not read: \"cmd_vel_2\"",
+            "# not read: \"FR_hip_vel_deg_s2\", as its unit `deg/s2` is one of angular acceleration",
+            "# not read: \"HL_hip_vel_deg\", as its unit `deg` is one of angle, and not of speed",
             "# not read: \"target_99\", as none",
         ] {
             assert!(draft.contains(said), "{said} in {draft}");

@@ -96,6 +96,12 @@ const UNITS: &[(&str, f64, &str)] = &[
     ("mrad/s", 1e-3, "speed"),
     ("rev/s", std::f64::consts::TAU, "speed"),
     ("rev/min", std::f64::consts::TAU / 60.0, "speed"),
+    ("rad/s2", 1.0, "angular acceleration"),
+    (
+        "deg/s2",
+        std::f64::consts::PI / 180.0,
+        "angular acceleration",
+    ),
     ("A", 1.0, "current"),
     ("mA", 1e-3, "current"),
     ("uA", 1e-6, "current"),
@@ -148,19 +154,23 @@ fn measured(signal: &Signal) -> Option<&'static str> {
     })
 }
 
-/// Whether a unit `of` something goes with a signal that measures `want`; angles, as those of a second, with speeds.
+/// Whether a unit `of` something goes with a signal that measures `want`.
 pub(super) fn fits(of: &str, want: &str) -> bool {
-    of == want || of == "any" || (of, want) == ("angle", "speed")
+    of == want || of == "any"
 }
 
-/// Size of a unit, and what it measures; `counts/4096` is a turn of 4096 counts.
+/// Size of a unit, and what it measures; `counts/4096` is a turn of 4096 counts, `counts/4096/s` a speed.
 pub(super) fn unit(text: &str) -> Result<(f64, &'static str), String> {
     if let Some(n) = text.strip_prefix("counts/") {
+        let (n, of) = match n.strip_suffix("/s") {
+            Some(n) => (n, "speed"),
+            None => (n, "angle"),
+        };
         let n: f64 = n
             .parse()
             .map_err(|_| format!("unit `{text}`: `{n}` is no number"))?;
         return match n > 0.0 {
-            true => Ok((std::f64::consts::TAU / n, "angle")),
+            true => Ok((std::f64::consts::TAU / n, of)),
             false => Err(format!("unit `{text}`: a turn has more than no counts")),
         };
     }
@@ -171,7 +181,7 @@ pub(super) fn unit(text: &str) -> Result<(f64, &'static str), String> {
         let all: Vec<&str> = all.chain(SHARE_UNITS.iter().map(|s| s.0)).collect();
         match text {
             UNKNOWN => "its unit is not known: the numbers fit degrees as well as shares of the joint's range; write `unit = \"deg\"`, or `unit = \"-100..100\"` with `range = [low, high]` in rad".to_owned(),
-            _ => format!("unknown unit `{text}`; known: {}, counts/N", all.join(", ")),
+            _ => format!("unknown unit `{text}`; known: {}, counts/N, counts/N/s", all.join(", ")),
         }
     })
 }

@@ -165,16 +165,30 @@ impl Words {
 
     /// Whether a unit goes with what the column is, as far as its name says so.
     fn may_be_in(&self, name: &str) -> bool {
-        let want = match self.kind() {
-            Some("cmd" | "pos") => "angle",
-            Some("vel") => "speed",
-            Some("cur") => "current",
-            Some("tau") => "torque",
-            Some("volt") => "voltage",
-            _ => return true,
-        };
+        let fit = |(_, of)| self.want().is_none_or(|want| fits(of, want));
         // shares of a range have no size of their own
-        unit(name).map_or(true, |(_, of)| fits(of, want))
+        unit(name).map_or(true, fit)
+    }
+
+    fn want(&self) -> Option<&'static str> {
+        Some(match self.kind()? {
+            "cmd" | "pos" => "angle",
+            "vel" => "speed",
+            "cur" => "current",
+            "tau" => "torque",
+            "volt" => "voltage",
+            _ => return None,
+        })
+    }
+
+    /// Why a column that moves is not what its name says: a speed in degrees may be an angle as well. Other units
+    /// of something else may be no units: `pos_a` is of leg A.
+    pub(super) fn moves_otherwise(&self) -> Option<String> {
+        let (name, want) = (self.strange_unit.as_ref()?, self.want()?);
+        let (_, of) = unit(name).ok()?;
+        let moves = |of| ["angle", "speed", "angular acceleration"].contains(&of);
+        (moves(of) && moves(want))
+            .then(|| format!(", as its unit `{name}` is one of {of}, and not of {want}"))
     }
 
     pub(super) fn has(&self, any: &[&str]) -> bool {
@@ -225,6 +239,9 @@ mod tests {
             ("torque (kgf·cm)", Some("kgf·cm"), None),
             ("current_uA", Some("uA"), None),
             ("vel_counts_ms", None, Some("ms")),
+            ("vel_counts_s", Some("counts/4096/s"), None),
+            ("vel_deg_s2", None, Some("deg/s2")),
+            ("vel_deg", None, Some("deg")),
             ("vel(steps/s)", None, Some("steps/s")),
             ("torque [N mm]", None, Some("n mm")),
             ("pos_knee", None, None),

@@ -142,6 +142,10 @@ impl Status {
         self.samples.get(name).copied()
     }
 
+    fn count(&self, name: &str) -> Option<u64> {
+        self.get(name).map(|count| count as u64)
+    }
+
     /// Frames by what became of them.
     fn frames(&self) -> BTreeMap<String, u64> {
         let label = |name: &str| {
@@ -166,14 +170,14 @@ impl Status {
     fn json(&self, address: &str) -> serde_json::Value {
         json!({
             "metrics": address,
-            "iteration": self.get("caudata_learner_iterations_total"),
-            "policy_version": self.get("caudata_learner_policy_version"),
-            "actors": self.get("caudata_learner_actors"),
-            "chunks_waiting": self.get("caudata_learner_chunks_waiting"),
+            "iteration": self.count("caudata_learner_iterations_total"),
+            "policy_version": self.count("caudata_learner_policy_version"),
+            "actors": self.count("caudata_learner_actors"),
+            "chunks_waiting": self.count("caudata_learner_chunks_waiting"),
             "lag": self.get("caudata_policy_staleness_versions"),
             "effective_sample_share": self.get("caudata_learner_effective_sample_share"),
             "episode_return": self.get("caudata_learner_episode_return"),
-            "steps": self.get("caudata_learner_steps_total"),
+            "steps": self.count("caudata_learner_steps_total"),
             "frames": self.frames(),
             "advice": self.advice(),
         })
@@ -199,7 +203,7 @@ caudata_policy_staleness_versions 0.25
     #[test]
     fn a_page_of_metrics_becomes_a_glance() {
         let status = Status::of(PAGE).json("h:1");
-        assert_eq!(status["actors"], 4.0);
+        assert_eq!(status["actors"], 4);
         assert_eq!(status["lag"], 0.25);
         assert_eq!(status["frames"], json!({"waiting": 12, "stale": 3}));
         assert_eq!(status["advice"], "fewer actors");

@@ -50,10 +50,7 @@ pub fn run(args: &UpArgs, process: &Process) -> Result<(), Failure> {
     let programs = Programs::beside_this_one()?;
     view.note(&format!("run {run_id} in {}", folder.root().display()));
     if let Some(address) = config.transport.zenoh_listen.first() {
-        view.note(&format!(
-            "actors of other hosts join with: caudata actors --config FILE --connect {}",
-            with_own_name(address)
-        ));
+        view.note(&joining(address));
     }
     let plan = Plan {
         resume: Resume::Latest,
@@ -105,6 +102,24 @@ fn spare_cores() -> u32 {
         .max(1)
 }
 
+/// How more actors come to a learner that listens there.
+fn joining(address: &str) -> String {
+    let who = match address.split_once('/').map_or("", |(_, at)| at) {
+        at if at.ends_with(":0") => {
+            return format!(
+                "no other actors can join: transport.zenoh_listen is {address}, any free port; \
+                 quic/0.0.0.0:7447 with certificates in cluster.tls_dir lets other hosts in"
+            );
+        }
+        at if at.starts_with("127.") || at.starts_with("[::1]") || at.starts_with("localhost:") => {
+            "more actors of this host"
+        }
+        _ => "actors of other hosts",
+    };
+    let address = with_own_name(address);
+    format!("{who} join with: caudata actors --config FILE --connect {address}")
+}
+
 /// An endpoint with this host's name instead of "any address", for others to connect to.
 fn with_own_name(endpoint: &str) -> String {
     let host = caudata_actor::host_name().unwrap_or_else(|_| "HOST".to_owned());
@@ -138,5 +153,8 @@ mod tests {
             format!("quic/{host}:7447")
         );
         assert_eq!(with_own_name("quic/learner:7447"), "quic/learner:7447");
+        assert!(joining("quic/0.0.0.0:7447").starts_with("actors of other hosts join"));
+        assert!(joining("tcp/127.0.0.1:7447").starts_with("more actors of this host join"));
+        assert!(joining("tcp/127.0.0.1:0").starts_with("no other actors can join"));
     }
 }

@@ -210,7 +210,7 @@ fn a_page_for_others_is_encrypted() {
     }
     let (own, authority) = (format!("{pki}/page"), format!("{pki}/page/ca.crt"));
     let others: &[&str] = &["--page", "0.0.0.0:0"];
-    let certified: &[&str] = &["--page-tls", &own];
+    let certified: &[&str] = &["--page", "0.0.0.0:0", "--page-tls", &own];
     for (flags, authority) in [(others, ""), (certified, &authority)] {
         let mut play = command("caudata", &["play", "policies/flat.onnx"]).unwrap();
         let mut child = play.args(flags).stdout(Stdio::piped()).spawn().unwrap();
@@ -228,6 +228,9 @@ fn a_page_for_others_is_encrypted() {
         let (host, path) = page.split_once('/').unwrap();
         let (name, port) = host.rsplit_once(':').unwrap();
         assert_ne!(name, "0.0.0.0", "leads nowhere from another computer");
+        if !authority.is_empty() {
+            assert_eq!(name, "localhost", "what the certificate holds");
+        }
         let look = Command::new("python3")
             .args(["-c", LOOK, port, &format!("/{path}"), authority])
             .output()

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use caudata_evaluation::{Evaluation, Film, Settings, Suite, report};
+use caudata_evaluation::{Estimate, Evaluation, Film, Settings, Suite, report};
 use caudata_model::Pose;
 use caudata_task::PolicyContract;
 use serde_json::{Value, json};
@@ -28,9 +28,11 @@ fn page() -> (String, Film) {
         },
         referee: None,
     };
-    let (result, outcomes) = evaluation.run(&|| true, &mut |_, _| {}).unwrap();
+    let (mut result, outcomes) = evaluation.run(&|| true, &mut |_, _| {}).unwrap();
     // There and back, both beaches, swimming straight and to either side.
     assert_eq!(result.scenarios.len(), 7);
+    // as of the suite `steps`
+    result.scenarios[0].arrived = Some(Estimate::share(1, 2));
     let page = report::page(&result, &outcomes, &model, &policy, &evaluation.settings).unwrap();
     (page, outcomes[0].film.clone().unwrap())
 }
@@ -184,6 +186,7 @@ fn a_browser_opens_the_page_without_an_error() {
         assert!(document.contains(heading), "{heading}");
     }
     assert!(document.contains("shore: into the water"));
+    assert!(document.contains("gets there") && document.contains("50.0 %"));
 }
 
 /// The document after its script has run; `None` where the browser cannot.

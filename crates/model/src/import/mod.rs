@@ -100,8 +100,8 @@ pub fn import(file: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
             "no pose to stand in: one was worked out, legs bent and feet below the hips; look at it (`caudata sim show`), \
              or put angles of yours into [pose.nominal_rad]"
         } else {
-            "no pose to stand in: the nominal pose is 0, or what a joint can do nearest to it; put angles in which it \
-             stands into [pose.nominal_rad]"
+            "no pose to stand in: the nominal pose is 0, or what a joint can do nearest to it; where `caudata robot \
+             check` says that it does not stand so, put angles in which it does into [pose.nominal_rad]"
         };
         remarks.note(&root, message);
     }

@@ -29,8 +29,7 @@ pub struct Identity {
 /// # Errors
 /// In words: it is no certificate, or has no role of ours.
 pub fn identity_of_der(der: &[u8]) -> Result<Identity, String> {
-    let (_, certificate) =
-        X509Certificate::from_der(der).map_err(|error| format!("not a certificate: {error}"))?;
+    let certificate = of_der(der)?;
     let subject = certificate.subject();
     // Exactly one: with two, one reader would take the first and another the last.
     let mut names = subject.iter_common_name();
@@ -49,6 +48,14 @@ pub fn identity_of_der(der: &[u8]) -> Result<Identity, String> {
         not_before: time_of(validity.not_before.timestamp()),
         not_after: time_of(validity.not_after.timestamp()),
     })
+}
+
+fn of_der(der: &[u8]) -> Result<X509Certificate<'_>, String> {
+    let read = X509Certificate::from_der(der);
+    read.map_or_else(
+        |error| Err(format!("not a certificate: {error}")),
+        |(_, read)| Ok(read),
+    )
 }
 
 /// The names and addresses that a certificate is for; none where it does not say.
@@ -74,6 +81,23 @@ fn hosts_of(certificate: &X509Certificate<'_>) -> Vec<String> {
 /// # Errors
 /// [`PkiError::File`], [`PkiError::Content`].
 pub fn identity_of_pem(path: &Path) -> Result<Identity, PkiError> {
+    first_of_pem(path, identity_of_der)
+}
+
+/// The names and addresses that the first certificate of a PEM file is for, whoever made it.
+///
+/// # Errors
+/// [`PkiError::File`], [`PkiError::Content`].
+pub fn hosts_of_pem(path: &Path) -> Result<Vec<String>, PkiError> {
+    first_of_pem(path, |der| {
+        of_der(der).map(|certificate| hosts_of(&certificate))
+    })
+}
+
+fn first_of_pem<T>(
+    path: &Path,
+    read: impl FnOnce(&[u8]) -> Result<T, String>,
+) -> Result<T, PkiError> {
     let bytes = std::fs::read(path).map_err(|source| PkiError::file(path, source))?;
     let content = |reason: String| PkiError::Content {
         path: path.to_owned(),
@@ -81,7 +105,7 @@ pub fn identity_of_pem(path: &Path) -> Result<Identity, PkiError> {
     };
     let (_, pem) = x509_parser::pem::parse_x509_pem(&bytes)
         .map_err(|error| content(format!("not a certificate in PEM: {error}")))?;
-    identity_of_der(&pem.contents).map_err(content)
+    read(&pem.contents).map_err(content)
 }
 
 /// Seconds since 1970 as a time; times before count as 1970.

@@ -15,6 +15,6 @@ mod role;
 
 pub use authority::{Authority, Request};
 pub use error::{CA_FILE, CERTIFICATE_FILE, KEY_FILE, PkiError, VALID_DAYS, VALID_DAYS_MAX};
-pub use inspect::{Identity, identity_of_der, identity_of_pem};
+pub use inspect::{Identity, hosts_of_pem, identity_of_der, identity_of_pem};
 pub use listen::{Callers, listen_as, listen_unknown};
 pub use role::Role;

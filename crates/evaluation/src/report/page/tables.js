@@ -120,18 +120,24 @@ caudata.tables = (page) => {
       table(["ground", "paper, m/s", "here, m/s", "over the paper", ""], rows));
   }
 
+  // columns of what only some scenarios are about
+  const about = [
+    ["gets there", (s) => s.arrived, (a) => caudata.percent(a.mean)],
+    ["on its feet within 3 s, at the end", (s) => s.righting, (r) => `${caudata.percent(r.in_time.mean)}, ${caudata.percent(r.upright.mean)}`],
+  ].filter(([, of]) => result.scenarios.some(of));
   const rows = result.scenarios.map((s, i) => [
     el("td", {}, el("button", { type: "button", onclick: () => caudata.select(i, true) }, s.name)),
     `${s.episodes}`, `${number(s.command[0])}, ${number(s.command[1])}, ${number(s.command[2])}`,
     caudata.estimate(s.vx_mps), caudata.estimate(s.vy_mps), caudata.estimate(s.yaw_rate_radps), s.rmse_of_means.map((x) => number(x, 3)).join(" "),
-    caudata.percent(s.fall_share.mean), caudata.estimate(s.power_w, 1), number(s.cost_of_transport.mean), number(s.torque_rms_nm), number(s.torque_peak_nm), caudata.percent(s.servo_limit_share), number(s.joint_speed_peak_radps, 1), number(s.joint_accel_rms_radps2, 0)]);
+    caudata.percent(s.fall_share.mean), ...about.map(([, of, show]) => (of(s) ? show(of(s)) : "–")), caudata.estimate(s.power_w, 1), number(s.cost_of_transport.mean), number(s.torque_rms_nm), number(s.torque_peak_nm), caudata.percent(s.servo_limit_share), number(s.joint_speed_peak_radps, 1), number(s.joint_accel_rms_radps2, 0)]);
   section("Every scenario", "Velocities of the whole body in the heading frame; rms: over episodes, mean velocity against the command.", table(
-    ["scenario", "episodes", "mean command", "vx, m/s", "vy, m/s", "yaw, rad/s", "rms off the command", "falls", "power, W", "cost of transport", "torque rms, N·m", "peak", "at the servo's limit", "speed peak, rad/s", "accel rms, rad/s²"], rows));
+    ["scenario", "episodes", "mean command", "vx, m/s", "vy, m/s", "yaw, rad/s", "rms off the command", "falls", ...about.map(([head]) => head), "power, W", "cost of transport", "torque rms, N·m", "peak", "at the servo's limit", "speed peak, rad/s", "accel rms, rad/s²"], rows));
 
   const judged = result.scenarios.filter((s) => s.gates && s.gates.gates.length);
   if (judged.length) {
     const names = judged.map((s) => s.gates.gates).reduce((a, b) => (b.length > a.length ? b : a)).map((g) => g);
-    const head = names.map((g) => `${g.name} ${g.at_least === null ? "≤ " + g.at_most : "≥ " + g.at_least}`);
+    const limit = (x) => +x.toFixed(3);
+    const head = names.map((g) => `${g.name} ${g.at_least === null ? "≤ " + limit(g.at_most) : "≥ " + limit(g.at_least)}`);
     const lines = judged.map((s) => [s.name, ...names.map((n) => {
       const g = s.gates.gates.find((x) => x.name === n.name);
       return g ? el("td", { class: g.met ? "" : "bad" }, (g.met ? "" : "✗ ") + number(g.value, 3)) : el("td", { class: "soft" }, "–");

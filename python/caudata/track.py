@@ -1,0 +1,132 @@
+"""``python -m caudata.track RUN --to wandb`` (or ``mlflow``): a training in a tracker, while it goes on or afterwards.
+
+It reads what the training writes into its run folder; the tracker's own package sends it to where that package is
+set up to. Curves have the names that TensorBoard shows; settings, policy and evaluation come with them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any, Callable, Dict, Iterator, NamedTuple
+
+_FILES = ("config.toml", "changes.toml", "policy.onnx", "evaluation.html", "report.json")
+_TRAIN = {"mean_return": "Train/mean_reward", "mean_episode_length": "Train/mean_episode_length"}
+_LOOK_EVERY_S = 0.5
+
+
+class Tracker(NamedTuple):
+    """What a tracker does with the curves of an iteration, with a file, and at the end."""
+
+    curves: Callable[[Dict[str, float], int], None]
+    file: Callable[[Path], None]
+    end: Callable[[], None]
+
+
+def wandb(name: str, settings: Dict[str, Any]) -> Tracker:
+    package = importlib.import_module("wandb")
+    run = package.init(project="caudata", name=name, config=settings)
+
+    def file(path: Path) -> None:
+        run.save(str(path), base_path=str(path.parent), policy="now")
+
+    return Tracker(lambda values, step: run.log(values, step=step), file, run.finish)
+
+
+def mlflow(name: str, settings: Dict[str, Any]) -> Tracker:
+    package = importlib.import_module("mlflow")
+    package.set_experiment("caudata")
+    package.start_run(run_name=name)
+    package.log_params({key: str(value)[:500] for key, value in settings.items()})
+    return Tracker(
+        lambda values, step: package.log_metrics(values, step=step),
+        lambda path: package.log_artifact(str(path)),
+        package.end_run,
+    )
+
+
+TRACKERS = {"wandb": wandb, "mlflow": mlflow}
+
+
+def events(path: Path, patience_s: float) -> Iterator[Dict[str, Any]]:
+    """The events of a training, those still to come too, until it has finished or was silent for too long."""
+    end = time.monotonic() + patience_s
+    with open(path, encoding="utf-8") as file:
+        line = ""
+        while time.monotonic() < end:
+            line += file.readline()
+            if not line.endswith("\n"):  # the rest is still being written
+                time.sleep(_LOOK_EVERY_S)
+                continue
+            event, line, end = json.loads(line), "", time.monotonic() + patience_s
+            yield event
+            if event["event"] == "finished":
+                return
+
+
+def curves(event: Dict[str, Any]) -> Dict[str, float]:
+    """The curves of an iteration by their names in TensorBoard."""
+    out = {"Episode/" + term: value for term, value in event["reward_terms"].items()}
+    for key, value in event.items():
+        if isinstance(value, (int, float)) and key not in ("iteration", "iterations"):
+            out[_TRAIN.get(key, "Caudata/" + key)] = value
+    return out
+
+
+def settings(text: str) -> Dict[str, Any]:
+    """The settings of a ``config.toml`` by their keys."""
+    try:
+        import tomllib
+    except ImportError:  # Python 3.10: the file itself is there
+        return {}
+
+    def flat(table: Dict[str, Any], before: str) -> Iterator[Any]:
+        for key, value in table.items():
+            if isinstance(value, dict):
+                yield from flat(value, before + key + ".")
+            else:
+                yield before + key, value
+
+    return dict(flat(tomllib.loads(text), ""))
+
+
+def track(run: Path, to: str, patience_s: float) -> int:
+    """Hands a training over; how many iterations."""
+    tracker = TRACKERS[to](run.resolve().name, settings((run / "config.toml").read_text(encoding="utf-8")))
+    count = 0
+    try:
+        for event in events(run / "progress.jsonl", patience_s):
+            if event["event"] == "iteration":
+                count += 1
+                tracker.curves(curves(event), event["iteration"])
+        for path in (run / name for name in _FILES):
+            if path.exists():
+                tracker.file(path)
+    finally:
+        tracker.end()
+    return count
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m caudata.track", description=__doc__)
+    parser.add_argument("run", type=Path, help="run folder")
+    parser.add_argument("--to", choices=sorted(TRACKERS), required=True, help="the tracker; its package is installed")
+    parser.add_argument("--patience", type=float, default=300.0, help="longest wait for the next iteration, s")
+    options = parser.parse_args()
+    try:
+        print("%d iterations" % track(options.run, options.to, options.patience))
+    except ModuleNotFoundError as missing:
+        print("error: %s; `pip install %s`" % (missing, options.to), file=sys.stderr)
+        return 69
+    except (OSError, ValueError) as error:
+        print("error: %s: %s" % (options.run, error), file=sys.stderr)
+        return 66
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
