@@ -82,7 +82,7 @@ soak: build ## a publisher that never pauses, a server that dies, a network that
 mutants: build ## leave out one verification step of robot and server after the other, and show that its bad policy gets through
 	@$(ENV) cargo test --release --locked --workspace --lib $(ARGS) -- --nocapture each_step_and_no_other
 
-bench: build ## measure this machine: ARGS="sim", "policy" or "transport", with --json for figures
+bench: build ## measure this machine: ARGS="sim", "train" or "transport", with --json for figures
 	@$(ENV) target/release/caudata bench $(or $(ARGS),sim)
 
 check: lint doc deny ## everything a change must pass besides the tests: lint, doc, deny

@@ -72,7 +72,7 @@ impl FlightLog {
         let oldest = queue.clone();
         let writer = std::thread::Builder::new()
             .name("flight-log".into())
-            .spawn(move || write(log, &columns, &queue))
+            .spawn(move || write(log, &columns, queue))
             .map_err(DeployError::system("a thread"))?;
         Ok(Self {
             rows,
@@ -129,18 +129,8 @@ pub fn write_rows<'a>(
         .peek()
         .map_or_else(GroundTruth::default, |row| row.truth);
     let columns = Columns::new(model, &truth);
-    let mut log = LogWriter::create(folder, &columns.signals, meta)?;
-    let mut values = Vec::with_capacity(columns.signals.len());
-    for row in rows {
-        columns.fill(row, &mut values);
-        match log.row(row.servos.time_s, &values) {
-            Err(LogError::Refused(_)) => {}
-            other => other?,
-        }
-    }
-    let written = log.rows();
-    log.finish()?;
-    Ok(written)
+    let log = LogWriter::create(folder, &columns.signals, meta)?;
+    Ok(write(log, &columns, rows.copied())?)
 }
 
 /// `log.toml` of a run.
@@ -169,9 +159,13 @@ pub fn meta(
     meta
 }
 
-fn write(mut log: LogWriter, columns: &Columns, queue: &Receiver<LogRow>) -> Result<u64, LogError> {
+fn write(
+    mut log: LogWriter,
+    columns: &Columns,
+    rows: impl IntoIterator<Item = LogRow>,
+) -> Result<u64, LogError> {
     let mut values = Vec::with_capacity(columns.signals.len());
-    for row in queue {
+    for row in rows {
         columns.fill(&row, &mut values);
         // A row that cannot be part of a log (time that stands still, a number that is not finite) is left
         // out.
@@ -180,9 +174,9 @@ fn write(mut log: LogWriter, columns: &Columns, queue: &Receiver<LogRow>) -> Res
             other => other?,
         }
     }
-    let rows = log.rows();
+    let written = log.rows();
     log.finish()?;
-    Ok(rows)
+    Ok(written)
 }
 
 /// The header, and what of a row goes where.
@@ -203,7 +197,7 @@ impl Columns {
             Signal::Velocity,
             Signal::Current,
         ] {
-            signals.extend(names.iter().map(|name| kind((*name).to_owned())));
+            signals.extend(Signal::each(kind, &names));
         }
         signals.push(Signal::Voltage);
         for kind in [Signal::Gyro, Signal::Acceleration, Signal::Gravity] {

@@ -327,17 +327,6 @@ fn is_zero(number: &u64) -> bool {
 }
 
 impl RobotState {
-    /// What to do about `offered` on the robot model with hash `robot`.
-    pub fn decide(&self, offered: &PolicyRef, robot: Sha256Digest) -> Decision {
-        let offer = Offer {
-            state: self,
-            lost: false,
-            policy: offered,
-            robot,
-        };
-        offer.decide(OFFER)
-    }
-
     fn saw(&mut self, policy: &PolicyRef) {
         if self.seen.len() >= STREAMS_MAX && !self.seen.contains_key(&policy.stream) {
             let held: Vec<String> = self.on_disk().into_iter().map(|p| p.stream).collect();
@@ -550,17 +539,30 @@ mod tests {
         }
     }
 
+    fn decide(state: &RobotState, policy: &PolicyRef, robot: Sha256Digest) -> Decision {
+        let offer = Offer {
+            state,
+            lost: false,
+            policy,
+            robot,
+        };
+        offer.decide(OFFER)
+    }
+
     #[test]
     fn new_ones_are_fetched_old_and_known_ones_are_not() {
         let state = state();
-        assert_eq!(state.decide(&policy(3), HERE), Decision::Fetch);
-        assert_eq!(state.decide(&policy(2), HERE), Decision::HaveIt);
-        assert_eq!(state.decide(&policy(1), HERE), Decision::Older { have: 2 });
+        assert_eq!(decide(&state, &policy(3), HERE), Decision::Fetch);
+        assert_eq!(decide(&state, &policy(2), HERE), Decision::HaveIt);
+        assert_eq!(
+            decide(&state, &policy(1), HERE),
+            Decision::Older { have: 2 }
+        );
         let mut elsewhere = policy(1);
         elsewhere.stream = "rough".to_owned();
-        assert_eq!(state.decide(&elsewhere, HERE), Decision::Fetch);
+        assert_eq!(decide(&state, &elsewhere, HERE), Decision::Fetch);
         assert_eq!(
-            RobotState::default().decide(&policy(1), HERE),
+            decide(&RobotState::default(), &policy(1), HERE),
             Decision::Fetch
         );
     }
@@ -582,7 +584,7 @@ mod tests {
         state.quarantine(policy(2), "joint 3 differs".to_owned(), Blame::Policy);
         assert_eq!(state.active, Some(policy(1)));
         assert_eq!(
-            state.decide(&policy(2), HERE),
+            decide(&state, &policy(2), HERE),
             Decision::Refused {
                 reason: "joint 3 differs".to_owned()
             }
@@ -603,10 +605,10 @@ mod tests {
             (&Some(policy(2)), &Some(policy(2)))
         );
         assert!(matches!(
-            state.decide(&policy(2), wrong),
+            decide(&state, &policy(2), wrong),
             Decision::Refused { .. }
         ));
-        assert_eq!(state.decide(&policy(2), HERE), Decision::HaveIt);
+        assert_eq!(decide(&state, &policy(2), HERE), Decision::HaveIt);
         // Each robot model has an entry of its own; the policy's own fault replaces them all.
         state.quarantine(policy(2), "other model".to_owned(), Blame::Robot(HERE));
         assert_eq!(state.quarantined.len(), 2);
@@ -629,7 +631,7 @@ mod tests {
     fn bytes_damaged_on_the_way_may_come_again() {
         let mut state = state();
         state.quarantine(policy(3), "other bytes".to_owned(), Blame::Transfer);
-        assert_eq!(state.decide(&policy(3), HERE), Decision::Fetch);
+        assert_eq!(decide(&state, &policy(3), HERE), Decision::Fetch);
         state.adopt(policy(3));
         assert!(state.quarantined.is_empty());
     }
@@ -670,9 +672,9 @@ mod tests {
             sha256: Sha256Digest([9; 32]),
             ..policy(1)
         };
-        assert_eq!(state.decide(&older, HERE), Decision::Older { have: 2 });
-        assert_eq!(state.decide(&policy(1), HERE), Decision::HaveIt);
-        assert_eq!(state.decide(&policy(3), HERE), Decision::Fetch);
+        assert_eq!(decide(&state, &older, HERE), Decision::Older { have: 2 });
+        assert_eq!(decide(&state, &policy(1), HERE), Decision::HaveIt);
+        assert_eq!(decide(&state, &policy(3), HERE), Decision::Fetch);
     }
 
     #[test]
@@ -682,14 +684,14 @@ mod tests {
             ..policy(3)
         };
         assert!(matches!(
-            state().decide(&last, HERE),
+            decide(&state(), &last, HERE),
             Decision::Refused { .. }
         ));
         let far = PolicyRef {
             version: 2 + VERSION_JUMP_MAX,
             ..policy(3)
         };
-        assert_eq!(state().decide(&far, HERE), Decision::Fetch);
+        assert_eq!(decide(&state(), &far, HERE), Decision::Fetch);
     }
 
     #[test]

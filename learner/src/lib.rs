@@ -2,7 +2,6 @@
 
 pub mod adam;
 pub mod batch;
-pub mod bench;
 pub mod checkpoint;
 mod error;
 pub mod export;

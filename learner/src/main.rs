@@ -1,7 +1,6 @@
 //! `caudata-learner`: PPO on libtorch as a process. Started by `caudata train`, by hand, or by a cluster's
 //! scheduler.
 
-use std::io::Write;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
@@ -10,34 +9,26 @@ use std::time::Duration;
 use caudata_actor::{decode_transport, say_alive};
 use caudata_config::{ConfigArgs, TransportKind};
 use caudata_learner::LearnerError;
-use caudata_learner::bench::bench;
 use caudata_learner::train::{Resume, TrainSettings, train};
 use caudata_telemetry::{
     ExitCode, Failure, FailureExt, LogArgs, Metrics, MetricsServer, Process, Pulse, StopFlag,
     parse_args,
 };
-use clap::{Parser, Subcommand};
+use clap::Parser;
 
 /// Learns from the rollouts of actors and hands out policies. Progress goes to standard output, one JSON
 /// object per line.
 #[derive(Debug, Parser)]
-#[command(
-    version,
-    about,
-    args_conflicts_with_subcommands = true,
-    subcommand_negates_reqs = true
-)]
+#[command(version, about)]
 struct Args {
-    #[command(subcommand)]
-    command: Option<Command>,
     #[command(flatten)]
     config: ConfigArgs,
     /// Folder of the run: checkpoints, policy, curves, TensorBoard files
-    #[arg(long, value_name = "DIR", required = true)]
-    run_dir: Option<PathBuf>,
+    #[arg(long, value_name = "DIR")]
+    run_dir: PathBuf,
     /// Identifier of the run, the same for learner and actors
-    #[arg(long, value_name = "ID", required = true)]
-    run_id: Option<String>,
+    #[arg(long, value_name = "ID")]
+    run_id: String,
     /// Go on from the newest checkpoint of the run folder
     #[arg(long)]
     resume: bool,
@@ -63,40 +54,16 @@ struct Args {
     log: LogArgs,
 }
 
-#[derive(Debug, Subcommand)]
-enum Command {
-    /// Measure the update on made-up data; one JSON object on standard output
-    Bench {
-        #[command(flatten)]
-        config: ConfigArgs,
-        /// How long to measure, s, per number of threads
-        #[arg(long, default_value_t = 3.0)]
-        seconds: f64,
-    },
-}
-
 fn main() -> std::process::ExitCode {
     let args: Args = parse_args();
     Process::run("caudata-learner", &args.log, |process| {
-        match &args.command {
-            Some(Command::Bench { config, seconds }) => measure(config, *seconds),
-            None => learn(&args, process),
-        }
+        learn(&args, process)
     })
 }
 
-fn measure(config: &ConfigArgs, seconds: f64) -> Result<(), Failure> {
-    let config = config.load().or_exit(ExitCode::BadConfig)?;
-    let found = bench(&config, seconds).map_err(LearnerError::into_failure)?;
-    let text = serde_json::to_string(&found).or_exit(ExitCode::Internal)?;
-    writeln!(std::io::stdout(), "{text}").or_exit(ExitCode::IoError)
-}
-
 fn learn(args: &Args, process: &Process) -> Result<(), Failure> {
-    let missing = |flag| Failure::message(ExitCode::BadConfig, format!("{flag} is missing"));
-    let run_id = args.run_id.clone().ok_or_else(|| missing("--run-id"))?;
     let mut config = args.config.load().or_exit(ExitCode::BadConfig)?;
-    let run_dir = args.run_dir.clone().ok_or_else(|| missing("--run-dir"))?;
+    let run_dir = args.run_dir.clone();
     if args.inproc {
         config.transport.kind = TransportKind::Inproc;
     }
@@ -144,7 +111,7 @@ fn learn(args: &Args, process: &Process) -> Result<(), Failure> {
     let settings = TrainSettings {
         config,
         run_dir,
-        run_id,
+        run_id: args.run_id.clone(),
         resume,
         policy_server: args.policy_server.clone(),
         transport,

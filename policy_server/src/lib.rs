@@ -36,7 +36,7 @@ pub use metrics::ServerMetrics;
 pub use options::{Keepalive, REPLY_IDLE_MAX, ServeOptions};
 pub use page::serve_page;
 pub use record::{RECORD_FORMAT, Record};
-pub use server::{DRAIN_MAX, ServeError, listen, serve, serve_with};
+pub use server::{DRAIN_MAX, ServeError, listen, serve_with};
 pub use service::{LIST_MAX, RegistryService};
 pub use shared::SharedStore;
 pub use store::{Published, Store, StoreLimits};

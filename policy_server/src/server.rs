@@ -15,7 +15,6 @@ use crate::metrics::ServerMetrics;
 use crate::options::ServeOptions;
 use crate::service::RegistryService;
 use crate::shared::SharedStore;
-use crate::store::Store;
 
 /// Requests served at once on one connection; further ones wait.
 const STREAMS_PER_CONNECTION: u32 = 32;
@@ -79,21 +78,7 @@ pub async fn listen(addr: SocketAddr) -> Result<TcpListener, ServeError> {
 /// for [`DRAIN_MAX`].
 ///
 /// # Errors
-/// [`ServeError::Transport`], [`ServeError::Reflection`].
-pub async fn serve(
-    listener: TcpListener,
-    store: Store,
-    metrics: ServerMetrics,
-    stop: watch::Receiver<bool>,
-) -> Result<(), ServeError> {
-    let store = SharedStore::new(store);
-    serve_with(listener, store, metrics, stop, ServeOptions::default()).await
-}
-
-/// As [`serve`], with a choice of how.
-///
-/// # Errors
-/// As [`serve`]; [`ServeError::Transport`] also when the certificates do not work.
+/// [`ServeError::Transport`], also when the certificates do not work; [`ServeError::Reflection`].
 pub async fn serve_with(
     listener: TcpListener,
     store: SharedStore,

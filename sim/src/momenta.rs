@@ -51,9 +51,7 @@ impl Momenta {
         };
         let masses = link_masses(model, params);
         let mut motion = Motion::default();
-        motion
-            .update(model, &at)
-            .map_err(|e| SimError::Model(e.to_string()))?;
+        motion.update(model, &at)?;
         let whole = WholeBody::of(&motion, &masses);
         let mut out = Self {
             linear_ns: [0.0; 3],

@@ -1,10 +1,10 @@
 //! From minimal coordinates to everything [`State`] reports. Engine-independent, in f64.
 
 use caudata_model::pose::{add, cross, dot, sub};
-use caudata_model::{Ball, BaseKind, JointMotion, Kinematics, ModelError, Pose, RobotModel};
+use caudata_model::{Ball, BaseKind, JointMotion, Kinematics, Pose, RobotModel};
 use nalgebra::{Matrix3, Vector3};
 
-use crate::{InitialState, LaneParams, SimError, State, Terrain};
+use crate::{EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
 
 /// Position and velocity of one robot.
 #[derive(Debug, Clone, PartialEq)]
@@ -87,8 +87,10 @@ pub(crate) struct Motion {
 
 impl Motion {
     /// Forward kinematics of positions and velocities.
-    pub fn update(&mut self, model: &RobotModel, at: &Coordinates) -> Result<(), ModelError> {
-        model.kinematics_into(&at.world_from_base, &at.joint_pos_rad, &mut self.places)?;
+    pub fn update(&mut self, model: &RobotModel, at: &Coordinates) -> Result<(), SimError> {
+        model
+            .kinematics_into(&at.world_from_base, &at.joint_pos_rad, &mut self.places)
+            .map_err(|e| SimError::Model(e.to_string()))?;
         self.vel_mps.clear();
         self.angvel_radps.clear();
         for (i, link) in model.links().iter().enumerate() {
@@ -174,72 +176,88 @@ impl WholeBody {
     }
 }
 
-/// Fills the kinematic fields of `out` (one lane): base, joints, centre of mass, heading, feet, gyro and
-/// gravity. Returns the IMU point's velocity (world, m/s), which the caller differentiates.
-pub(crate) fn write_kinematics(
-    out: &mut State,
-    model: &RobotModel,
-    masses: &[LinkMass],
-    terrain: &Terrain,
-    gravity_mps2: [f32; 3],
-    at: &Coordinates,
-    motion: &Motion,
-) -> [f64; 3] {
-    let base = &motion.places.links[0];
-    put(&mut out.base_pos_m, 0, base.pos_m);
-    put(&mut out.base_quat_wxyz, 0, base.quat_wxyz);
-    put(&mut out.base_vel_mps, 0, motion.vel_mps[0]);
-    put(
-        &mut out.base_angvel_radps,
-        0,
-        unrotate(base, motion.angvel_radps[0]),
-    );
-    put_all(&mut out.joint_pos_rad, 0, &at.joint_pos_rad);
-    put_all(&mut out.joint_vel_radps, 0, &at.joint_vel_radps);
-
-    let whole = WholeBody::of(motion, masses);
-    put(&mut out.com_pos_m, 0, whole.com_m);
-    put(&mut out.com_vel_mps, 0, whole.vel_mps);
-    put(&mut out.com_angvel_radps, 0, whole.angvel_radps);
-    put(&mut out.heading_rad, 0, [heading_rad(model, motion)]);
-
-    for (f, foot) in model.feet().iter().enumerate() {
-        let (p, v) = motion.point(foot.link, foot.centre_m);
-        let ground = f64::from(terrain.height_m(p[0] as f32, p[1] as f32));
-        put(&mut out.foot_pos_m, f, p);
-        put(&mut out.foot_vel_mps, f, v);
-        let low = |ball: &Ball| motion.point(foot.link, ball.centre_m).0[2] - ball.radius_m;
-        let lowest = foot.balls.iter().map(low).fold(f64::INFINITY, f64::min);
-        put(&mut out.foot_height_m, f, [lowest - ground]);
-    }
-
-    let (link, link_from_imu) = imu_place(model);
-    let world_from_imu = motion.places.links[link].compose(&link_from_imu);
-    put(
-        &mut out.imu_gyro_radps,
-        0,
-        unrotate(&world_from_imu, motion.angvel_radps[link]),
-    );
-    put(
-        &mut out.imu_gravity,
-        0,
-        unrotate(&world_from_imu, unit_or_down(gravity_mps2)),
-    );
-    motion.point(link, link_from_imu.pos_m).1
+/// One lane's links and where they are, from which its report is written.
+pub(crate) struct Observer {
+    pub masses: Vec<LinkMass>,
+    pub at: Coordinates,
+    pub motion: Motion,
 }
 
-/// Writes the specific force that goes with the IMU point's acceleration (world, m/s²).
-pub(crate) fn write_specific_force(
-    out: &mut State,
-    model: &RobotModel,
-    motion: &Motion,
-    gravity_mps2: [f32; 3],
-    acceleration_mps2: [f64; 3],
-) {
-    let (link, link_from_imu) = imu_place(model);
-    let world_from_imu = motion.places.links[link].compose(&link_from_imu);
-    let force = sub(acceleration_mps2, gravity_mps2.map(f64::from));
-    put(&mut out.imu_acc_mps2, 0, unrotate(&world_from_imu, force));
+impl Observer {
+    pub fn new(model: &RobotModel, params: &LaneParams, at: Coordinates) -> Self {
+        Self {
+            masses: link_masses(model, params),
+            at,
+            motion: Motion::default(),
+        }
+    }
+
+    /// Works out `motion` from `at`.
+    pub fn follow(&mut self, model: &RobotModel) -> Result<(), SimError> {
+        self.motion.update(model, &self.at)
+    }
+
+    /// Fills what `out` (one lane) has of base, joints, centre of mass, heading, feet and IMU. `before_mps` is
+    /// the IMU point's velocity (world, m/s) one control period ago, if there was one; returned is that of now.
+    pub fn report(
+        &mut self,
+        out: &mut State,
+        model: &RobotModel,
+        config: &EngineConfig,
+        terrain: &Terrain,
+        gravity_mps2: [f32; 3],
+        before_mps: Option<[f64; 3]>,
+    ) -> Result<[f64; 3], SimError> {
+        self.follow(model)?;
+        let (at, motion) = (&self.at, &self.motion);
+        let base = &motion.places.links[0];
+        put(&mut out.base_pos_m, 0, base.pos_m);
+        put(&mut out.base_quat_wxyz, 0, base.quat_wxyz);
+        put(&mut out.base_vel_mps, 0, motion.vel_mps[0]);
+        put(
+            &mut out.base_angvel_radps,
+            0,
+            unrotate(base, motion.angvel_radps[0]),
+        );
+        put_all(&mut out.joint_pos_rad, 0, &at.joint_pos_rad);
+        put_all(&mut out.joint_vel_radps, 0, &at.joint_vel_radps);
+
+        let whole = WholeBody::of(motion, &self.masses);
+        put(&mut out.com_pos_m, 0, whole.com_m);
+        put(&mut out.com_vel_mps, 0, whole.vel_mps);
+        put(&mut out.com_angvel_radps, 0, whole.angvel_radps);
+        put(&mut out.heading_rad, 0, [heading_rad(model, motion)]);
+
+        for (f, foot) in model.feet().iter().enumerate() {
+            let (p, v) = motion.point(foot.link, foot.centre_m);
+            let ground = f64::from(terrain.height_m(p[0] as f32, p[1] as f32));
+            put(&mut out.foot_pos_m, f, p);
+            put(&mut out.foot_vel_mps, f, v);
+            let low = |ball: &Ball| motion.point(foot.link, ball.centre_m).0[2] - ball.radius_m;
+            let lowest = foot.balls.iter().map(low).fold(f64::INFINITY, f64::min);
+            put(&mut out.foot_height_m, f, [lowest - ground]);
+        }
+
+        let (link, link_from_imu) = imu_place(model);
+        let world_from_imu = motion.places.links[link].compose(&link_from_imu);
+        put(
+            &mut out.imu_gyro_radps,
+            0,
+            unrotate(&world_from_imu, motion.angvel_radps[link]),
+        );
+        put(
+            &mut out.imu_gravity,
+            0,
+            unrotate(&world_from_imu, unit_or_down(gravity_mps2)),
+        );
+
+        let vel = motion.point(link, link_from_imu.pos_m).1;
+        let period_s = config.control_period_s();
+        let acceleration = sub(vel, before_mps.unwrap_or(vel)).map(|v| v / period_s);
+        let force = sub(acceleration, gravity_mps2.map(f64::from));
+        put(&mut out.imu_acc_mps2, 0, unrotate(&world_from_imu, force));
+        Ok(vel)
+    }
 }
 
 /// The IMU's link and pose in it; the base frame on a robot without one.
@@ -287,8 +305,13 @@ fn put_all(field: &mut [f32], row: usize, values: &[f64]) {
 }
 
 impl Coordinates {
-    /// The coordinates `init` asks for, the base's height left at 0.
-    pub fn start(model: &RobotModel, init: &InitialState) -> Result<Self, SimError> {
+    /// The coordinates `init` asks for.
+    pub fn start(
+        model: &RobotModel,
+        config: &EngineConfig,
+        terrain: &Terrain,
+        init: &InitialState,
+    ) -> Result<Self, SimError> {
         let wide = |v: &[f32]| -> Vec<f64> { v.iter().map(|&x| f64::from(x)).collect() };
         let full = |v: &[f32]| {
             model
@@ -302,13 +325,15 @@ impl Coordinates {
             pos_m: [x, y, 0.0],
             quat_wxyz: [turn.w, turn.i, turn.j, turn.k],
         };
-        Ok(Self {
+        let mut at = Self {
             base_vel_mps: init.base_vel_mps.map(f64::from),
             base_angvel_radps: world_from_base.rotate(init.base_angvel_radps.map(f64::from)),
             world_from_base,
             joint_pos_rad: full(&init.joint_pos_rad)?,
             joint_vel_radps: full(&init.joint_vel_radps)?,
-        })
+        };
+        at.world_from_base.pos_m[2] = start_height_m(model, terrain, config.fixed_base, init, &at)?;
+        Ok(at)
     }
 }
 
@@ -317,7 +342,7 @@ const HELD_CLEARANCE_M: f64 = 0.2;
 
 /// Height of the base's origin that `init` asks for, m: touching the ground, a held robot (`hung`) a little
 /// higher, and either at the surface of water that is deeper.
-pub(crate) fn start_height_m(
+fn start_height_m(
     model: &RobotModel,
     terrain: &Terrain,
     hung: bool,

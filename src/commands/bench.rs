@@ -1,9 +1,7 @@
 //! `caudata bench`: how fast the parts are on this machine. The measuring is in `crates/bench`.
 
 use caudata_bench::transport::ingest;
-use caudata_bench::{
-    calibrate, explain, gap, lag, learner, parts, session, sim, skill, train, transport,
-};
+use caudata_bench::{calibrate, explain, gap, lag, session, sim, skill, train, transport};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Subcommand;
 
@@ -16,11 +14,6 @@ pub enum BenchCommand {
     /// Physics steps per second by engine, scene and lane width, with MuJoCo beside; and environment steps:
     /// physics, task, resets
     Sim(WithJson<sim::Plan>),
-    /// Inferences per second of a network of the configured size, on ONNX Runtime
-    Policy(WithJson<parts::PolicyPlan>),
-    /// Updates of the learner on made-up data: samples/s, GFLOP/s, and what matrix products reach in the same
-    /// run
-    Learner(WithJson<learner::Plan>),
     /// Diagnosis against hidden effects: false alarms, power, names, intervals, beside other methods
     Gap {
         #[command(flatten)]
@@ -58,12 +51,6 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
     match command {
         BenchCommand::Sim(WithJson { plan, json }) => {
             say::either(*json, &sim::run(plan)?, show::sim)
-        }
-        BenchCommand::Policy(WithJson { plan, json }) => {
-            say::either(*json, &parts::inferences(plan)?, show::rate)
-        }
-        BenchCommand::Learner(WithJson { plan, json }) => {
-            say::either(*json, &learner::run(plan, &learner()?)?, show::learner)
         }
         BenchCommand::Gap { asked, each } => match gap::run(&asked.plan, &own()?)? {
             Some(found) => say::either(asked.json, &found, |found| show::gap(found, *each)),

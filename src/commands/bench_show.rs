@@ -9,7 +9,6 @@ use caudata_gap_benchmark::calibrate::fit::Score;
 use caudata_gap_benchmark::case::Answer;
 use caudata_gap_benchmark::score::{Outcome, summary::median_gain};
 use caudata_sim::batch::Phase;
-use serde_json::Value;
 
 use crate::say;
 
@@ -49,17 +48,6 @@ fn phases(speeds: &[Speed]) {
         name.chain(timed.iter().map(share)).collect()
     });
     say::table(&head, rows);
-}
-
-/// Updates of the learner.
-pub fn learner(found: &Value) {
-    say::record(found, "batch_rows epochs policy_hidden value_hidden");
-    if let Some(speeds) = found["speeds"].as_array() {
-        say::records(
-            speeds,
-            "threads samples_per_s update_median_s gflops ceiling_same_shape_gflops ceiling_large_gflops",
-        );
-    }
 }
 
 /// Diagnosis against hidden effects.

@@ -205,15 +205,6 @@ pub fn audit(args: &AuditArgs) -> Result<(), Failure> {
         let mut client = args.server.client()?;
         client.audit(args.limit, args.before).await
     })?;
-    let entries: Vec<_> = entries
-        .iter()
-        .map(|e| {
-            json!({
-                "number": e.number, "unix_ms": e.unix_ms, "by": e.by, "what": e.what, "stream": e.stream,
-                "version": e.version, "detail": e.detail,
-            })
-        })
-        .collect();
     if args.json {
         return say::json(&json!({ "entries": entries }));
     }

@@ -7,6 +7,7 @@ use caudata_config::{Config, ConfigArgs};
 use caudata_model::import::{self, ImportError, ImportOptions};
 use caudata_model::{BaseKind, ModelError, RobotModel};
 use caudata_sim::{Engine, EngineConfig, InitialState, SimError, TerrainConfig};
+use caudata_studies::files;
 use caudata_task::{PolicyContract, TaskConfig};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Subcommand;
@@ -76,9 +77,7 @@ pub fn run(command: &RobotCommand) -> Result<(), Failure> {
         RobotCommand::Import(args) => import(args),
         RobotCommand::Export { file, urdf } => {
             let text = load(file)?.to_urdf();
-            std::fs::write(urdf, text).or_exit_with(ExitCode::IoError, || {
-                format!("cannot write {}", urdf.display())
-            })?;
+            files::write(urdf, text)?;
             say::line(format!("wrote {}", urdf.display()));
             Ok(())
         }
@@ -228,21 +227,17 @@ fn import(args: &ImportArgs) -> Result<(), Failure> {
     for note in &made.notes {
         say::line(format!("note: {note}"));
     }
-    let files = [
+    let written = [
         (format!("{}.xml", made.name), &made.mjcf),
         (format!("{}.robot.toml", made.name), &made.robot_toml),
     ]
     .map(|(name, text)| (args.out.join(name), text));
-    for (path, _) in &files {
+    for (path, _) in &written {
         not_there(path, args)?;
     }
-    std::fs::create_dir_all(&args.out).or_exit_with(ExitCode::IoError, || {
-        format!("cannot make the folder {}", args.out.display())
-    })?;
-    for (path, text) in files {
-        std::fs::write(&path, text).or_exit_with(ExitCode::IoError, || {
-            format!("cannot write {}", path.display())
-        })?;
+    files::make_folder(&args.out)?;
+    for (path, text) in written {
+        files::write(&path, text)?;
         say::line(format!("wrote {}", path.display()));
     }
     Ok(())

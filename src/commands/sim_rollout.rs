@@ -401,16 +401,12 @@ fn simulate(
 
 /// The columns, in the order of [`push_state`].
 fn signals(model: &RobotModel) -> Vec<Signal> {
-    let joints: Vec<String> = model
-        .actuated_names()
-        .into_iter()
-        .map(str::to_owned)
-        .collect();
+    let joints = model.actuated_names();
     let feet = || model.feet().iter().map(|foot| foot.name.clone());
-    let mut signals: Vec<Signal> = joints.iter().cloned().map(Signal::Command).collect();
-    signals.extend(joints.iter().cloned().map(Signal::Position));
-    signals.extend(joints.iter().cloned().map(Signal::Velocity));
-    signals.extend(joints.into_iter().map(Signal::Torque));
+    let mut signals = Signal::each(Signal::Command, &joints);
+    signals.extend(Signal::each(Signal::Position, &joints));
+    signals.extend(Signal::each(Signal::Velocity, &joints));
+    signals.extend(Signal::each(Signal::Torque, &joints));
     signals.extend(Axis::ALL.map(Signal::Gyro));
     signals.extend(Axis::ALL.map(Signal::Acceleration));
     signals.extend(Axis::ALL.map(Signal::Gravity));

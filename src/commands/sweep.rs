@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use caudata_config::{Config, ConfigArgs};
-use caudata_studies::flags;
 use caudata_studies::steps::{Steps, Training};
+use caudata_studies::{files, flags};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use clap::Args;
 use serde_json::{Value, json};
@@ -47,9 +47,7 @@ struct Point {
 pub fn run(plan: &Plan, as_json: bool, process: &Process) -> Result<(), Failure> {
     let flags = flags::or_preset(&plan.config, "quick");
     let points = points(plan, &flags)?;
-    std::fs::create_dir_all(&plan.out).or_exit_with(ExitCode::CannotCreate, || {
-        format!("cannot make {}", plan.out.display())
-    })?;
+    files::make_folder(&plan.out)?;
     let program = std::env::current_exe().or_exit(ExitCode::Internal)?;
     let again = "the same command goes on where it was stopped";
     let mut steps = Steps::new(program, true, &process.stop, again, |_| ());

@@ -2,48 +2,37 @@
 
 use std::f32::consts::PI;
 
+use caudata_declare::settings;
 use caudata_random::Stream;
 use serde::{Deserialize, Serialize};
 
 use crate::error::checks;
 use crate::{JointTable, PerJoint, TaskError};
 
-/// Table `[task.reset]`: how far episodes start from the nominal pose at rest.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ResetConfig {
-    /// Joint positions start within ± this of the pose (kept within the limits), rad. Default 0.1.
-    /// Too large: episodes start with a fall.
-    pub joint_pos_noise_rad: f32,
-    /// Joint velocities start within ± this, rad/s. Default 0.
-    pub joint_vel_noise_radps: f32,
-    /// The base starts with a horizontal velocity within ± this along x and y, m/s. Default 0.1.
-    pub base_vel_noise_mps: f32,
-    /// Heading within ± this, rad. Default π: any direction, which matters on uneven ground.
-    pub yaw_range_rad: f32,
-    /// The base starts within ± this along x and y, m. Default 0; on uneven ground choose it so that
-    /// different episodes meet different ground.
-    pub spawn_half_extent_m: f32,
-    /// Share of the episodes that start in the robot file's swimming pose, on land too, 0 to 1. Default 0. A
-    /// policy that swims must learn to unfold its legs where the ground comes up, and meets that too rarely
-    /// when every episode begins on its feet; too large: little else is trained.
-    pub swimming_pose_share: f32,
-    /// Share of the episodes that start in any attitude, with every joint anywhere between its limits, 0 to 1.
-    /// Default 0. For robots that are to get up again; `task.termination.max_tilt_rad` must then be large.
-    pub fallen_share: f32,
-}
-
-impl Default for ResetConfig {
-    fn default() -> Self {
-        Self {
-            joint_pos_noise_rad: 0.1,
-            joint_vel_noise_radps: 0.0,
-            base_vel_noise_mps: 0.1,
-            yaw_range_rad: PI,
-            spawn_half_extent_m: 0.0,
-            swimming_pose_share: 0.0,
-            fallen_share: 0.0,
-        }
+settings! {
+    /// Table `[task.reset]`: how far episodes start from the nominal pose at rest.
+    #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct ResetConfig {
+        /// Joint positions start within ± this of the pose (kept within the limits), rad. Default 0.1.
+        /// Too large: episodes start with a fall.
+        pub joint_pos_noise_rad: f32 = 0.1,
+        /// Joint velocities start within ± this, rad/s. Default 0.
+        pub joint_vel_noise_radps: f32 = 0.0,
+        /// The base starts with a horizontal velocity within ± this along x and y, m/s. Default 0.1.
+        pub base_vel_noise_mps: f32 = 0.1,
+        /// Heading within ± this, rad. Default π: any direction, which matters on uneven ground.
+        pub yaw_range_rad: f32 = PI,
+        /// The base starts within ± this along x and y, m. Default 0; on uneven ground choose it so that
+        /// different episodes meet different ground.
+        pub spawn_half_extent_m: f32 = 0.0,
+        /// Share of the episodes that start in the robot file's swimming pose, on land too, 0 to 1. Default 0. A
+        /// policy that swims must learn to unfold its legs where the ground comes up, and meets that too rarely
+        /// when every episode begins on its feet; too large: little else is trained.
+        pub swimming_pose_share: f32 = 0.0,
+        /// Share of the episodes that start in any attitude, with every joint anywhere between its limits, 0 to 1.
+        /// Default 0. For robots that are to get up again; `task.termination.max_tilt_rad` must then be large.
+        pub fallen_share: f32 = 0.0,
     }
 }
 

@@ -1,13 +1,11 @@
 //! `caudata bench lag`: trainings whose data is a forced number of iterations old (`actors.lockstep`), with
 //! the decoupled loss and with plain PPO; the final return of each beside that of fresh data.
 
-use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::Stdio;
 
 use caudata_config::{ConfigArgs, Returns};
 use caudata_telemetry::progress::{Event, MeanSe};
-use caudata_telemetry::{ExitCode, Failure, FailureExt};
+use caudata_telemetry::{ExitCode, Failure};
 use clap::Args;
 use serde::Serialize;
 
@@ -131,7 +129,6 @@ fn train(
     (correction, loss): (&str, &'static str),
     seed: u64,
 ) -> Result<Run, Failure> {
-    let folder = tempfile::tempdir().or_exit(ExitCode::CannotCreate)?;
     let mut sets = vec![
         "transport.kind=inproc".to_owned(),
         "actors.lockstep=true".to_owned(),
@@ -144,27 +141,17 @@ fn train(
     if let Some(iterations) = plan.iterations {
         sets.push(format!("run.iterations={iterations}"));
     }
-    let mut command = training::command(learner, &plan.config, &sets, "lag", folder.path());
-    let mut child = command
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .spawn()
-        .or_exit(ExitCode::OsResource)?;
     let (mut finished, mut lag_seen, mut effective_share_min) = (None, 0, f64::INFINITY);
-    if let Some(stdout) = child.stdout.take() {
-        for line in BufReader::new(stdout).lines() {
-            match serde_json::from_str(&line.or_exit(ExitCode::Internal)?) {
-                Ok(Event::Iteration(iteration)) => {
-                    lag_seen = iteration.lag_max.max(lag_seen);
-                    effective_share_min = iteration.effective_share.min(effective_share_min);
-                }
-                Ok(Event::Finished(last)) => finished = Some(last),
-                // Checkpoints, warnings, and what later versions may say.
-                _ => {}
-            }
+    let hear = |_, event| match event {
+        Event::Iteration(iteration) => {
+            lag_seen = iteration.lag_max.max(lag_seen);
+            effective_share_min = iteration.effective_share.min(effective_share_min);
         }
-    }
-    let status = child.wait().or_exit(ExitCode::OsResource)?;
+        Event::Finished(last) => finished = Some(last),
+        // Checkpoints and warnings.
+        _ => {}
+    };
+    let status = training::run(learner, &plan.config, &sets, "lag", hear)?;
     let what = format!("the training with lag {lag}, loss {loss}, seed {seed}");
     let failed = |why: String| Failure::message(ExitCode::Internal, format!("{what} {why}"));
     let finished = finished

@@ -8,7 +8,6 @@ pub mod calibrate;
 pub mod explain;
 pub mod gap;
 pub mod lag;
-pub mod learner;
 pub mod measure;
 pub mod parts;
 pub mod session;

@@ -1,12 +1,10 @@
-//! Environment steps and inferences per second.
+//! Environment steps per second, and what several benchmarks need.
 
 use std::sync::Arc;
 
 use caudata_actor::build_env;
 use caudata_config::{Config, ConfigArgs};
-use caudata_policy::{
-    Activation, Dense, Inference, MlpSpec, PolicyFile, PolicyMetadata, build_onnx,
-};
+use caudata_policy::{Activation, Dense, MlpSpec, PolicyMetadata, build_onnx};
 use caudata_studies::{files, flags};
 use caudata_task::{PerJoint, PolicyContract};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
@@ -28,22 +26,6 @@ fn seconds(text: &str) -> Result<f64, String> {
         Ok(seconds) if (0.0..=86_400.0).contains(&seconds) => Ok(seconds),
         _ => Err("must be 0 to 86400 s".to_owned()),
     }
-}
-
-/// Inferences of a network.
-#[derive(Clone, Debug, Args)]
-pub struct PolicyPlan {
-    #[command(flatten)]
-    time: Time,
-    /// Observations per inference
-    #[arg(long, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=65_536))]
-    batch: u32,
-    /// Threads
-    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=64))]
-    threads: u32,
-    /// Network and robot; the preset `quick` without these flags
-    #[command(flatten)]
-    config: ConfigArgs,
 }
 
 /// What the flags say; the preset `quick` where they name nothing.
@@ -87,38 +69,6 @@ pub fn environment_steps(seconds: f64, config: &Config) -> Result<Rate, Failure>
             }
             step += 1;
             env.step(&actions).map(|_| ()).or_exit(ExitCode::Internal)
-        },
-    )
-}
-
-/// Inferences per second on ONNX Runtime.
-///
-/// # Errors
-/// Where the network cannot be made or run.
-pub fn inferences(plan: &PolicyPlan) -> Result<Rate, Failure> {
-    let config = config(&plan.config)?;
-    let model = files::robot(&config.robot_path())?;
-    let contract = PolicyContract::new(&model, &config.task).or_exit(ExitCode::BadInput)?;
-    let hidden = &config.learner.network.policy_hidden;
-    let file = PolicyFile::parse(example_policy(&contract, hidden, "bench", 0)?.into())
-        .or_exit(ExitCode::Internal)?;
-    let mut inference = Inference::new(&file, plan.threads as usize).or_exit(ExitCode::NoInput)?;
-    let lanes = plan.batch as usize;
-    let observations: Vec<f32> = (0..lanes * contract.obs_dim())
-        .map(|i| (i as f32 * 0.37).sin())
-        .collect();
-    let mut actions = vec![0.0; lanes * contract.act_dim()];
-    let settings = json!({ "batch": plan.batch, "threads": plan.threads, "policy_hidden": hidden });
-    let seconds = plan.time.seconds;
-    rate(
-        "policy",
-        ("inferences", plan.batch),
-        seconds,
-        settings,
-        || {
-            inference
-                .run(&observations, lanes, &mut actions)
-                .or_exit(ExitCode::Internal)
         },
     )
 }

@@ -1,8 +1,6 @@
 //! Where a second of training goes: per iteration and as shares of the time of all cores.
 
-use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::Stdio;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -161,50 +159,38 @@ fn together(build: &'static str, runs: &[Run], cores: usize) -> Build {
 }
 
 fn train(plan: &Plan, program: &Path) -> Result<Run, Failure> {
-    let folder = tempfile::tempdir().or_exit(ExitCode::CannotCreate)?;
     let sets = [
         format!("run.iterations={}", plan.iterations),
         "telemetry.metrics=false".to_owned(),
     ];
-    let mut command = training::command(program, &plan.config, &sets, "bench", folder.path());
     let began = Instant::now();
-    let mut child = command
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .spawn()
-        .or_exit(ExitCode::OsResource)?;
-    let pid = child.id();
-    let cpu_s = || cpu_s_of(pid).unwrap_or(f64::NAN);
+    let cpu_s = |process| cpu_s_of(process).unwrap_or(f64::NAN);
     let mut run = Run {
         parts_s: vec![Some(0.0); Part::ALL.len()],
         ..Run::default()
     };
     // When the last counted iteration ended, and the steps and CPU time before the first.
     let mut last: Option<(Instant, f64, f64)> = None;
-    if let Some(stdout) = child.stdout.take() {
-        for line in BufReader::new(stdout).lines() {
-            match serde_json::from_str(&line.or_exit(ExitCode::Internal)?) {
-                Ok(Event::Started(_)) => run.starts_after_s = began.elapsed().as_secs_f64(),
-                Ok(Event::Iteration(iteration)) if iteration.iteration >= WARM_UP => {
-                    let (now, steps) = (Instant::now(), iteration.steps_total as f64);
-                    let Some((before, first_steps, first_cpu_s)) = last else {
-                        last = Some((now, steps, cpu_s()));
-                        continue;
-                    };
-                    run.iterations_s.push((now - before).as_secs_f64());
-                    run.steps = steps - first_steps;
-                    run.cpu_s = cpu_s() - first_cpu_s;
-                    last = Some((now, first_steps, first_cpu_s));
-                    for (sum, part) in run.parts_s.iter_mut().zip(Part::ALL) {
-                        let seconds = iteration.spans_s.get(part.name());
-                        *sum = sum.zip(seconds).map(|(sum, s)| sum + s);
-                    }
-                }
-                _ => {}
+    let hear = |process, event| match event {
+        Event::Started(_) => run.starts_after_s = began.elapsed().as_secs_f64(),
+        Event::Iteration(iteration) if iteration.iteration >= WARM_UP => {
+            let (now, steps) = (Instant::now(), iteration.steps_total as f64);
+            let Some((before, first_steps, first_cpu_s)) = last else {
+                last = Some((now, steps, cpu_s(process)));
+                return;
+            };
+            run.iterations_s.push((now - before).as_secs_f64());
+            run.steps = steps - first_steps;
+            run.cpu_s = cpu_s(process) - first_cpu_s;
+            last = Some((now, first_steps, first_cpu_s));
+            for (sum, part) in run.parts_s.iter_mut().zip(Part::ALL) {
+                let seconds = iteration.spans_s.get(part.name());
+                *sum = sum.zip(seconds).map(|(sum, s)| sum + s);
             }
         }
-    }
-    let status = child.wait().or_exit(ExitCode::OsResource)?;
+        _ => {}
+    };
+    let status = training::run(program, &plan.config, &sets, "bench", hear)?;
     if !status.success() || run.iterations_s.is_empty() {
         let message = format!("the training of {} ended with {status}", program.display());
         return Err(Failure::message(ExitCode::Internal, message));

@@ -1,35 +1,43 @@
-//! Trainings by the program `caudata-learner`, in one process.
+//! Trainings in a folder of their own, which are listened to.
 
+use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::Command;
+use std::process::{ExitStatus, Stdio};
 
 use caudata_config::ConfigArgs;
-use caudata_studies::flags;
-use caudata_telemetry::PARENT_PID_VAR;
+use caudata_studies::{flags, training};
+use caudata_telemetry::progress::Event;
+use caudata_telemetry::{ExitCode, Failure, FailureExt};
 
-/// The command of a training in `folder`; the preset `quick` where `config` names nothing, and `sets` above it.
-pub fn command(
+/// Trains with the program `learner`: the preset `quick` where `config` names nothing, and `sets` above it.
+/// `hear` is told the process and what it says.
+///
+/// # Errors
+/// Where the training cannot be started.
+pub fn run(
     learner: &Path,
     config: &ConfigArgs,
     sets: &[String],
     run_id: &str,
-    folder: &Path,
-) -> Command {
-    let mut command = Command::new(learner);
-    command
-        .args(flags::as_words(&flags::or_preset(config, "quick")))
-        .args([
-            "--inproc",
-            "--log-filter",
-            "error",
-            "--run-id",
-            run_id,
-            "--run-dir",
-        ])
-        .arg(folder)
-        .env(PARENT_PID_VAR, std::process::id().to_string());
+    mut hear: impl FnMut(u32, Event),
+) -> Result<ExitStatus, Failure> {
+    let folder = tempfile::tempdir().or_exit(ExitCode::CannotCreate)?;
+    let mut words = flags::as_words(&flags::or_preset(config, "quick"));
     for set in sets {
-        command.args(["--set", set]);
+        words.extend(["--set".into(), set.into()]);
     }
-    command
+    let mut child = training::command(learner, &words, run_id, folder.path())
+        .stdout(Stdio::piped())
+        .spawn()
+        .or_exit(ExitCode::OsResource)?;
+    let process = child.id();
+    if let Some(stdout) = child.stdout.take() {
+        for line in BufReader::new(stdout).lines() {
+            // What later versions may say is none of these.
+            if let Ok(event) = serde_json::from_str(&line.or_exit(ExitCode::Internal)?) {
+                hear(process, event);
+            }
+        }
+    }
+    child.wait().or_exit(ExitCode::OsResource)
 }

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use caudata_actor::build_env;
 use caudata_config::{Config, GatesConfig};
+use caudata_declare::settings;
 use caudata_env::StartShift;
 use caudata_model::RobotModel;
 use caudata_policy::{Inference, PolicyFile};
@@ -26,30 +27,20 @@ use crate::{
 /// training run has it, so that the episodes are new to the policy.
 const EVALUATION_KEY: u64 = u64::MAX;
 
-/// How to evaluate.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Settings {
-    /// Episodes of each scenario, at least one per command.
-    pub episodes: u32,
-    /// Length of an episode, s, where the scenario has none of its own.
-    pub episode_s: f64,
-    /// Time left out at its start, s.
-    pub settle_s: f64,
-    /// Seed of the episodes and the terrain.
-    pub seed: u64,
-    /// Whether to keep what reports show: velocities of every episode, everything of one.
-    pub film: bool,
-}
-
-impl Default for Settings {
-    fn default() -> Self {
-        Self {
-            episodes: 256,
-            episode_s: 20.0,
-            settle_s: 2.0,
-            seed: 1,
-            film: false,
-        }
+settings! {
+    /// How to evaluate.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct Settings {
+        /// Episodes of each scenario, at least one per command.
+        pub episodes: u32 = 256,
+        /// Length of an episode, s, where the scenario has none of its own.
+        pub episode_s: f64 = 20.0,
+        /// Time left out at its start, s.
+        pub settle_s: f64 = 2.0,
+        /// Seed of the episodes and the terrain.
+        pub seed: u64 = 1,
+        /// Whether to keep what reports show: velocities of every episode, everything of one.
+        pub film: bool,
     }
 }
 

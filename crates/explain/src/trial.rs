@@ -1,16 +1,15 @@
 //! A short training with some suspects put right, and how its policy walks.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use caudata_config::{Config, TransportKind};
 use caudata_model::RobotModel;
 use caudata_studies::failures::stopped;
-use caudata_studies::files;
+use caudata_studies::{files, training};
 use caudata_task::observation::ObservationTerm;
-use caudata_telemetry::{ExitCode, Failure, FailureExt, PARENT_PID_VAR, StopFlag};
+use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
 use toml::{Table, Value};
 
 use crate::behaviour::Behaviour;
@@ -55,20 +54,8 @@ impl Trainer {
         )?;
         let log = std::fs::File::create(folder.join("progress.jsonl"));
         let said = std::fs::File::create(folder.join("learner.log"));
-        let mut child = Command::new(&self.learner)
-            .arg("--config")
-            .arg(&file)
-            .args([
-                "--inproc",
-                "--log-filter",
-                "error",
-                "--run-id",
-                "explain",
-                "--run-dir",
-            ])
-            .arg(folder)
-            .env(PARENT_PID_VAR, std::process::id().to_string())
-            .stdin(Stdio::null())
+        let words = ["--config".into(), file.into_os_string()];
+        let mut child = training::command(&self.learner, &words, "explain", folder)
             .stdout(log.or_exit(ExitCode::CannotCreate)?)
             .stderr(said.or_exit(ExitCode::CannotCreate)?)
             .spawn()

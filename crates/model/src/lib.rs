@@ -35,7 +35,6 @@ pub use params::{
     ServoParams, SupplyParams, WaterParams,
 };
 pub use pose::Pose;
-pub use servos::servo_library;
 pub use types::{
     Ball, BaseKind, Foot, Geom, Joint, JointKind, JointMotion, Link, Shape, Site, Softness,
 };

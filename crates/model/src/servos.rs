@@ -52,11 +52,6 @@ impl Brushless {
 const VELOCITY_STEP_RADPS: f64 = 1e-3;
 const CURRENT_STEP_A: f64 = 1e-3;
 
-/// Names of the servo types that a robot file may name without describing them.
-pub fn servo_library() -> Vec<String> {
-    library().into_keys().collect()
-}
-
 fn library() -> BTreeMap<String, toml::Table> {
     // a test reads it; an unreadable one would be an empty one
     toml::from_str(LIBRARY).unwrap_or_default()

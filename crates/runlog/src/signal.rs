@@ -93,6 +93,11 @@ pub enum Signal {
 }
 
 impl Signal {
+    /// One for each of these joints.
+    pub fn each(kind: fn(String) -> Self, joints: &[&str]) -> Vec<Self> {
+        joints.iter().map(|name| kind((*name).to_owned())).collect()
+    }
+
     /// The parts of the column's name, which dots join: kind, joint or leg or marker, coordinate; empty where
     /// there is none.
     fn parts(&self) -> [&str; 3] {

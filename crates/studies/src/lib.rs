@@ -17,6 +17,7 @@ pub mod policies;
 pub mod session;
 pub mod steps;
 mod table;
+pub mod training;
 
 pub use steps::{News, Steps};
 pub use table::Table;

@@ -143,7 +143,7 @@ fn fault_16_a_lost_state_takes_nothing_until_a_floor_is_proved() {
     let store = PolicyStore::open(folder.path()).unwrap();
     let here = Sha256Digest([7; 32]);
     let older = crate::state::Decision::Older { have: 9 };
-    assert_eq!(store.state().decide(&policy(b"one"), here), older);
+    assert_eq!(store.decide(&policy(b"one"), here), older);
     for name in COPIES {
         let aside = folder.path().join(format!("{name}.damaged"));
         assert_eq!(fs::read(aside).unwrap(), b"{", "{name}");

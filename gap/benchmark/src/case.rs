@@ -3,10 +3,11 @@
 use serde::{Deserialize, Serialize};
 
 /// Which block of the protocol a case belongs to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Block {
     /// Nuisances only.
+    #[default]
     Null,
     /// One effect.
     Single,
@@ -63,7 +64,7 @@ pub struct TrueValue {
 }
 
 /// The answer of a case.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Answer {
     /// Folder name.
     pub case: String,

@@ -217,20 +217,14 @@ fn lane_of(model: &Arc<RobotModel>, term: &Term, session: f64) -> Plant {
 
 fn answer(seed: u64, hidden: Option<(TrueEffect, f64)>) -> Answer {
     Answer {
-        case: String::new(),
         block: match hidden {
             Some(_) => Block::Single,
             None => Block::Null,
         },
-        rig: String::new(),
         seed,
-        target_d: 0.0,
         together_d: hidden.as_ref().map_or(0.0, |h| h.1),
         effects: hidden.into_iter().map(|h| h.0).collect(),
-        without: Vec::new(),
-        decoy: String::new(),
-        fault: false,
-        fault_kinds: Vec::new(),
+        ..Answer::default()
     }
 }
 

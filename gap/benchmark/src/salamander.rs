@@ -149,7 +149,6 @@ pub fn make(
         }
     }
     Ok(Answer {
-        together_d: 0.0,
         case: plan.name.clone(),
         block: match (plan.hidden, plan.place) {
             (Hides::Nothing, _) => Block::Null,
@@ -158,11 +157,7 @@ pub fn make(
         },
         rig: RIG.to_owned(),
         seed: plan.seed,
-        target_d: 0.0,
         effects: truth(&model, plan.hidden),
-        without: Vec::new(),
-        decoy: String::new(),
-        fault: false,
-        fault_kinds: Vec::new(),
+        ..Answer::default()
     })
 }

@@ -35,6 +35,23 @@ pub struct Plan {
     pub other_laws: bool,
 }
 
+impl Plan {
+    /// One in which nothing is hidden.
+    pub(crate) fn new(block: Block, rig: &'static str, seed: u64, amount: Amount) -> Self {
+        Self {
+            block,
+            rig,
+            seed,
+            amount,
+            effects: Vec::new(),
+            decoy: None,
+            without: Vec::new(),
+            salamander: None,
+            other_laws: false,
+        }
+    }
+}
+
 /// The sets of cases.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "lowercase")]
@@ -144,17 +161,7 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
     let mut s = Stream::new(Key::for_run(seed), Purpose::Command);
     let (counts, amount) = Counts::of(set);
     let mut plans = singles(set, amount, &mut s);
-    let case = |block, rig, s: &mut Stream| Plan {
-        block,
-        rig,
-        seed: s.next_u64(),
-        amount,
-        effects: Vec::new(),
-        decoy: None,
-        without: Vec::new(),
-        salamander: None,
-        other_laws: false,
-    };
+    let case = |block, rig, s: &mut Stream| Plan::new(block, rig, s.next_u64(), amount);
     let rig = |i: usize| {
         if set == SetName::Quick || i % 3 != 2 {
             "pendulum"
@@ -256,15 +263,8 @@ pub(crate) fn pair(i: usize, rig: &str, s: &mut Stream) -> Vec<(&'static Hidden,
 
 fn singles(set: SetName, amount: Amount, s: &mut Stream) -> Vec<Plan> {
     let one = |h: &'static Hidden, rig: &'static str, j: usize, d: f64, s: &mut Stream| Plan {
-        block: Block::Single,
-        rig,
-        seed: s.next_u64(),
-        amount,
         effects: vec![(h, j, d)],
-        decoy: None,
-        without: Vec::new(),
-        salamander: None,
-        other_laws: false,
+        ..Plan::new(Block::Single, rig, s.next_u64(), amount)
     };
     let mut plans = Vec::new();
     match set {
@@ -312,12 +312,6 @@ fn singles(set: SetName, amount: Amount, s: &mut Stream) -> Vec<Plan> {
     plans
 }
 
-/// An IMU and motion capture.
-const ALL: Channels = Channels {
-    imu: true,
-    mocap: true,
-};
-
 /// Cases on the ground in turn: play at each hinge, the paper's robot, slippery feet, a payload, a slope,
 /// nothing.
 fn on_ground(i: usize, s: &mut Stream) -> (BaseHold, Hides, Channels) {
@@ -333,16 +327,16 @@ fn on_ground(i: usize, s: &mut Stream) -> (BaseHold, Hides, Channels) {
     };
     let without_mocap = Channels {
         mocap: false,
-        ..ALL
+        ..Channels::ALL
     };
     let (hidden, channels) = match i % 10 {
-        hinge @ 0..4 => (play(hinge), ALL),
-        4 => (paper, ALL),
+        hinge @ 0..4 => (play(hinge), Channels::ALL),
+        4 => (paper, Channels::ALL),
         5 => (paper, without_mocap),
-        6 => (Hides::Friction(between(s, 0.4, 0.7)), ALL),
-        7 => (Hides::Payload(between(s, 0.2, 0.5)), ALL),
-        8 => (Hides::Slope(between(s, 2.0, 6.0)), ALL),
-        _ => (Hides::Nothing, ALL),
+        6 => (Hides::Friction(between(s, 0.4, 0.7)), Channels::ALL),
+        7 => (Hides::Payload(between(s, 0.2, 0.5)), Channels::ALL),
+        8 => (Hides::Slope(between(s, 2.0, 6.0)), Channels::ALL),
+        _ => (Hides::Nothing, Channels::ALL),
     };
     (BaseHold::Free, hidden, channels)
 }
@@ -359,7 +353,7 @@ fn in_water(i: usize, s: &mut Stream) -> (BaseHold, Hides, Channels) {
         5 => Hides::BuoyancyCentre(between(s, 0.005, 0.015)),
         _ => Hides::Nothing,
     };
-    (BaseHold::Water, hidden, ALL)
+    (BaseHold::Water, hidden, Channels::ALL)
 }
 
 /// A draw, in one place: inlined at every call, draws are most of what plans take in a program.

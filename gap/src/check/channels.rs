@@ -2,7 +2,7 @@
 
 use caudata_runlog::Signal;
 
-use super::finding::Run;
+use super::finding::{Finding, Run};
 use super::series::smooth;
 
 /// Commands and readings are compared below about 1 Hz, where no lag of a servo turns a sign.
@@ -70,5 +70,15 @@ impl Channels {
                 }
             })
             .collect()
+    }
+
+    /// A fault of one of its columns that must be put right first.
+    pub fn fatal(&self, kind: &'static str, column: &str, detail: String) -> Finding {
+        Finding::fatal(kind, format!("{column}.{}", self.name), detail)
+    }
+
+    /// Something worth knowing of one of its columns.
+    pub fn note(&self, kind: &'static str, column: &str, detail: String) -> Finding {
+        Finding::note(kind, format!("{column}.{}", self.name), detail)
     }
 }

@@ -73,50 +73,38 @@ fn units(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
             } else {
                 "is it in another unit, from another zero, or of another robot?"
             };
-            out.push(Finding::fatal(
-                "unit",
-                format!("{what}.{}", joint.name),
-                format!(
-                    "reaches {most:.2} where the joint's range is {low:.2} to {high:.2} rad; {why}"
-                ),
-            ));
+            let detail = format!(
+                "reaches {most:.2} where the joint's range is {low:.2} to {high:.2} rad; {why}"
+            );
+            out.push(joint.fatal("unit", what, detail));
         }
     }
     let past = |v: &f64| (low - v).max(v - high);
     let positions = joint.pos.iter().flatten().copied();
     let farthest = positions.max_by(|a, b| past(a).total_cmp(&past(b)));
     if let Some(at_rad) = farthest.filter(|v| past(v) > PAST_RAD && beyond(&joint.pos).is_none()) {
-        out.push(Finding::note(
-            "range",
-            format!("pos.{}", joint.name),
-            format!(
-                "reaches {at_rad:.2} rad, past the joint's range of {low:.2} to {high:.2} rad, where the simulated \
-                 robot has an end stop: are range and zero right?"
-            ),
-        ));
+        let detail = format!(
+            "reaches {at_rad:.2} rad, past the joint's range of {low:.2} to {high:.2} rad, where the simulated \
+             robot has an end stop: are range and zero right?"
+        );
+        out.push(joint.note("range", "pos", detail));
     }
     let Some(t) = follows(run, joint, joint) else {
         return;
     };
     // 57.3 either way, also where the joint's range is wide enough to hold it
     if t.r > 0.7 && t.slope > 20.0 && beyond(&joint.pos).is_none() {
-        out.push(Finding::fatal(
-            "unit",
-            format!("pos.{}", joint.name),
-            format!(
-                "moves {:.1} times as far as its command; is one of them in degrees?",
-                t.slope
-            ),
-        ));
+        let detail = format!(
+            "moves {:.1} times as far as its command; is one of them in degrees?",
+            t.slope
+        );
+        out.push(joint.fatal("unit", "pos", detail));
     } else if t.r > 0.7 && t.slope > 0.0 && t.slope < 0.03 && beyond(&joint.cmd).is_none() {
-        out.push(Finding::fatal(
-            "unit",
-            format!("cmd.{}", joint.name),
-            format!(
-                "moves {:.1} times as far as the position; is one of them in degrees?",
-                1.0 / t.slope
-            ),
-        ));
+        let detail = format!(
+            "moves {:.1} times as far as the position; is one of them in degrees?",
+            1.0 / t.slope
+        );
+        out.push(joint.fatal("unit", "cmd", detail));
     }
 }
 
@@ -125,14 +113,11 @@ fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
         return;
     };
     if t.r < -0.5 && t.second_sd > 0.2 * t.first_sd {
-        out.push(Finding::fatal(
-            "sign",
-            format!("pos.{}", joint.name),
-            format!(
-                "goes against cmd.{} (correlation {:.2}); turn the sign of one of them",
-                joint.name, t.r
-            ),
-        ));
+        let detail = format!(
+            "goes against cmd.{} (correlation {:.2}); turn the sign of one of them",
+            joint.name, t.r
+        );
+        out.push(joint.fatal("sign", "pos", detail));
         return;
     }
     // At rest the motor pulls towards the command: current follows the error where the sign is right. (In
@@ -161,14 +146,11 @@ fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     // an error that hardly leaves its count, and a current that wanders meanwhile, tell nothing
     let told = t.first_sd > run.robot.servo(joint.index).encoder_lsb_rad();
     if told && t.r < -0.7 && t.points >= run.grid.points(LONG_ENOUGH_S) {
-        out.push(Finding::fatal(
-            "sign",
-            format!("cur.{}", joint.name),
-            format!(
-                "pulls away from the command (correlation with cmd − pos {:.2}); turn its sign",
-                t.r
-            ),
-        ));
+        let detail = format!(
+            "pulls away from the command (correlation with cmd − pos {:.2}); turn its sign",
+            t.r
+        );
+        out.push(joint.fatal("sign", "cur", detail));
     }
 }
 
@@ -232,15 +214,12 @@ fn stuck(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
         let below = asked().any(|u| pos[from] - u > far);
         let lasts = (i - from) as f64 * run.grid.step_s;
         if above && below && lasts > 0.3 {
-            out.push(Finding::fatal(
-                "stuck",
-                format!("pos.{}", joint.name),
-                format!(
-                    "reads {:.4} rad for {lasts:.1} s from t = {:.2} s while the command asks for both sides of it",
-                    pos[from],
-                    run.grid.start_s + from as f64 * run.grid.step_s
-                ),
-            ));
+            let detail = format!(
+                "reads {:.4} rad for {lasts:.1} s from t = {:.2} s while the command asks for both sides of it",
+                pos[from],
+                run.grid.start_s + from as f64 * run.grid.step_s
+            );
+            out.push(joint.fatal("stuck", "pos", detail));
             return;
         }
         from = i;
@@ -273,11 +252,8 @@ fn counts(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
                 std::f64::consts::TAU / step
             ),
         };
-        out.push(Finding::note(
-            "quantisation",
-            format!("pos.{}", joint.name),
-            format!("comes in steps of {step:.4} rad {todo}"),
-        ));
+        let detail = format!("comes in steps of {step:.4} rad {todo}");
+        out.push(joint.note("quantisation", "pos", detail));
     }
 }
 
@@ -335,15 +311,12 @@ fn order(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) -> Vec<bool
         } else {
             ": are the columns in another joint's order?".to_owned()
         };
-        out.push(Finding::fatal(
-            "order",
-            format!("pos.{a_name}"),
-            format!(
-                "pos.{b_name} follows cmd.{a_name} ({:.1} % of its motion is left; of pos.{a_name} {:.0} %){more}",
-                100.0 * ab.left,
-                100.0 * own(a).map_or(1.0, |m| m.left)
-            ),
-        ));
+        let detail = format!(
+            "pos.{b_name} follows cmd.{a_name} ({:.1} % of its motion is left; of pos.{a_name} {:.0} %){more}",
+            100.0 * ab.left,
+            100.0 * own(a).map_or(1.0, |m| m.left)
+        );
+        out.push(Finding::fatal("order", format!("pos.{a_name}"), detail));
     }
     named
 }
@@ -448,14 +421,11 @@ fn doubled(joints: &[Channels], out: &mut Vec<Finding>) {
                 _ => false,
             };
             if moved && !asked_alike && all > 50 && same * 100 > all * 98 {
-                out.push(Finding::fatal(
-                    "duplicate",
-                    format!("pos.{}", second.name),
-                    format!(
-                        "is the same as pos.{} in {same} of {all} points; one channel was logged twice",
-                        first.name
-                    ),
-                ));
+                let detail = format!(
+                    "is the same as pos.{} in {same} of {all} points; one channel was logged twice",
+                    first.name
+                );
+                out.push(second.fatal("duplicate", "pos", detail));
             }
         }
     }

@@ -31,13 +31,10 @@ pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
         let alike = ratios.iter().all(|r| (r / mean - 1.0).abs() < 0.1);
         let known_unit = unit_factor(mean).is_some();
         if alike && !known_unit && !(1.0 / RATIO..RATIO).contains(&mean) && mean > 0.0 {
-            out.push(Finding::fatal(
-                "stamps",
-                "t".to_owned(),
-                format!(
-                    "every joint's speed is {mean:.2} times its change of position per time: time runs at the wrong rate"
-                ),
-            ));
+            let detail = format!(
+                "every joint's speed is {mean:.2} times its change of position per time: time runs at the wrong rate"
+            );
+            out.push(Finding::fatal("stamps", "t", detail));
             return;
         }
     }
@@ -136,22 +133,17 @@ fn imu(run: &Run<'_>, out: &mut Vec<Finding>) {
         if (median / 1.0 - 1.0).abs() < 0.2 && g > 2.0 {
             out.push(Finding::fatal("unit", at, format!("is {median:.2} long in the middle where gravity is {g:.2} m/s²; is it in units of g?")));
         } else if !(0.8..1.25).contains(&(median / g)) {
-            out.push(Finding::fatal(
-                "parity",
-                at,
-                format!("is {median:.2} m/s² long in the middle where gravity is {g:.2} m/s²"),
-            ));
+            let detail =
+                format!("is {median:.2} m/s² long in the middle where gravity is {g:.2} m/s²");
+            out.push(Finding::fatal("parity", at, detail));
         }
     }
     if let Some(grav) = &grav {
         if let Some(length) = median(norms(grav))
             && !(0.9..1.1).contains(&length)
         {
-            out.push(Finding::fatal(
-                "unit",
-                "imu.grav".to_owned(),
-                format!("is {length:.2} long; the direction of gravity is a unit vector"),
-            ));
+            let detail = format!("is {length:.2} long; the direction of gravity is a unit vector");
+            out.push(Finding::fatal("unit", "imu.grav", detail));
         }
         if let (Some(acc), Some(along)) = (&acc, acc.as_ref().and_then(|a| along(a, grav))) {
             let length = median(norms(acc)).unwrap_or(g).max(1e-9);
@@ -162,14 +154,11 @@ fn imu(run: &Run<'_>, out: &mut Vec<Finding>) {
                 } else {
                     ("order", "across")
                 };
-                out.push(Finding::fatal(
-                    kind,
-                    "imu.acc".to_owned(),
-                    format!(
-                        "points {how} imu.grav (cosine {:.2}) where it must point against it: check signs and axes",
-                        along / length
-                    ),
-                ));
+                let detail = format!(
+                    "points {how} imu.grav (cosine {:.2}) where it must point against it: check signs and axes",
+                    along / length
+                );
+                out.push(Finding::fatal(kind, "imu.acc", detail));
             }
         }
         if let Some(gyro) = &gyro {
@@ -182,11 +171,8 @@ fn imu(run: &Run<'_>, out: &mut Vec<Finding>) {
             .filter(|x| x.is_finite())
             .fold(0.0, f64::max);
         if most > 60.0 {
-            out.push(Finding::fatal(
-                "unit",
-                "imu.gyro".to_owned(),
-                format!("reaches {most:.0} rad/s; is it in deg/s?"),
-            ));
+            let detail = format!("reaches {most:.0} rad/s; is it in deg/s?");
+            out.push(Finding::fatal("unit", "imu.gyro", detail));
         }
     }
 }
@@ -224,14 +210,11 @@ fn turning(run: &Run<'_>, gyro: &[Vec<f64>; 3], grav: &[Vec<f64>; 3], out: &mut 
     }
     if plain.r > LEAST_R {
         if let Some(unit) = unit_factor(1.0 / plain.slope) {
-            out.push(Finding::fatal(
-                "unit",
-                "imu.gyro".to_owned(),
-                format!(
-                    "turns {:.1} times as fast as gravity does; is it in {unit}?",
-                    1.0 / plain.slope
-                ),
-            ));
+            let detail = format!(
+                "turns {:.1} times as fast as gravity does; is it in {unit}?",
+                1.0 / plain.slope
+            );
+            out.push(Finding::fatal("unit", "imu.gyro", detail));
         }
         return;
     }
@@ -270,14 +253,11 @@ fn turning(run: &Run<'_>, gyro: &[Vec<f64>; 3], grav: &[Vec<f64>; 3], out: &mut 
     } else {
         "order"
     };
-    out.push(Finding::fatal(
-        kind,
-        "imu.gyro".to_owned(),
-        format!(
-            "does not turn imu.grav as it must (correlation {:.2}){hint}",
-            plain.r
-        ),
-    ));
+    let detail = format!(
+        "does not turn imu.grav as it must (correlation {:.2}){hint}",
+        plain.r
+    );
+    out.push(Finding::fatal(kind, "imu.gyro", detail));
 }
 
 fn base(run: &Run<'_>, out: &mut Vec<Finding>) {
@@ -293,11 +273,9 @@ fn base(run: &Run<'_>, out: &mut Vec<Finding>) {
         if let Some(length) = median(lengths)
             && !(0.95..1.05).contains(&length)
         {
-            out.push(Finding::fatal(
-                "unit",
-                "base.quat".to_owned(),
-                format!("is {length:.2} long; a rotation is a unit quaternion (w, x, y, z)"),
-            ));
+            let detail =
+                format!("is {length:.2} long; a rotation is a unit quaternion (w, x, y, z)");
+            out.push(Finding::fatal("unit", "base.quat", detail));
         }
     }
     for axis in Axis::ALL {
@@ -317,22 +295,17 @@ fn plain_ranges(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
     if let Some(v) = middle(&Signal::Voltage) {
         let nominal = run.log.meta.supply_v.unwrap_or(run.robot.supply_v());
         if !(0.2..3.0).contains(&(v / nominal)) {
-            out.push(Finding::fatal(
-                "unit",
-                "volt".to_owned(),
-                format!("is {v:.1} in the middle where the supply is about {nominal:.1} V"),
-            ));
+            let detail =
+                format!("is {v:.1} in the middle where the supply is about {nominal:.1} V");
+            out.push(Finding::fatal("unit", "volt", detail));
         }
     }
     for joint in joints {
         if let Some(t) = middle(&Signal::Temperature(joint.name.clone()))
             && !(-30.0..130.0).contains(&t)
         {
-            out.push(Finding::fatal(
-                "unit",
-                format!("temp.{}", joint.name),
-                format!("is {t:.0} in the middle; servos live between −30 and 130 °C"),
-            ));
+            let detail = format!("is {t:.0} in the middle; servos live between −30 and 130 °C");
+            out.push(joint.fatal("unit", "temp", detail));
         }
         let servo = run.robot.servo(joint.index);
         let stall_a =
@@ -340,11 +313,9 @@ fn plain_ranges(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
         let most = joint.cur.iter().flatten().filter(|i| i.is_finite());
         let most = most.fold(0.0, |m: f64, i| m.max(i.abs()));
         if most > 20.0 * stall_a {
-            out.push(Finding::fatal(
-                "unit",
-                format!("cur.{}", joint.name),
-                format!("reaches {most:.0} where the servo stalls at {stall_a:.1} A; is it in mA?"),
-            ));
+            let detail =
+                format!("reaches {most:.0} where the servo stalls at {stall_a:.1} A; is it in mA?");
+            out.push(joint.fatal("unit", "cur", detail));
         }
     }
 }

@@ -52,14 +52,11 @@ pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
         } else {
             "stamps"
         };
-        out.push(Finding::fatal(
-            kind,
-            "t".to_owned(),
-            format!(
-                "rows come at {:.4} Hz where log.toml says {claimed:.4} Hz{hint}",
-                1.0 / median
-            ),
-        ));
+        let detail = format!(
+            "rows come at {:.4} Hz where log.toml says {claimed:.4} Hz{hint}",
+            1.0 / median
+        );
+        out.push(Finding::fatal(kind, "t", detail));
     }
     let steps = || time_s.windows(2).map(|w| (w[0], w[1] - w[0]));
     let is_gap = |step: f64| step > GAP_STEPS * median && step > GAP_S;
@@ -70,14 +67,11 @@ pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
             let channels = clock_jumped(run, joints, at, step);
             (channels > 0).then_some((at, step, channels))
         }) {
-            out.push(Finding::fatal(
-"stamps",
-"t".to_owned(),
-format!(
-                    "jump ahead by {step:.2} s after t = {at:.2} s while {channels} channel(s) go on as if {:.0} ms had passed: the clock was set, no row is missing",
-                    1e3 * median
-                ),
-));
+            let detail = format!(
+                "jump ahead by {step:.2} s after t = {at:.2} s while {channels} channel(s) go on as if {:.0} ms had passed: the clock was set, no row is missing",
+                1e3 * median
+            );
+            out.push(Finding::fatal("stamps", "t", detail));
             return;
         }
         let lost: f64 = gaps.iter().map(|g| g.1).sum();
@@ -100,16 +94,13 @@ format!(
     lost(time_s, median, out);
     let bunched = steps().filter(|&(_, step)| step < BUNCHED * median).count();
     if bunched as f64 > BUNCHED_SHARE * time_s.len() as f64 {
-        out.push(Finding::fatal(
-            "stamps",
-            "t".to_owned(),
-            format!(
-                "{bunched} of {} rows come less than {:.2} ms after the one before (median {:.2} ms): stamp rows when they are sampled, not when they are written",
-                time_s.len(),
-                1e3 * BUNCHED * median,
-                1e3 * median
-            ),
-));
+        let detail = format!(
+            "{bunched} of {} rows come less than {:.2} ms after the one before (median {:.2} ms): stamp rows when they are sampled, not when they are written",
+            time_s.len(),
+            1e3 * BUNCHED * median,
+            1e3 * median
+        );
+        out.push(Finding::fatal("stamps", "t", detail));
     }
 }
 
@@ -138,7 +129,7 @@ fn lost(time_s: &[f64], median_s: f64, out: &mut Vec<Finding>) {
         100.0 * share,
         longer.len()
     );
-    out.push(said("gap", "t".to_owned(), detail));
+    out.push(said("gap", "t", detail));
 }
 
 /// How many channels go on across the gap of `step_s` after `at_s` as if no time had passed; 0 where any

@@ -23,7 +23,7 @@ pub(super) fn usable(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
             "is {span_s:.2} s long in {} rows; a run has at least {SHORTEST_RUN_S} s and {FEWEST_ROWS} rows",
             table.len()
         );
-        out.push(Finding::fatal("short", "log.csv".to_owned(), detail));
+        out.push(Finding::fatal("short", "log.csv", detail));
     }
     let usable = out.len() == before;
     for signal in table.signals() {
@@ -66,7 +66,7 @@ fn misspelt(run: &Run<'_>, out: &mut Vec<Finding>) {
         let like = |k: &&&str| *k != key && one_letter_off(&plain(k), &plain(key));
         if let Some(meant) = KEYS.iter().find(like) {
             let detail = format!("`{key}` is not read; write `{meant}`");
-            out.push(Finding::fatal("meta", "log.toml".to_owned(), detail));
+            out.push(Finding::fatal("meta", "log.toml", detail));
         }
     }
 }
@@ -112,7 +112,7 @@ fn one_letter_off(a: &str, b: &str) -> bool {
 
 /// Whether the log has commands and positions of this robot's joints, and of no others.
 fn columns(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
-    let mut fatal = |detail| out.push(Finding::fatal("columns", "log.csv".to_owned(), detail));
+    let mut fatal = |detail| out.push(Finding::fatal("columns", "log.csv", detail));
     let known = run.robot.actuated_names();
     let signals = run.log.table.signals().iter();
     let mut strangers: Vec<&str> = (signals.filter_map(|s| s.joint()))

@@ -10,5 +10,4 @@ mod targets;
 mod torch;
 mod update;
 
-pub use pool::SHARD_ROWS;
 pub use update::{Ppo, PpoSettings, UpdateStats};

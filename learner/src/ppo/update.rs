@@ -134,11 +134,6 @@ impl Ppo {
         self.pulse = pulse;
     }
 
-    /// The hyper-parameters.
-    pub fn settings(&self) -> &PpoSettings {
-        &self.settings
-    }
-
     /// Other hyper-parameters, from the next update on.
     pub fn set_settings(&mut self, settings: PpoSettings) {
         self.settings = settings;

@@ -55,11 +55,6 @@ impl History {
         }
     }
 
-    /// The complete points.
-    pub fn points(&self) -> &[Point] {
-        &self.points
-    }
-
     /// (steps, value) of every point that has `name`.
     pub fn series(&self, name: &str) -> Vec<(f64, f64)> {
         let pick = |point: &Point| point.values.get(name).map(|value| (point.steps, *value));
@@ -125,7 +120,7 @@ mod tests {
             series.len()
         );
         // Points 0 to 7 make the first one after three halvings: mean 3.5, at the steps of its last.
-        assert_eq!((history.points()[0].iterations, series[0]), (8, (7.0, 3.5)));
+        assert_eq!((history.points[0].iterations, series[0]), (8, (7.0, 3.5)));
         let back: History =
             serde_json::from_str(&serde_json::to_string(&history).unwrap()).unwrap();
         assert_eq!(back, history);

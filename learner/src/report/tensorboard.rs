@@ -5,7 +5,7 @@
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use prost::Message;
 
@@ -15,7 +15,6 @@ const FILE_VERSION: &str = "brain.Event:2";
 /// An event file that is being written. Scalars reach the disk with [`EventFile::flush`].
 #[derive(Debug)]
 pub struct EventFile {
-    path: PathBuf,
     out: BufWriter<File>,
 }
 
@@ -35,10 +34,9 @@ impl EventFile {
             wall_time_s as u64,
             std::process::id()
         );
-        let path = folder.join(name);
-        let file = OpenOptions::new().create(true).append(true).open(&path)?;
+        let mut options = OpenOptions::new();
+        let file = options.create(true).append(true).open(folder.join(name))?;
         let mut events = Self {
-            path,
             out: BufWriter::new(file),
         };
         events.write(&Event {
@@ -49,11 +47,6 @@ impl EventFile {
         })?;
         events.flush()?;
         Ok(events)
-    }
-
-    /// Where the file lies.
-    pub fn path(&self) -> &Path {
-        &self.path
     }
 
     /// Adds scalars, tag and value, at `step`.
@@ -155,7 +148,8 @@ mod tests {
             .scalars(3.0, 7, &[("a/b".into(), 0.5), ("z".into(), 0.0)])
             .unwrap();
         events.flush().unwrap();
-        let bytes = std::fs::read(events.path()).unwrap();
+        let file = std::fs::read_dir(dir.path()).unwrap().next().unwrap();
+        let bytes = std::fs::read(file.unwrap().path()).unwrap();
         // Event 1: field 1 double 2.0, field 3 "brain.Event:2"; step 0 is proto3's default and left out. 24
         // bytes.
         let version = "090000000000000040".to_owned() + "1a0d" + &hex(b"brain.Event:2");

@@ -2,6 +2,7 @@
 
 use caudata_declare::named;
 use prost::Message;
+use serde::Serialize;
 
 use super::error::{NONCE_BYTES, RegistryError};
 use super::names::{LabelName, StreamName};
@@ -318,7 +319,7 @@ pub struct Overview {
 }
 
 /// One line of the record of changes.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct AuditEntry {
     /// Counts from 1.
     pub number: u64,

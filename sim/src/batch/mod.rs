@@ -51,7 +51,7 @@ use crate::config::Precision;
 use crate::drive::loop_memory_steps;
 use crate::engine::{check_new, check_step};
 use crate::error::check_lane;
-use crate::observe::{self, Coordinates};
+use crate::observe::Coordinates;
 use crate::simd::Width;
 use crate::snapshot::{Owner, refused};
 use crate::{Engine, EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
@@ -150,11 +150,7 @@ impl BatchEngine {
     /// Where `init` puts a lane.
     fn coordinates(&self, lane: usize, init: &InitialState) -> Result<Coordinates, SimError> {
         init.validate(&self.model, lane)?;
-        let mut at = Coordinates::start(&self.model, init)?;
-        let hung = self.config.fixed_base;
-        at.world_from_base.pos_m[2] =
-            observe::start_height_m(&self.model, &self.terrain, hung, init, &at)?;
-        Ok(at)
+        Coordinates::start(&self.model, &self.config, &self.terrain, init)
     }
 
     fn owner(&self) -> Owner<'_> {

@@ -1,14 +1,12 @@
 //! One lane: its parameters, what it remembers, what it reports.
 
-use caudata_model::pose::sub;
-
 use super::mjcf;
 use super::process::{Process, Request};
 use super::robot::Robot;
 use super::shared::{Shared, cannot};
 use crate::drive::lane::{DriveMemory, LaneDrive};
 use crate::drive::{DriveFeatures, ServoDrive};
-use crate::observe::{self, Coordinates, LinkMass, Motion};
+use crate::observe::{Coordinates, Motion, Observer};
 use crate::water::{self, LinkMotion, Surface, WaterLink};
 use crate::{InitialState, LaneParams, SimError, State};
 
@@ -29,11 +27,9 @@ pub(super) struct Memory {
 pub(super) struct Lane {
     pub params: LaneParams,
     pub memory: Memory,
-    masses: Vec<LinkMass>,
     drive: LaneDrive,
     water: Option<Water>,
-    at: Coordinates,
-    motion: Motion,
+    seen: Observer,
     /// ∫F dt of contacts in the current period, N·s.
     contacts_ns: Vec<f64>,
     /// What was pushed on the torso in the current period, world, N and N·m.
@@ -56,9 +52,7 @@ impl Lane {
         init: &InitialState,
     ) -> Result<Self, SimError> {
         let (model, config) = (&*shared.model, &shared.config);
-        let mut at = Coordinates::start(model, init)?;
-        at.world_from_base.pos_m[2] =
-            observe::start_height_m(model, &shared.terrain, config.fixed_base, init, &at)?;
+        let at = Coordinates::start(model, config, &shared.terrain, init)?;
         let mut robot = Robot::new(model, config);
         robot.place(&at);
         let memory = Memory {
@@ -69,9 +63,7 @@ impl Lane {
             out: State::of(model, 1),
         };
         let mut lane = Self::from_memory(shared, process, number, params, memory)?;
-        let imu_vel = lane.report(shared)?;
-        lane.memory.imu_vel_mps = imu_vel;
-        lane.report_specific_force(shared, imu_vel);
+        lane.report(shared, None)?;
         Ok(lane)
     }
 
@@ -85,10 +77,11 @@ impl Lane {
     ) -> Result<Self, SimError> {
         let (model, config) = (&*shared.model, &shared.config);
         memory.drive.fit(config, &params);
-        let mut at = Coordinates::start(model, &InitialState::nominal(model))?;
+        let nominal = InitialState::nominal(model);
+        let mut at = Coordinates::start(model, config, &shared.terrain, &nominal)?;
         (at.world_from_base.pos_m, at.world_from_base.quat_wxyz) = memory.held;
         memory.robot.read(&mut at);
-        let masses = observe::link_masses(model, &params);
+        let seen = Observer::new(model, &params, at);
         let servos: Vec<_> = (0..model.actuated().len())
             .map(|a| ServoDrive::new(model, &params, a, config.dt_s))
             .collect();
@@ -99,9 +92,9 @@ impl Lane {
             model,
             config,
             params: &params,
-            masses: &masses,
+            masses: &seen.masses,
             servos: &servos,
-            world_from_base: &at.world_from_base,
+            world_from_base: &seen.at.world_from_base,
         };
         let mut request = Request::new(b'M');
         request.u32(number);
@@ -115,11 +108,9 @@ impl Lane {
             contacts_ns: vec![0.0; memory.robot.contact_len()],
             params,
             memory,
-            masses,
             drive,
             water,
-            at,
-            motion: Motion::default(),
+            seen,
             wrench: [0.0; 6],
         })
     }
@@ -155,12 +146,10 @@ impl Lane {
         robot.push_link(model.torso_link(), self.wrench);
         self.drive.load(model, &shared.stops, robot, drive, since_s);
         if let Some(water) = &self.water {
-            robot.read(&mut self.at);
-            self.motion
-                .update(model, &self.at)
-                .map_err(|e| SimError::Model(e.to_string()))?;
+            robot.read(&mut self.seen.at);
+            self.seen.follow(model)?;
             for (l, link) in water.links.iter().enumerate() {
-                let at = link_motion(&self.motion, l, self.masses[l].com_m);
+                let at = link_motion(&self.seen.motion, l, self.seen.masses[l].com_m);
                 let f = water::forces(link, &at, &water.surface);
                 let ([fx, fy, fz], [tx, ty, tz]) = (f.force_n, f.torque_nm);
                 robot.push_link(l, [fx, fy, fz, tx, ty, tz]);
@@ -190,10 +179,8 @@ impl Lane {
             return Ok(());
         }
         let before = self.memory.out.clone();
-        self.memory.robot.read(&mut self.at);
-        let imu_vel = self.report(shared)?;
-        self.report_specific_force(shared, imu_vel);
-        self.memory.imu_vel_mps = imu_vel;
+        self.memory.robot.read(&mut self.seen.at);
+        self.report(shared, Some(self.memory.imu_vel_mps))?;
         let out = &mut self.memory.out;
         self.drive.write(out);
         let mean = |sum: f64| (sum / f64::from(shared.config.substeps)) as f32;
@@ -211,27 +198,13 @@ impl Lane {
         Ok(())
     }
 
-    /// Writes the kinematic fields of the report from `self.at`. Returns the IMU point's velocity, world,
-    /// m/s.
-    fn report(&mut self, shared: &Shared) -> Result<[f64; 3], SimError> {
-        let model = &*shared.model;
-        self.motion
-            .update(model, &self.at)
-            .map_err(|e| SimError::Model(e.to_string()))?;
+    /// Writes what is seen of the robot where it is, as [`Observer::report`].
+    fn report(&mut self, shared: &Shared, before_mps: Option<[f64; 3]>) -> Result<(), SimError> {
+        let (model, config, terrain) = (&shared.model, &shared.config, &shared.terrain);
         let (out, gravity) = (&mut self.memory.out, self.params.gravity_mps2);
-        let (masses, terrain) = (&self.masses, &shared.terrain);
-        let (at, motion) = (&self.at, &self.motion);
-        Ok(observe::write_kinematics(
-            out, model, masses, terrain, gravity, at, motion,
-        ))
-    }
-
-    /// Writes the accelerometer from the IMU point's velocity now and at the end of the last period.
-    fn report_specific_force(&mut self, shared: &Shared, imu_vel_mps: [f64; 3]) {
-        let period_s = shared.config.control_period_s();
-        let acceleration = sub(imu_vel_mps, self.memory.imu_vel_mps).map(|v| v / period_s);
-        let (out, gravity) = (&mut self.memory.out, self.params.gravity_mps2);
-        observe::write_specific_force(out, &shared.model, &self.motion, gravity, acceleration);
+        let seen = &mut self.seen;
+        self.memory.imu_vel_mps = seen.report(out, model, config, terrain, gravity, before_mps)?;
+        Ok(())
     }
 }
 

@@ -1,6 +1,5 @@
 //! One lane: one robot, its parameters, what it remembers, what it reports.
 
-use caudata_model::pose::sub;
 use serde::{Deserialize, Serialize};
 
 use super::contacts::ContactImpulses;
@@ -10,7 +9,7 @@ use super::shared::Shared;
 use super::water::{Water, WaterMemory};
 use crate::drive::ServoDrive;
 use crate::drive::lane::{DriveMemory, LaneDrive};
-use crate::observe::{self, Coordinates, LinkMass, Motion};
+use crate::observe::{Coordinates, Observer};
 use crate::{InitialState, LaneParams, SimError, State};
 
 /// Everything of a lane that changes while it runs, besides the Rapier world.
@@ -31,26 +30,17 @@ pub(super) struct Lane {
     pub params: LaneParams,
     pub memory: Memory,
     pub robot: Robot,
-    masses: Vec<LinkMass>,
     drive: LaneDrive,
     /// In the current control period.
     contacts: ContactImpulses,
     water: Option<Water>,
-    at: Coordinates,
-    motion: Motion,
+    seen: Observer,
 }
 
 impl Lane {
     /// A lane in `init`.
     pub fn new(shared: &Shared, params: LaneParams, init: &InitialState) -> Result<Self, SimError> {
-        let mut at = Coordinates::start(&shared.model, init)?;
-        at.world_from_base.pos_m[2] = observe::start_height_m(
-            &shared.model,
-            &shared.terrain,
-            shared.config.fixed_base,
-            init,
-            &at,
-        )?;
+        let at = Coordinates::start(&shared.model, &shared.config, &shared.terrain, init)?;
         let memory = DriveMemory::new(&shared.model, &shared.config, &params, init);
         Self::at(shared, params, at, memory)
     }
@@ -63,7 +53,7 @@ impl Lane {
         drive_memory: DriveMemory,
     ) -> Result<Self, SimError> {
         let model = &*shared.model;
-        let masses = observe::link_masses(model, &params);
+        let seen = Observer::new(model, &params, at);
         let servos: Vec<_> = (0..model.actuated().len())
             .map(|a| ServoDrive::new(model, &params, a, shared.config.dt_s))
             .collect();
@@ -75,19 +65,15 @@ impl Lane {
                 imu_vel_mps: [0.0; 3],
                 out: State::of(model, 1),
             },
-            robot: Robot::new(shared, &params, &servos, &masses)?,
+            robot: Robot::new(shared, &params, &servos, &seen.masses)?,
             drive: LaneDrive::new(model, &shared.config, &params, &servos),
             contacts: ContactImpulses::default(),
-            water: Water::new(shared, &params, &masses),
-            motion: Motion::default(),
+            water: Water::new(shared, &params, &seen.masses),
             params,
-            masses,
-            at,
+            seen,
         };
-        lane.robot.place(&lane.at);
-        let imu_vel = lane.report(shared)?;
-        lane.memory.imu_vel_mps = imu_vel;
-        lane.report_specific_force(shared, imu_vel);
+        lane.robot.place(&lane.seen.at);
+        lane.report(shared, None)?;
         Ok(lane)
     }
 
@@ -98,8 +84,8 @@ impl Lane {
         let mut lane = if memory.out.diverged[0] {
             Self::new(shared, params, &InitialState::nominal(&shared.model))? // it only waits for its reset
         } else {
-            self.robot.read(&mut self.at);
-            Self::at(shared, params, self.at.clone(), memory.drive.clone())?
+            self.robot.read(&mut self.seen.at);
+            Self::at(shared, params, self.seen.at.clone(), memory.drive.clone())?
         };
         lane.memory = Memory {
             imu_vel_mps: lane.memory.imu_vel_mps,
@@ -147,42 +133,22 @@ impl Lane {
                 return false;
             }
         }
-        self.robot.read(&mut self.at);
-        let Ok(imu_vel) = self.report(shared) else {
+        self.robot.read(&mut self.seen.at);
+        if self.report(shared, Some(self.memory.imu_vel_mps)).is_err() {
             return false;
-        };
-        self.report_specific_force(shared, imu_vel);
-        self.memory.imu_vel_mps = imu_vel;
+        }
         self.drive.write(&mut self.memory.out);
         self.contacts
             .write(&mut self.memory.out, config.control_period_s());
         self.memory.out.is_finite()
     }
 
-    /// Writes the kinematic fields of the report from `self.at`. Returns the IMU point's velocity, world,
-    /// m/s.
-    fn report(&mut self, shared: &Shared) -> Result<[f64; 3], SimError> {
-        let model = &*shared.model;
-        self.motion
-            .update(model, &self.at)
-            .map_err(|e| SimError::Model(e.to_string()))?;
+    /// Writes what is seen of the robot where it is, as [`Observer::report`].
+    fn report(&mut self, shared: &Shared, before_mps: Option<[f64; 3]>) -> Result<(), SimError> {
+        let (model, config, terrain) = (&shared.model, &shared.config, &shared.terrain);
         let (out, gravity) = (&mut self.memory.out, self.params.gravity_mps2);
-        Ok(observe::write_kinematics(
-            out,
-            model,
-            &self.masses,
-            &shared.terrain,
-            gravity,
-            &self.at,
-            &self.motion,
-        ))
-    }
-
-    /// Writes the accelerometer from the IMU point's velocity now and at the end of the last period.
-    fn report_specific_force(&mut self, shared: &Shared, imu_vel_mps: [f64; 3]) {
-        let acceleration =
-            sub(imu_vel_mps, self.memory.imu_vel_mps).map(|v| v / shared.config.control_period_s());
-        let (out, gravity) = (&mut self.memory.out, self.params.gravity_mps2);
-        observe::write_specific_force(out, &shared.model, &self.motion, gravity, acceleration);
+        let seen = &mut self.seen;
+        self.memory.imu_vel_mps = seen.report(out, model, config, terrain, gravity, before_mps)?;
+        Ok(())
     }
 }

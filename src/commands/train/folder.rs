@@ -68,9 +68,8 @@ impl RunFolder {
 
     fn make(root: &Path, run_id: String) -> Result<Self, Failure> {
         let root = absolute(root)?;
-        let cannot = || format!("cannot make {}", root.display());
         let new = !root.exists();
-        fs::create_dir_all(&root).or_exit_with(ExitCode::CannotCreate, cannot)?;
+        files::make_folder(&root)?;
         let owner = owned(&root, Duration::ZERO, &mut |_| false)?;
         let folder = Self {
             root,
@@ -84,9 +83,7 @@ impl RunFolder {
             folder.checkpoints(),
             folder.curves(),
         ] {
-            fs::create_dir_all(&part).or_exit_with(ExitCode::CannotCreate, || {
-                format!("cannot make {}", part.display())
-            })?;
+            files::make_folder(&part)?;
         }
         folder.write("run_id.txt", folder.run_id.as_bytes())?;
         folder.write_git_state()?;
@@ -117,9 +114,7 @@ impl RunFolder {
             new: false,
         };
         for part in [folder.logs(), folder.ledgers()] {
-            fs::create_dir_all(&part).or_exit_with(ExitCode::CannotCreate, || {
-                format!("cannot make {}", part.display())
-            })?;
+            files::make_folder(&part)?;
         }
         Ok(folder)
     }
@@ -213,9 +208,7 @@ impl RunFolder {
     /// Writes a whole file into the folder.
     pub fn write(&self, name: &str, bytes: &[u8]) -> Result<PathBuf, Failure> {
         let path = self.root.join(name);
-        caudata_durable::replace(&path, bytes).or_exit_with(ExitCode::IoError, || {
-            format!("cannot write {}", path.display())
-        })?;
+        files::write_whole(&path, bytes)?;
         Ok(path)
     }
 

@@ -11,6 +11,7 @@ pub mod terms;
 
 use std::f32::consts::PI;
 
+use caudata_declare::settings;
 use serde::{Deserialize, Serialize};
 
 pub use self::input::RewardInput;
@@ -223,76 +224,56 @@ pub fn evaluate(
     contributions.iter().sum()
 }
 
-/// Table `[task.reward]`: shapes of the terms; their weights are in `[task.reward.weights]`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RewardConfig {
-    /// σ_v of `tracking_lin_vel`, (m/s)². Default 0.25 (MuJoCo Playground, for robots that do 1 m/s). On a
-    /// 0.3 m/s robot standing still then earns exp(−0.09/0.25) = 70 %; 0.04 to 0.07 makes it walk.
-    /// Too small: no gradient from a standstill.
-    pub lin_vel_sigma: f32,
-    /// σ_ω of `tracking_yaw_rate`, (rad/s)². Default 0.25 (MuJoCo Playground); 0.1 to 0.15 follows turns
-    /// better.
-    pub yaw_rate_sigma: f32,
-    /// σ_phase of `phase`, m². Default 0.01 (MuJoCo Playground), that is 10 cm over all feet together; 0.004
-    /// with a swing of 5 cm makes the feet follow.
-    pub phase_sigma: f32,
-    /// Vertical force from which a foot counts as in contact, N. Default 1: a foot carries about 6 N
-    /// standing.
-    pub contact_force_n: f32,
-    /// Force on the trunk that counts as full `trunk_contact`, N. Default 5, a fifth of the robot's weight.
-    pub trunk_force_n: f32,
-    /// How far from folded a leg joint earns nothing of `leg_fold`, rad. Default π: a hip that stands as for
-    /// walking is 1.3 rad from folded and earns 59 %. Smaller: a leg that hangs, 2.5 rad off, is not pulled.
-    pub leg_fold_within_rad: f32,
-    /// Height of the travelling wave of `body_wave` at 0.3 m/s, head and tail, rad; in between linear, and
-    /// proportional to the commanded speed up to 1.5 times that. Default 0.14 and 0.22, with which the
-    /// nominal robot swims at about 0.3 m/s open loop. Larger: faster and more power.
-    pub wave_amplitude_rad: [f32; 2],
-    /// Phase by which each body joint lags behind the one ahead of it, rad. Default 0.7: eight joints make
-    /// nine tenths of a wave.
-    pub wave_lag_rad: f32,
-    /// How far each joint of the wave is bent to the side for a commanded yaw rate of 1 rad/s, rad: a swimmer
-    /// turns towards the side to which its body is bent. Default 0: straight waves, which cannot be steered.
-    /// 0.2 bends eight joints by 46° in all at 0.5 rad/s.
-    pub wave_turn_rad: f32,
-    /// σ of `body_wave`, rad². Default 0.05: a straight body earns three quarters at 0.3 m/s with the default
-    /// height. Smaller: nothing pulls a joint that is far from the wave; larger: a straight body earns nearly
-    /// all.
-    pub wave_sigma: f32,
-    /// Share of each joint's range, about its middle, within which `joint_limits` is zero. Default 0.95.
-    pub soft_limit_share: f32,
-    /// Factor on all costs at the start of a run, 0 to 1; it grows to 1 in proportion over
-    /// `costs_full_after_env_steps`. Default 1. Full costs from the start make standing still pay before the
-    /// robot has found out how to walk, above all where small commands are among those drawn.
-    pub costs_at_start: f32,
-    /// Environment steps of the whole run after which costs count in full. Default 0: from the start.
-    pub costs_full_after_env_steps: u64,
-    /// Terms of one's own, beside the built-in ones. Default none.
-    pub term: Vec<OwnTerm>,
-    /// Weight of each term.
-    pub weights: RewardWeights,
-}
-
-impl Default for RewardConfig {
-    fn default() -> Self {
-        Self {
-            lin_vel_sigma: 0.25,
-            yaw_rate_sigma: 0.25,
-            phase_sigma: 0.01,
-            contact_force_n: 1.0,
-            trunk_force_n: 5.0,
-            leg_fold_within_rad: PI,
-            wave_amplitude_rad: [0.14, 0.22],
-            wave_lag_rad: 0.7,
-            wave_turn_rad: 0.0,
-            wave_sigma: 0.05,
-            soft_limit_share: 0.95,
-            costs_at_start: 1.0,
-            costs_full_after_env_steps: 0,
-            term: Vec::new(),
-            weights: RewardWeights::default(),
-        }
+settings! {
+    /// Table `[task.reward]`: shapes of the terms; their weights are in `[task.reward.weights]`.
+    #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct RewardConfig {
+        /// σ_v of `tracking_lin_vel`, (m/s)². Default 0.25 (MuJoCo Playground, for robots that do 1 m/s). On a
+        /// 0.3 m/s robot standing still then earns exp(−0.09/0.25) = 70 %; 0.04 to 0.07 makes it walk.
+        /// Too small: no gradient from a standstill.
+        pub lin_vel_sigma: f32 = 0.25,
+        /// σ_ω of `tracking_yaw_rate`, (rad/s)². Default 0.25 (MuJoCo Playground); 0.1 to 0.15 follows turns
+        /// better.
+        pub yaw_rate_sigma: f32 = 0.25,
+        /// σ_phase of `phase`, m². Default 0.01 (MuJoCo Playground), that is 10 cm over all feet together; 0.004
+        /// with a swing of 5 cm makes the feet follow.
+        pub phase_sigma: f32 = 0.01,
+        /// Vertical force from which a foot counts as in contact, N. Default 1: a foot carries about 6 N
+        /// standing.
+        pub contact_force_n: f32 = 1.0,
+        /// Force on the trunk that counts as full `trunk_contact`, N. Default 5, a fifth of the robot's weight.
+        pub trunk_force_n: f32 = 5.0,
+        /// How far from folded a leg joint earns nothing of `leg_fold`, rad. Default π: a hip that stands as for
+        /// walking is 1.3 rad from folded and earns 59 %. Smaller: a leg that hangs, 2.5 rad off, is not pulled.
+        pub leg_fold_within_rad: f32 = PI,
+        /// Height of the travelling wave of `body_wave` at 0.3 m/s, head and tail, rad; in between linear, and
+        /// proportional to the commanded speed up to 1.5 times that. Default 0.14 and 0.22, with which the
+        /// nominal robot swims at about 0.3 m/s open loop. Larger: faster and more power.
+        pub wave_amplitude_rad: [f32; 2] = [0.14, 0.22],
+        /// Phase by which each body joint lags behind the one ahead of it, rad. Default 0.7: eight joints make
+        /// nine tenths of a wave.
+        pub wave_lag_rad: f32 = 0.7,
+        /// How far each joint of the wave is bent to the side for a commanded yaw rate of 1 rad/s, rad: a swimmer
+        /// turns towards the side to which its body is bent. Default 0: straight waves, which cannot be steered.
+        /// 0.2 bends eight joints by 46° in all at 0.5 rad/s.
+        pub wave_turn_rad: f32 = 0.0,
+        /// σ of `body_wave`, rad². Default 0.05: a straight body earns three quarters at 0.3 m/s with the default
+        /// height. Smaller: nothing pulls a joint that is far from the wave; larger: a straight body earns nearly
+        /// all.
+        pub wave_sigma: f32 = 0.05,
+        /// Share of each joint's range, about its middle, within which `joint_limits` is zero. Default 0.95.
+        pub soft_limit_share: f32 = 0.95,
+        /// Factor on all costs at the start of a run, 0 to 1; it grows to 1 in proportion over
+        /// `costs_full_after_env_steps`. Default 1. Full costs from the start make standing still pay before the
+        /// robot has found out how to walk, above all where small commands are among those drawn.
+        pub costs_at_start: f32 = 1.0,
+        /// Environment steps of the whole run after which costs count in full. Default 0: from the start.
+        pub costs_full_after_env_steps: u64 = 0,
+        /// Terms of one's own, beside the built-in ones. Default none.
+        pub term: Vec<OwnTerm>,
+        /// Weight of each term.
+        pub weights: RewardWeights,
     }
 }
 

@@ -27,11 +27,10 @@ fn named(e: &Element, joint: &str) -> bool {
 pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot) {
     for element in elements(root) {
         let e = context.resolved(element, None);
-        let label = e.label();
         let Some(joint) = e.get("joint").or(e.get("jointinparent")).map(str::to_owned) else {
             context
                 .remarks
-                .note(&e, format!("{label}: drives no joint and is not kept"));
+                .note_of(&e, "drives no joint and is not kept");
             continue;
         };
         let all = robot.bodies.iter().flat_map(|b| &b.joints);
@@ -40,19 +39,19 @@ pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot)
             .find(|j| j.name == joint)
             .map(|j| j.force_limit)
         else {
-            let message = format!("{label}: there is no joint `{joint}`");
+            let message = format!("there is no joint `{joint}`");
             if named(root, &joint) {
                 let message = format!("{message} in the robot; the actuator is not kept");
-                context.remarks.note(&e, message);
+                context.remarks.note_of(&e, message);
             } else {
-                context.remarks.refuse(&e, message);
+                context.remarks.refuse_of(&e, message);
             }
             continue;
         };
         if robot.actuators.iter().any(|a| a.joint == joint) {
-            context.remarks.note(
+            context.remarks.note_of(
                 &e,
-                format!("{label}: `{joint}` has an actuator already; this one is not kept"),
+                format!("`{joint}` has an actuator already; this one is not kept"),
             );
             continue;
         }
@@ -104,11 +103,9 @@ fn gains(context: &mut Context<'_>, e: &Element) -> Option<(f64, f64)> {
         }
         "motor" | "general" => None,
         other => {
-            let label = e.label();
-            context.remarks.note(
-                e,
-                format!("{label}: a {other} actuator is read as one of torque"),
-            );
+            context
+                .remarks
+                .note_of(e, format!("a {other} actuator is read as one of torque"));
             None
         }
     }

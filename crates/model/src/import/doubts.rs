@@ -27,10 +27,9 @@ pub(super) fn say(robot: &Robot, root: &Element, remarks: &mut Remarks) {
             .filter(|j| j.motion == JointMotion::Hinge)
         {
             if let Some((low, high)) = joint.range.filter(|(l, h)| l.min(-h) < -FAR_RAD) {
-                let label = joint.element.label();
                 let message =
-                    format!("{label}: limits of {low} and {high} rad: are they degrees? {RADIANS}");
-                remarks.note(&joint.element, message);
+                    format!("limits of {low} and {high} rad: are they degrees? {RADIANS}");
+                remarks.note_of(&joint.element, message);
             }
         }
     }
@@ -57,23 +56,21 @@ fn inertia(body: &Body, reach_m: f64, remarks: &mut Remarks) {
     let Some(inertial) = body.inertial.filter(|i| i.mass_kg > 0.0) else {
         return;
     };
-    let label = body.element.label();
     let moments = principal(inertial.inertia_kgm2).0;
     let shown = moments.map(|m| format!("{m:.3e}")).join(", ");
     if let Err(why) = check_inertia(inertial.inertia_kgm2) {
-        let message = format!(
-            "{label}: {why}; its principal moments are {shown} kg·m², with what is fixed to it"
-        );
-        remarks.refuse(&body.element, message);
+        let message =
+            format!("{why}; its principal moments are {shown} kg·m², with what is fixed to it");
+        remarks.refuse_of(&body.element, message);
         return;
     }
     let radius_m = (moments.into_iter().fold(0.0, f64::max) / inertial.mass_kg).sqrt();
     if radius_m > GYRATION_SHARE * reach_m || radius_m < GYRATION_LEAST_M {
         let message = format!(
-            "{label}: {} kg with moments of {shown} kg·m² lie {radius_m:.1e} m from their centre: is one in another \
+            "{} kg with moments of {shown} kg·m² lie {radius_m:.1e} m from their centre: is one in another \
              unit (g, g·mm²)?",
             inertial.mass_kg
         );
-        remarks.note(&body.element, message);
+        remarks.note_of(&body.element, message);
     }
 }

@@ -72,11 +72,8 @@ impl Meshes {
                 None | Some("legacy") => Volumes::Legacy,
                 Some("exact") => Volumes::Exact,
                 Some(other) => {
-                    let what = format!(
-                        "{}: inertia=\"{other}\" is not read; counted as \"legacy\"",
-                        mesh.label()
-                    );
-                    remarks.note(mesh, what);
+                    let what = format!("inertia=\"{other}\" is not read; counted as \"legacy\"");
+                    remarks.note_of(mesh, what);
                     Volumes::Legacy
                 }
             };

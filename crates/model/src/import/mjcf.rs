@@ -110,11 +110,8 @@ fn home(context: &mut Context<'_>, root: &Element, order: &[String], robot: &mut
     };
     let base = if robot.free_base { 7 } else { 0 };
     if numbers.len() != base + order.len() {
-        let message = format!(
-            "{}: has another number of positions and is not kept",
-            key.label()
-        );
-        context.remarks.note(key, message);
+        let message = "has another number of positions and is not kept";
+        context.remarks.note_of(key, message);
         return;
     }
     let joints = order.iter().cloned().zip(numbers[base..].iter().copied());
@@ -151,10 +148,7 @@ impl Context<'_> {
         let trees = worlds.iter().flat_map(|w| w.all("body"));
         let (moving, still): (Vec<&Element>, Vec<&Element>) = trees.partition(|b| moves(b));
         for body in still {
-            self.remarks.note(
-                body,
-                format!("{}: does not move and is not kept", body.label()),
-            );
+            self.remarks.note_of(body, "does not move and is not kept");
         }
         let driven = actuators::joints(root);
         let drives = |b: &Element| driven_joints(b, &driven);
@@ -166,10 +160,8 @@ impl Context<'_> {
             .iter()
             .filter(|b| !robots.iter().any(|r| std::ptr::eq(*r, **b)))
         {
-            self.remarks.note(
-                body,
-                format!("{}: stands beside the robot and is not kept", body.label()),
-            );
+            self.remarks
+                .note_of(body, "stands beside the robot and is not kept");
         }
         match robots.as_slice() {
             [one] => Some((*one).clone()),
@@ -199,10 +191,8 @@ impl Context<'_> {
         robot: &mut Robot,
     ) {
         if e.get("mocap").is_some_and(|m| m == "true") {
-            self.remarks.refuse(
-                e,
-                format!("{}: mocap bodies are not read; take it out", e.label()),
-            );
+            self.remarks
+                .refuse_of(e, "mocap bodies are not read; take it out");
         }
         if e.get("gravcomp").is_some_and(|g| g.trim() != "0") {
             self.remarks.note_once(

@@ -147,9 +147,8 @@ impl<'a> Context<'a> {
     pub fn resolved(&mut self, e: &Element, childclass: Option<&str>) -> Element {
         let name = e.get("class").or(childclass).unwrap_or("main");
         let Some(class) = self.classes.get(name) else {
-            let label = e.label();
             self.remarks
-                .refuse(e, format!("{label}: there is no default class `{name}`"));
+                .refuse_of(e, format!("there is no default class `{name}`"));
             return e.clone();
         };
         let mut out = Element {
@@ -220,12 +219,9 @@ pub(super) fn softness(e: &Element, solref: &str, solimp: &str, remarks: &mut Re
     }
     if !out.is_usable() {
         out.solref = Softness::default().solref;
-        remarks.note(
+        remarks.note_of(
             e,
-            format!(
-                "{}: {solref} is not usable; MuJoCo's default is written",
-                e.label()
-            ),
+            format!("{solref} is not usable; MuJoCo's default is written"),
         );
     }
     for i in [0, 1, 3] {

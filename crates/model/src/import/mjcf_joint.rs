@@ -14,7 +14,6 @@ pub(super) fn read(
     frame: &Pose,
     robot: &mut Robot,
 ) {
-    let label = e.label();
     if e.tag == "freejoint" || e.get("type") == Some("free") {
         free(context, e, index, robot);
         return;
@@ -23,10 +22,9 @@ pub(super) fn read(
         "hinge" => JointMotion::Hinge,
         "slide" => JointMotion::Slide,
         other => {
-            let message = format!(
-                "{label}: a {other} joint is not simulated; write it as hinges, or weld it"
-            );
-            context.remarks.refuse(e, message);
+            let message =
+                format!("a {other} joint is not simulated; write it as hinges, or weld it");
+            context.remarks.refuse_of(e, message);
             return;
         }
     };
@@ -39,27 +37,23 @@ pub(super) fn read(
         .unwrap_or([0.0, 0.0, 1.0]);
     let length = pose::norm(axis);
     if length < 1e-9 {
-        context
-            .remarks
-            .refuse(e, format!("{label}: `axis` has no direction"));
+        context.remarks.refuse_of(e, "`axis` has no direction");
     }
     let anchor = e.array::<3>("pos", context.remarks).unwrap_or([0.0; 3]);
     // positions are counted from where the file draws the joint
     let start = e.number("ref", context.remarks).unwrap_or(0.0) * unit;
     if start != 0.0 {
-        context.remarks.note(
-            e,
-            format!("{label}: `ref` is taken off: its positions count from 0"),
-        );
+        context
+            .remarks
+            .note_of(e, "`ref` is taken off: its positions count from 0");
     }
     let number = |context: &mut Context<'_>, key: &str| e.number(key, context.remarks);
     if e.get("springdamper")
         .is_some_and(|s| s.split_whitespace().any(|w| w != "0"))
     {
-        context.remarks.refuse(
-            e,
-            format!("{label}: springdamper is not read; write stiffness and damping"),
-        );
+        context
+            .remarks
+            .refuse_of(e, "springdamper is not read; write stiffness and damping");
     }
     let spring_ref = number(context, "springref").map_or(0.0, |s| s * unit) - start;
     let force_limit = e.array::<2>("actuatorfrcrange", context.remarks);
@@ -83,19 +77,15 @@ pub(super) fn read(
 
 /// The joint of a free base.
 fn free(context: &mut Context<'_>, e: &Element, index: usize, robot: &mut Robot) {
-    let label = e.label();
     if robot.bodies[index].parent.is_some() {
-        let message =
-            format!("{label}: a free joint belongs to the root body; move this body to the world");
-        context.remarks.refuse(e, message);
+        let message = "a free joint belongs to the root body; move this body to the world";
+        context.remarks.refuse_of(e, message);
     }
     let drags = ["damping", "armature", "frictionloss"];
     let dragged = |key: &&str| e.get(key).is_some_and(|v| v.trim() != "0");
     if e.tag == "joint" && drags.iter().any(dragged) {
-        let message = format!(
-            "{label}: damping, armature and friction of a free joint are not kept; MuJoCo has them (write <freejoint/>)"
-        );
-        context.remarks.note(e, message);
+        let message = "damping, armature and friction of a free joint are not kept; MuJoCo has them (write <freejoint/>)";
+        context.remarks.note_of(e, message);
     }
     robot.free_base = true;
 }
@@ -120,10 +110,7 @@ fn range(context: &mut Context<'_>, e: &Element, unit: f64) -> Option<(f64, f64)
     if low < high {
         return Some((low, high));
     }
-    let message = format!(
-        "{}: the lower end of its range is not below the upper",
-        e.label()
-    );
-    context.remarks.refuse(e, message);
+    let message = "the lower end of its range is not below the upper";
+    context.remarks.refuse_of(e, message);
     None
 }

@@ -68,12 +68,9 @@ impl Context<'_> {
             let mut at = self.pose(e);
             let name = e.get("mesh").unwrap_or_default();
             let Some(mesh) = self.meshes.find(name) else {
-                let what = format!(
-                    "{}: mesh `{name}` cannot be read; the shape is left out",
-                    e.label()
-                );
+                let what = format!("mesh `{name}` cannot be read; the shape is left out");
                 if collides {
-                    self.remarks.note(e, what);
+                    self.remarks.note_of(e, what);
                 }
                 return None;
             };
@@ -110,9 +107,8 @@ impl Context<'_> {
         }
         let Some(shape) = Shape::from_mjcf(kind, &size) else {
             if matches!(kind, "plane" | "hfield") || collides {
-                let label = e.label();
                 self.remarks
-                    .note(e, format!("{label}: a {kind} of this size is left out"));
+                    .note_of(e, format!("a {kind} of this size is left out"));
             }
             return None;
         };

@@ -1,6 +1,7 @@
 //! An XML file as a tree of its own, with what it includes in place, and the remarks made about it.
 
 use std::collections::BTreeMap;
+use std::fmt::Display;
 use std::path::Path;
 
 use roxmltree::{Document, Node};
@@ -40,6 +41,16 @@ impl Remarks {
 
     pub fn refuse(&mut self, at: &Element, message: impl Into<String>) {
         self.refusals.push(at.remark(message));
+    }
+
+    /// A note of an element, which is named in front.
+    pub fn note_of(&mut self, at: &Element, message: impl Display) {
+        self.note(at, format!("{}: {message}", at.label()));
+    }
+
+    /// A refusal, likewise.
+    pub fn refuse_of(&mut self, at: &Element, message: impl Display) {
+        self.refuse(at, format!("{}: {message}", at.label()));
     }
 
     /// A refusal of no line in particular.
@@ -106,10 +117,9 @@ impl Element {
             match word.parse::<f64>() {
                 Ok(x) if x.is_finite() && x.abs() <= NUMBER_LIMIT => out.push(x),
                 _ => {
-                    let label = self.label();
-                    remarks.refuse(
+                    remarks.refuse_of(
                         self,
-                        format!("{label}: `{attribute}`: `{word}` is not a usable number"),
+                        format!("`{attribute}`: `{word}` is not a usable number"),
                     );
                     return None;
                 }
@@ -128,9 +138,8 @@ impl Element {
         let found = numbers.len();
         let array = numbers.try_into().ok();
         if array.is_none() {
-            let label = self.label();
-            let message = format!("{label}: `{attribute}` has {found} numbers where {N} belong");
-            remarks.refuse(self, message);
+            let message = format!("`{attribute}` has {found} numbers where {N} belong");
+            remarks.refuse_of(self, message);
         }
         array
     }

@@ -102,32 +102,30 @@ impl<'a> Reader<'a> {
         let before = self.remarks.refusals.len();
         let mut carried: Vec<&str> = Vec::new();
         for joint in self.root.all("joint") {
-            let label = joint.label();
             for tag in ["parent", "child"] {
                 match joint.first(tag).and_then(|e| e.get("link")) {
                     Some(link) if self.links.contains_key(link) => {
                         if tag == "child" && carried.contains(&link) {
-                            let message =
-                                format!("{label}: `{link}` hangs on another joint already");
-                            self.remarks.refuse(joint, message);
+                            let message = format!("`{link}` hangs on another joint already");
+                            self.remarks.refuse_of(joint, message);
                         } else if tag == "child" {
                             carried.push(link);
                         }
                     }
                     Some(link) => self
                         .remarks
-                        .refuse(joint, format!("{label}: there is no link `{link}`")),
+                        .refuse_of(joint, format!("there is no link `{link}`")),
                     None => self
                         .remarks
-                        .refuse(joint, format!("{label}: <{tag}> names no link")),
+                        .refuse_of(joint, format!("<{tag}> names no link")),
                 }
             }
         }
         for tag in ["link", "joint"] {
             let mut names = BTreeSet::new();
             for element in self.root.all(tag).filter(|e| !names.insert(e.get("name"))) {
-                let message = format!("{}: there is another of this name", element.label());
-                self.remarks.refuse(element, message);
+                let message = "there is another of this name";
+                self.remarks.refuse_of(element, message);
             }
         }
         let roots: Vec<&str> = self
@@ -199,8 +197,7 @@ impl<'a> Reader<'a> {
             None if WORLD.contains(&name) => "holds nothing; it becomes part of the first link",
             None => return,
         };
-        let message = format!("{}: {what}", element.label());
-        self.remarks.note(element, message);
+        self.remarks.note_of(element, what);
     }
 
     fn link(
@@ -215,12 +212,9 @@ impl<'a> Reader<'a> {
             return;
         };
         if depth > CHAIN_LIMIT {
-            self.remarks.refuse(
+            self.remarks.refuse_of(
                 element,
-                format!(
-                    "{}: a chain of more than {CHAIN_LIMIT} links, or a loop",
-                    element.label()
-                ),
+                format!("a chain of more than {CHAIN_LIMIT} links, or a loop"),
             );
             return;
         }
@@ -266,21 +260,23 @@ impl<'a> Reader<'a> {
     }
 
     fn joint(&mut self, e: &Element) -> Option<Joint> {
-        let label = e.label();
         let (motion, limited) = match e.get("type").unwrap_or_default() {
             "revolute" => (JointMotion::Hinge, true),
             "continuous" => (JointMotion::Hinge, false),
             "prismatic" => (JointMotion::Slide, true),
             "fixed" => return None,
             "floating" => {
-                let message = format!(
-                    "{label}: a floating joint is the base's own; name its child as the root link"
-                );
-                self.remarks.refuse(e, message);
+                let message = "a floating joint is the base's own; name its child as the root link";
+                self.remarks.refuse_of(e, message);
                 return None;
             }
             other => {
-                self.remarks.refuse(e, format!("{label}: a {other} joint is not simulated; write it as revolute and prismatic ones"));
+                self.remarks.refuse_of(
+                    e,
+                    format!(
+                        "a {other} joint is not simulated; write it as revolute and prismatic ones"
+                    ),
+                );
                 return None;
             }
         };
@@ -290,13 +286,12 @@ impl<'a> Reader<'a> {
             .unwrap_or([1.0, 0.0, 0.0]);
         let length = pose::norm(axis);
         if length < 1e-9 {
-            self.remarks
-                .refuse(e, format!("{label}: its axis has no direction"));
+            self.remarks.refuse_of(e, "its axis has no direction");
         }
         if e.first("mimic").is_some() {
-            self.remarks.note(
+            self.remarks.note_of(
                 e,
-                format!("{label}: <mimic> is not simulated; the joint has a drive of its own"),
+                "<mimic> is not simulated; the joint has a drive of its own",
             );
         }
         let of = |remarks: &mut Remarks, tag: &str, key: &str| {

@@ -38,6 +38,7 @@ const BODY_LIMIT: usize = 512;
 const DEFAULT_GRAVITY_MPS2: [f64; 3] = [0.0, 0.0, -9.81];
 
 /// What the MJCF says, before the robot file is applied.
+#[derive(Default)]
 pub(crate) struct MjModel {
     pub gravity_mps2: [f64; 3],
     pub free_base: bool,
@@ -92,13 +93,7 @@ pub(crate) fn parse(file: &str, text: &str) -> Result<MjModel, ModelError> {
         defaults: &defaults,
         out: MjModel {
             gravity_mps2,
-            free_base: false,
-            bodies: Vec::new(),
-            joints: Vec::new(),
-            sites: Vec::new(),
-            world_geoms: Vec::new(),
-            actuators: Vec::new(),
-            excluded: Vec::new(),
+            ..MjModel::default()
         },
         names: BTreeSet::new(),
     };

@@ -71,19 +71,14 @@ fn plan(seed: u64, number: usize) -> Plan {
         0 => "arm",
         _ => "pendulum",
     };
+    let nuisances = s.next_u64();
+    let amount = match s.chance(0.5) {
+        true => Amount::Short,
+        false => Amount::Full,
+    };
     let mut plan = Plan {
-        block: Block::Null,
-        rig,
-        seed: s.next_u64(),
-        amount: match s.chance(0.5) {
-            true => Amount::Short,
-            false => Amount::Full,
-        },
-        effects: Vec::new(),
-        decoy: None,
-        without: Vec::new(),
-        salamander: None,
         other_laws: true,
+        ..Plan::new(Block::Null, rig, nuisances, amount)
     };
     let d = SIZES_D[sets::below(&mut s, SIZES_D.len())];
     let joint = sets::joint(rig, &mut s);

@@ -14,7 +14,7 @@ use caudata_sim::{
     EngineConfig, EngineKind, InitialState, LaneParams, SimError, TerrainConfig, TerrainKind,
 };
 
-use super::sensors::Row;
+use super::sensors::{Row, counted};
 
 /// Step of the engine, s.
 const ENGINE_STEP_S: f64 = 0.001;
@@ -42,6 +42,14 @@ pub struct Channels {
     pub imu: bool,
     /// Motion capture of base and feet.
     pub mocap: bool,
+}
+
+impl Channels {
+    /// An IMU and motion capture.
+    pub const ALL: Self = Self {
+        imu: true,
+        mocap: true,
+    };
 }
 
 /// A robot and its imperfections in one run.
@@ -116,12 +124,7 @@ impl Session {
 /// Columns of a log.
 pub fn signals(model: &RobotModel, channels: Channels) -> Vec<Signal> {
     let names = model.actuated_names();
-    let each = |make: fn(String) -> Signal| {
-        names
-            .iter()
-            .map(move |n| make((*n).to_owned()))
-            .collect::<Vec<_>>()
-    };
+    let each = |kind| Signal::each(kind, &names);
     let mut all = each(Signal::Command);
     all.extend(each(Signal::Position));
     all.extend(each(Signal::Velocity));
@@ -319,12 +322,4 @@ fn drives(
     }
     let supply_v = f64::from(lane.supply_v) - f64::from(lane.supply_resistance_ohm) * drawn_a;
     row.push(Some(counted(supply_v, 0.1)));
-}
-
-/// In whole steps of `lsb`, if it has any.
-fn counted(x: f64, lsb: f64) -> f64 {
-    match lsb > 0.0 {
-        true => (x / lsb).round() * lsb,
-        false => x,
-    }
 }

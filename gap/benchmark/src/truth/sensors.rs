@@ -85,12 +85,7 @@ impl Sensing {
     /// Columns of the log.
     pub fn signals(&self, model: &RobotModel) -> Vec<Signal> {
         let names = model.actuated_names();
-        let each = |make: fn(String) -> Signal| {
-            names
-                .iter()
-                .map(move |n| make((*n).to_owned()))
-                .collect::<Vec<_>>()
-        };
+        let each = |kind| Signal::each(kind, &names);
         let mut all = each(Signal::Command);
         all.extend(each(Signal::Position));
         if self.log_velocity {
@@ -153,18 +148,18 @@ pub fn record(
         let lost = stream.uniform_f64(0.0, 1.0) < sensing.reading_loss;
         let mut row: Vec<Option<f64>> = commands.rows_rad[k]
             .iter()
-            .map(|&u| Some(round_to(u, 1e-6)))
+            .map(|&u| Some(counted(u, 1e-6)))
             .collect();
         let mut put = |x: f64| row.push((!lost).then_some(x));
         for a in 0..servos {
             let noise = sensing.servos[a].position_noise_rad * stream.normal_f64();
             let read = spec.joints[a].encode_rad(at(&dense.pos_rad[a], seen)) + noise;
-            put(round_to(read, model.servo(a).encoder_lsb_rad()));
+            put(counted(read, model.servo(a).encoder_lsb_rad()));
         }
         if sensing.log_velocity {
             for a in 0..servos {
                 let read = at(&vel[a], seen) + sensing.velocity_noise_radps * stream.normal_f64();
-                put(round_to(read, model.servo(a).velocity_lsb_radps));
+                put(counted(read, model.servo(a).velocity_lsb_radps));
             }
         }
         if sensing.log_current {
@@ -174,11 +169,11 @@ pub fn record(
                 let read = (1.0 + s.current_gain) * true_a
                     + s.current_bias_a
                     + sensing.current_noise_a * stream.normal_f64();
-                put(round_to(read, model.servo(a).current_lsb_a));
+                put(counted(read, model.servo(a).current_lsb_a));
             }
         }
         if sensing.log_voltage {
-            put(round_to(at(&dense.bus_v, seen), VOLT_LSB_V));
+            put(counted(at(&dense.bus_v, seen), VOLT_LSB_V));
         }
         for a in 0..servos {
             let read = (ROOM_C + at(&dense.heat_k[a], seen)).round();
@@ -196,11 +191,11 @@ fn shown_current(model: &RobotModel, a: usize, i: f64) -> f64 {
     i + band * (i / 0.01).clamp(-1.0, 1.0)
 }
 
-fn round_to(x: f64, lsb: f64) -> f64 {
-    if lsb > 0.0 {
-        (x / lsb).round() * lsb
-    } else {
-        x
+/// In whole steps of `lsb`, if it has any.
+pub(super) fn counted(x: f64, lsb: f64) -> f64 {
+    match lsb > 0.0 {
+        true => (x / lsb).round() * lsb,
+        false => x,
     }
 }
 

@@ -6,8 +6,8 @@ use caudata_model::RobotModel;
 
 use super::tree::MassChange;
 
-/// One servo with its joint.
-#[derive(Clone, Debug)]
+/// One servo with its joint. By default nothing of it is there.
+#[derive(Clone, Debug, Default)]
 pub struct JointSpec {
     // firmware
     /// Position gain, N·m/rad (as torque of the nominal motor).
@@ -163,26 +163,16 @@ impl JointSpec {
         let ke = slope * resistance / kt;
         Self {
             kp_nm_per_rad: model.kp_nm_per_rad(a),
-            kp_growth_per_rad: 0.0,
             kd_nms_per_rad: model.kd_nm_s_per_rad(a),
-            ki_nm_per_rad_s: 0.0,
-            dead_band_rad: 0.0,
-            loop_delay_s: 0.0,
-            low_pass_s: 0.0,
-            profile_speed_radps: 0.0,
-            profile_acceleration_radps2: 0.0,
             feed_forward_vs_per_rad: ke - servo.kd_min_nm_s_per_rad * resistance / kt,
             volt_per_nm: resistance / kt,
             kt_nm_per_a: kt,
             ke_vs_per_rad: ke,
             resistance_ohm: resistance,
-            inductance_s: 0.0,
             drive_current_a: servo.tau_max_nm / kt,
             brake_current_a: servo.tau_brake_max_nm / kt,
             duty_limit: 1.0,
             duty_steps: 885.0, // counts of the servo's PWM register at full duty
-            bridge_drop_v: 0.0,
-            thermal_rise_k_per_a2: 0.0,
             thermal_time_s: 100.0,
             rotor_kgm2: joint.armature_kgm2,
             coulomb_nm: joint.friction_loss_nm,
@@ -192,29 +182,18 @@ impl JointSpec {
             presliding_rad: 0.002,
             load_driving: servo.load_friction_driving,
             load_driven: servo.load_friction_driven,
-            asymmetry_nm: 0.0,
-            ripple_nm: 0.0,
             ripple_per_turn: 1.0,
-            ripple_phase_rad: 0.0,
-            half_gap_rad: 0.0,
-            gear_nm_per_rad: 0.0,
             spring_nm_per_rad: joint.stiffness_nm_per_rad,
             spring_rest_rad: joint.spring_ref_rad,
-            spring_cubic_nm_per_rad3: 0.0,
             stops_rad: joint.range_rad.unwrap_or((-1e6, 1e6)),
-            air_nms2_per_rad2: 0.0,
             shaker: (0.0, 1.0),
-            rub: (0.0, 0.0, 0.0),
             dwell: (0.0, 1.0),
             appendage: (0.0, 1.0, 0.1),
             cable: (0.0, 0.1),
             stutter: (0.0, 1.0),
             run_in: (0.0, 1.0),
             drift: (0.0, 1.0, 0.0),
-            encoder_offset_rad: 0.0,
-            encoder_gain: 0.0,
-            eccentricity: (0.0, 0.0),
-            encoder_wave_rad: 0.0,
+            ..Self::default()
         }
     }
 

@@ -5,6 +5,7 @@
 //! Newton and Euler outwards and inwards. Written for the benchmark alone: shares no formula with the engines
 //! that it examines.
 
+use caudata_declare::settings;
 use caudata_model::{JointMotion, RobotModel, pose};
 
 use super::linear::{M3, V3, add, add3, cross, dot, mul, point_inertia, scale, sub, turn};
@@ -59,27 +60,18 @@ pub struct Scratch {
     composite: Vec<(f64, V3, M3)>,
 }
 
-/// What differs from the model's inertias.
-#[derive(Clone, Debug)]
-pub struct MassChange {
-    /// Factor on mass and inertia.
-    pub mass_scale: f64,
-    /// Factor on the inertia about the centre of mass on top.
-    pub inertia_scale: f64,
-    /// Shift of the centre of mass, link frame, m.
-    pub com_offset_m: V3,
-    /// A point mass, kg, at a place in the link frame, m.
-    pub payload: (f64, V3),
-}
-
-impl Default for MassChange {
-    fn default() -> Self {
-        Self {
-            mass_scale: 1.0,
-            inertia_scale: 1.0,
-            com_offset_m: [0.0; 3],
-            payload: (0.0, [0.0; 3]),
-        }
+settings! {
+    /// What differs from the model's inertias.
+    #[derive(Clone, Debug)]
+    pub struct MassChange {
+        /// Factor on mass and inertia.
+        pub mass_scale: f64 = 1.0,
+        /// Factor on the inertia about the centre of mass on top.
+        pub inertia_scale: f64 = 1.0,
+        /// Shift of the centre of mass, link frame, m.
+        pub com_offset_m: V3 = [0.0; 3],
+        /// A point mass, kg, at a place in the link frame, m.
+        pub payload: (f64, V3) = (0.0, [0.0; 3]),
     }
 }
 

@@ -163,7 +163,7 @@ fn targets_of(
     log_probs: &[f32],
     version: u64,
 ) -> Targets {
-    let PpoSettings { ppo, staleness, .. } = ppo.settings();
+    let PpoSettings { ppo, staleness, .. } = &ppo.settings;
     Targets::new(ppo, staleness, batch, values, log_probs, version)
 }
 
