@@ -372,7 +372,7 @@ plain! {
         status: Vec<DiagnosticStatus>,
     }
 }
-whole!(DiagnosticArray);
+whole!(DiagnosticArray = "diagnostic_msgs/msg/DiagnosticArray");
 
 const HEADER: &str = "
 ================================================================================
@@ -431,6 +431,10 @@ pub fn schema(type_name: &str) -> Option<String> {
         Odometry::TYPE => (
             "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\ngeometry_msgs/TwistWithCovariance twist\n================================================================================\nMSG: geometry_msgs/PoseWithCovariance\ngeometry_msgs/Pose pose\nfloat64[36] covariance\n================================================================================\nMSG: geometry_msgs/TwistWithCovariance\ngeometry_msgs/Twist twist\nfloat64[36] covariance\n================================================================================\nMSG: geometry_msgs/Pose\ngeometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n================================================================================\nMSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z\n================================================================================\nMSG: geometry_msgs/Twist\ngeometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
             &[HEADER, QUATERNION, VECTOR],
+        ),
+        DiagnosticArray::TYPE => (
+            "std_msgs/Header header\ndiagnostic_msgs/DiagnosticStatus[] status\n================================================================================\nMSG: diagnostic_msgs/DiagnosticStatus\nbyte level\nstring name\nstring message\nstring hardware_id\ndiagnostic_msgs/KeyValue[] values\n================================================================================\nMSG: diagnostic_msgs/KeyValue\nstring key\nstring value",
+            &[HEADER],
         ),
         Text::TYPE => ("string data", &[]),
         Number::TYPE => ("float64 data", &[]),
@@ -583,6 +587,7 @@ mod tests {
             TwistStamped::TYPE,
             TfMessage::TYPE,
             Odometry::TYPE,
+            DiagnosticArray::TYPE,
         ] {
             assert!(
                 schema(t).unwrap().contains("MSG: builtin_interfaces/Time"),

@@ -13,7 +13,8 @@
 //! | `geometry_msgs/TwistStamped` | any | `base.vel` |
 //! | `std_msgs/Float64` | `/signal/…` | the one named, `/` for `.`: `/signal/temp/FL_hip` |
 //!
-//! Written, and passed over by the reader: `/robot_description` (URDF), `/tf`, `/odom` ([`Scene`]).
+//! Written, and passed over by the reader: `/robot_description` (URDF), `/tf`, `/odom` ([`Scene`]), `/diagnostics`
+//! (what servos say of themselves, once a second).
 //!
 //! Time is the header's stamp (the recorder's, where a message has none), counted from the first message.
 //! Messages with one stamp make one row.

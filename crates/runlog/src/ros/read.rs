@@ -12,12 +12,13 @@ use crate::signal::{Axis, QuatPart, Signal};
 use crate::table::{MAX_COLUMNS, MAX_ROWS, Table, check_value};
 
 /// Topics for viewers, which say nothing that others do not.
-const PASSED_OVER: [&str; 5] = [
+const PASSED_OVER: [&str; 6] = [
     "/robot_description",
     "/tf",
     "/tf_static",
     "/odom",
     "/rosout",
+    "/diagnostics",
 ];
 
 /// Samples of one stamp.

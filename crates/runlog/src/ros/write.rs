@@ -7,8 +7,8 @@ use mcap::records::MessageHeader;
 use mcap::{Compression, McapError, WriteOptions};
 
 use super::messages::{
-    BatteryState, Header, Imu, JointState, Number, Odometry, PoseStamped, Text, TfMessage,
-    TransformStamped, TwistStamped, schema,
+    BatteryState, DiagnosticArray, DiagnosticStatus, Header, Imu, JointState, Number, Odometry,
+    PoseStamped, Text, TfMessage, TransformStamped, TwistStamped, schema,
 };
 use super::{orientation_of, topic_of_signal};
 use crate::error::LogError;
@@ -26,6 +26,9 @@ const BASE_TWIST: &str = "/base/twist";
 const DESCRIPTION: &str = "/robot_description";
 const TF: &str = "/tf";
 const ODOMETRY: &str = "/odom";
+const DIAGNOSTICS: &str = "/diagnostics";
+/// Diagnostics are for people: one message in so much time, ns.
+const DIAGNOSTICS_EVERY_NS: u64 = 1_000_000_000;
 /// The frame of what is measured from outside, and that of the IMU.
 const WORLD: &str = "world";
 const IMU_FRAME: &str = "imu";
@@ -99,6 +102,7 @@ fn write_rows(
         writer,
         channels: BTreeMap::new(),
     };
+    let mut diagnostics_from_ns = 0;
     for (k, stamp_ns) in stamps.enumerate() {
         let Some(cells) = table.row(k) else { break };
         let signals = table.signals().iter().zip(cells);
@@ -112,6 +116,13 @@ fn write_rows(
         }
         for message in messages(&row, &stamp) {
             file.put(message, stamp_ns, k)?;
+        }
+        if stamp_ns >= diagnostics_from_ns
+            && let Some(data) = row.diagnostics(&stamp)
+        {
+            let message = (DIAGNOSTICS.to_owned(), DiagnosticArray::TYPE, data);
+            file.put(message, stamp_ns, k)?;
+            diagnostics_from_ns = stamp_ns + DIAGNOSTICS_EVERY_NS;
         }
         for message in scene.iter().flat_map(|scene| drawn(scene, &row, &stamp, k)) {
             file.put(message, stamp_ns, k)?;
@@ -264,6 +275,35 @@ impl Row<'_> {
         (position.is_some() || quat.iter().all(Option::is_some)).then(|| message.encode())
     }
 
+    /// What servos say of themselves, one status each; a log does not know what is too much.
+    fn diagnostics(&self, stamp: &Stamp) -> Option<Vec<u8>> {
+        let mut of_servos: BTreeMap<&str, Vec<(String, String)>> = BTreeMap::new();
+        for (signal, value) in &self.0 {
+            let (servo, key) = match signal {
+                Signal::Temperature(servo) => (servo, "temperature °C"),
+                Signal::Duty(servo) => (servo, "duty"),
+                Signal::Enabled(servo) => (servo, "gives torque"),
+                _ => continue,
+            };
+            let figures = of_servos.entry(servo).or_default();
+            figures.push((key.to_owned(), value.to_string()));
+        }
+        let status = of_servos
+            .into_iter()
+            .map(|(servo, values)| DiagnosticStatus {
+                level: DiagnosticStatus::OK,
+                name: servo.to_owned(),
+                message: String::new(),
+                hardware_id: servo.to_owned(),
+                values,
+            });
+        let message = DiagnosticArray {
+            header: stamp.header(""),
+            status: status.collect(),
+        };
+        (!message.status.is_empty()).then(|| message.encode())
+    }
+
     /// `None` where the base's place, orientation or velocity is missing.
     fn odometry(&self, base: &str, stamp: &Stamp) -> Option<Odometry> {
         let [w, x, y, z] = QuatPart::ALL.map(|p| self.get(Signal::BaseQuaternion(p)));
@@ -365,6 +405,26 @@ fn is_alone(signal: &Signal) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_a_servo_says_of_itself_is_a_status_of_its_own() {
+        let signals: Vec<Signal> = ["on.hip", "temp.hip", "pwm.knee", "pos.knee"]
+            .map(|s| s.parse().unwrap())
+            .into();
+        let row = Row(signals.iter().zip([1.0, 41.0, -0.25, 0.5]).collect());
+        let told = row.diagnostics(&Stamp(7)).unwrap();
+        let told = DiagnosticArray::decode(&told).unwrap();
+        assert_eq!(told.header.stamp_ns, 7);
+        let names: Vec<&str> = told.status.iter().map(|s| s.name.as_str()).collect();
+        assert_eq!(names, ["hip", "knee"]);
+        let figure = |key: &str, value: &str| (key.to_owned(), value.to_owned());
+        let of_hip = [figure("temperature °C", "41"), figure("gives torque", "1")];
+        assert_eq!(told.status[0].values, of_hip);
+        assert_eq!(told.status[1].values, [figure("duty", "-0.25")]);
+        // a row without any has no message
+        let bare = Row(signals[3..].iter().zip([0.5]).collect());
+        assert!(bare.diagnostics(&Stamp(7)).is_none());
+    }
 
     #[test]
     fn a_velocity_is_turned_into_the_frame_of_who_has_it() {
