@@ -12,6 +12,7 @@ import json
 import re
 import shutil
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any, Dict, List
 
@@ -41,15 +42,34 @@ caudata eval policy.onnx --robot robot/{robot}.robot.toml
 
 
 def export(policy: Path, folder: Path, robot: "str | None" = None) -> Path:
-    """Writes the folder; ``robot`` is the robot's name or file where the settings beside the policy do not say it."""
-    folder.mkdir(parents=True)
+    """Writes the folder, whole or not at all.
+
+    :param robot: the robot's name or file, where no ``config.toml`` beside the policy says it
+    :raises FileExistsError: the folder is there already
+    :raises ValueError: nobody says which robot
+    :raises ProgramError: the policy cannot be read, or does not fit the robot
+    """
+    if folder.exists():
+        raise FileExistsError("%s is there already" % folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent) as scratch:
+        made = Path(scratch, folder.name)
+        made.mkdir()
+        _fill(policy, made, robot)
+        made.rename(folder)
+    return folder
+
+
+def _fill(policy: Path, folder: Path, robot: "str | None") -> None:
     manifest = json.loads(_programs.run("policy", "show", policy, "--json").splitlines()[-1])
     manifest.pop("path", None)
     (folder / "manifest.json").write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
     shutil.copy(policy, folder / "policy.onnx")
     settings = policy.with_name("config.toml")
     named = re.search('^robot = "(.*?)"', settings.read_text(), re.M) if settings.exists() else None
-    model = Path(robot_path(robot or (named.group(1) if named else "polymander")))
+    if robot is None and named is None:
+        raise ValueError("%s: no config.toml beside it says which robot; give --robot" % policy)
+    model = Path(robot_path(robot or named.group(1)))
     name = model.name.removesuffix(".robot.toml")
     (folder / "robot").mkdir()
     mjcf = re.search('^mjcf *= *"(.*?)"', model.read_text(), re.M)
@@ -65,14 +85,13 @@ def export(policy: Path, folder: Path, robot: "str | None" = None) -> Path:
     film = ["sim", "show", "--robot", model, "--policy", policy, "--out", folder / "walk.gif"]
     _programs.run(*film, "--seconds", "2.4", "--width", "320", "--fps", "10", "--settle-s", "3", quiet=True)
     card = _CARD.format(
-        name=folder.resolve().name,
+        name=folder.name,
         robot=name,
         steps=manifest["metadata"]["env_steps"] / 1e6,
         sha256=manifest["sha256"],
         table=table(evaluation.get("scenarios", [])),
     )
     (folder / "README.md").write_text(card, encoding="utf-8")
-    return folder
 
 
 def table(scenarios: List[Dict[str, Any]]) -> str:
@@ -98,6 +117,9 @@ def main() -> int:
     except _programs.ProgramError as error:
         print(error, file=sys.stderr)
         return error.code
+    except ValueError as error:
+        print("error: %s" % error, file=sys.stderr)
+        return 64
     except OSError as error:
         print("error: %s" % error, file=sys.stderr)
         return 73

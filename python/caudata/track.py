@@ -28,6 +28,7 @@ class Tracker(NamedTuple):
 
 
 def wandb(name: str, settings: Dict[str, Any]) -> Tracker:
+    """A run of this name in Weights & Biases, as its package is set up."""
     package = importlib.import_module("wandb")
     run = package.init(project="caudata", name=name, config=settings)
 
@@ -38,6 +39,7 @@ def wandb(name: str, settings: Dict[str, Any]) -> Tracker:
 
 
 def mlflow(name: str, settings: Dict[str, Any]) -> Tracker:
+    """A run of this name in MLflow, as its package is set up."""
     package = importlib.import_module("mlflow")
     package.set_experiment("caudata")
     package.start_run(run_name=name)
@@ -63,9 +65,12 @@ def events(path: Path, patience_s: float) -> Iterator[Dict[str, Any]]:
                 time.sleep(_LOOK_EVERY_S)
                 continue
             event, line, end = json.loads(line), "", time.monotonic() + patience_s
+            if "event" not in event:
+                raise ValueError("a line is no event of a training")
             yield event
             if event["event"] == "finished":
                 return
+    raise TimeoutError("nothing came for %g s, and the training has not finished" % patience_s)
 
 
 def curves(event: Dict[str, Any]) -> Dict[str, float]:
@@ -95,7 +100,14 @@ def settings(text: str) -> Dict[str, Any]:
 
 
 def track(run: Path, to: str, patience_s: float) -> int:
-    """Hands a training over; how many iterations."""
+    """Hands a training over.
+
+    :param to: ``wandb`` or ``mlflow``, whose package is installed
+    :param patience_s: the longest wait for the next iteration, s
+    :returns: how many iterations
+    :raises TimeoutError: nothing came for that long, and the training had not finished
+    :raises ValueError: ``progress.jsonl`` is not of a training
+    """
     tracker = TRACKERS[to](run.resolve().name, settings((run / "config.toml").read_text(encoding="utf-8")))
     count = 0
     try:
@@ -122,6 +134,9 @@ def main() -> int:
     except ModuleNotFoundError as missing:
         print("error: %s; `pip install %s`" % (missing, options.to), file=sys.stderr)
         return 69
+    except TimeoutError as error:
+        print("error: %s: %s" % (options.run, error), file=sys.stderr)
+        return 75
     except (OSError, ValueError) as error:
         print("error: %s: %s" % (options.run, error), file=sys.stderr)
         return 66

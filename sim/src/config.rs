@@ -96,8 +96,9 @@ settings! {
         /// 1. Harder: feet land with a jolt, and small steps are needed. Softer: they sink in.
         pub contact_hardness: f64 = 1.0,
         /// `batch`: whether dampers and the servo's damping act at the time of the positions, half a step on
-        /// from that of the velocities. Default false. True: a servo answers as in much smaller steps, with
-        /// an error of the second order in `dt_s`; diagnosis replays logs so.
+        /// from that of the velocities. Default false. True: a servo's loop answers as in much smaller steps,
+        /// with an error of the second order in `dt_s`; bristles of friction, stops and gears keep theirs of
+        /// the first. Diagnosis replays logs so.
         pub centred: bool = false,
     }
 }

@@ -111,8 +111,12 @@ pub fn run(args: &RolloutArgs, stop: &StopFlag) -> Result<(), Failure> {
     let row_s = config.engine.control_period_s();
     commands.fit(row_s)?;
     let rows = periods(args, &commands, row_s)?;
-    // what is told is of an instant, as a servo reads its current, and not the mean over a row
-    let steps = std::mem::replace(&mut config.engine.substeps, 1);
+    // What is told is of an instant, as a servo reads its current, and not the mean over a row. Frames are lost by
+    // control period.
+    let steps = match params.command_loss.share > 0.0 {
+        true => 1,
+        false => std::mem::replace(&mut config.engine.substeps, 1),
+    };
     let (seed, robot) = (config.run.seed, Arc::clone(&model));
     let mut engine = caudata_sim::build(robot, 1, &config.engine, &config.terrain, seed, 1)
         .or_exit(ExitCode::BadConfig)?;
@@ -368,7 +372,7 @@ fn simulate(
     let signals = signals(engine.model());
     let mut table = TableWriter::new(BufWriter::new(file), &signals, 0.5)
         .or_exit_with(ExitCode::IoError, cannot_write)?;
-    let period_s = engine.config().dt_s * f64::from(steps);
+    let period_s = engine.config().control_period_s() * f64::from(steps);
     let first = commands.time_s[0];
     let mut values = Vec::with_capacity(signals.len());
     for period in 0..=periods {

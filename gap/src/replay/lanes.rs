@@ -31,6 +31,12 @@ fn velocities_ahead_s(step: &EngineConfig) -> f64 {
     }
 }
 
+/// Periods in which all of a stretch is recorded: one more than it lasts, since velocities are those of half a
+/// period before.
+fn periods(duration_s: f64, period_s: f64) -> usize {
+    (duration_s / period_s).ceil() as usize + 1
+}
+
 /// One lane at work.
 struct Lane<'a> {
     plant: Plant,
@@ -53,7 +59,7 @@ impl<'a> Lane<'a> {
         let period_s = step.dt_s;
         let own = &data.segments[segment];
         let trial = &data.trials[own.trial];
-        let periods = (own.duration_s() / period_s).ceil() as usize;
+        let periods = periods(own.duration_s(), period_s);
         let stand = match stands_before(&plant, data, segment) {
             true => (STAND_S / period_s).round() as usize,
             false => 0,
@@ -101,11 +107,15 @@ impl<'a> Lane<'a> {
         if k >= stand && k - stand < self.trace.rows() {
             let (state, model) = (engine.state(), &self.plant.model);
             self.trace.record(state, lane, model, targets);
+            if k == stand {
+                self.trace.forget();
+            }
         }
         if let Some((_, measured)) = self.again.filter(|(after, _)| stand + after == k)
             && self.sound
         {
             self.sound &= correct(engine, lane, &self.plant, measured);
+            self.trace.forget();
         }
         let from = own.start_s + (k as f64 - stand as f64) * period_s;
         let from = from - self.ahead_s;
@@ -136,7 +146,7 @@ pub(super) fn run(
         read.base |= signals.base || own.again.is_some() || lane.stand > 0;
         read.imu |= signals.imu;
         read.feet |= signals.feet;
-        most = most.max(lane.stand + (own.duration_s() / period_s).ceil() as usize);
+        most = most.max(lane.stand + periods(own.duration_s(), period_s));
         lane.sound = start(engine, number, &lane, data);
         all.push(lane);
     }

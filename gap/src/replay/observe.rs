@@ -150,6 +150,11 @@ impl Trace {
         }
     }
 
+    /// The next torque goes on from nothing that was before.
+    pub fn forget(&mut self) {
+        self.last.fill((f32::NAN, 0.0));
+    }
+
     fn last_row(&self) -> usize {
         (self.values.len() / self.width.max(1)).saturating_sub(1)
     }
@@ -194,23 +199,32 @@ impl Trace {
         [0, 1, 2, 3].map(|i| place.between(a[i], b[i]))
     }
 
-    /// `N` columns from `c` on, each behind a low-pass of `time_s`, as columns of their own.
+    /// `N` columns from `c` on, each behind a low-pass of `time_s`, as columns of their own: what goes in is on the
+    /// line between states, so that a short low-pass is as late as it says.
     fn lagged<const N: usize>(&self, c: usize, time_s: f64) -> Vec<[f32; N]> {
-        let share = if time_s > 0.0 {
-            -(-self.period_s / time_s).exp_m1()
-        } else {
-            1.0
-        };
-        let mut y = std::array::from_fn::<f64, N, _>(|i| f64::from(self.values[c + i]));
+        let (stays, last, now) = weights(time_s, self.period_s);
+        let x = |k: usize, i: usize| f64::from(self.values[k * self.width + c + i]);
+        let mut y = std::array::from_fn::<f64, N, _>(|i| x(0, i));
         (0..=self.last_row())
             .map(|k| {
                 std::array::from_fn(|i| {
-                    y[i] += share * (f64::from(self.values[k * self.width + c + i]) - y[i]);
+                    y[i] = stays * y[i] + last * x(k.saturating_sub(1), i) + now * x(k, i);
                     y[i] as f32
                 })
             })
             .collect()
     }
+}
+
+/// What a low-pass of `time_s` keeps of itself, of what went in `period_s` ago and of what goes in now, where that is
+/// on the line between the two: y' = (x − y)/τ, exactly.
+fn weights(time_s: f64, period_s: f64) -> (f64, f64, f64) {
+    if time_s <= 0.0 {
+        return (0.0, 0.0, 1.0);
+    }
+    let stays = (-period_s / time_s).exp();
+    let mean = (1.0 - stays) * time_s / period_s;
+    (stays, mean - stays, 1.0 - mean)
 }
 
 /// Where a stamp falls between two recorded states.
@@ -513,4 +527,22 @@ fn voltage(plant: &Plant, trace: &Trace) -> Vec<f32> {
             volt as f32
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ramp_comes_through_a_low_pass_as_late_as_it_says() {
+        for time_s in [0.0, 0.0005, 0.002, 0.02] {
+            let (stays, last, now) = weights(time_s, 0.002);
+            let (mut y, mut x) = (0.0, 0.0);
+            for _ in 0..400 {
+                y = stays * y + last * x + now * (x + 0.002);
+                x += 0.002;
+            }
+            assert!((x - y - time_s).abs() < 1e-9, "{time_s}: {}", x - y);
+        }
+    }
 }

@@ -38,14 +38,18 @@ impl<R: Real> Step<R> {
     }
 
     /// By how much a velocity is greater at the time of the positions, half a step on, with the last step's
-    /// acceleration.
+    /// acceleration. Less where the loop's damping is so strong for the joint's inertia (1/`mobility`, kg·m²) that
+    /// it takes away half of the velocity in a step, and nothing where it takes all: from there on looking ahead
+    /// would swing (Adams and Bashforth's rule of two steps), which the step by itself does at twice that.
     #[inline(always)]
-    fn ahead_radps(&self, qdd_radps2: R) -> R {
-        if self.centred {
-            R::splat(0.5) * self.dt_s * qdd_radps2
-        } else {
-            R::zero()
+    fn ahead_radps(&self, p: &ServoDrive<R>, mobility: f64, qdd_radps2: R) -> R {
+        if !self.centred {
+            return R::zero();
         }
+        let damping = p.kd_nms_per_rad + p.kd_min_nms_per_rad;
+        let taken = damping * self.dt_s * R::splat(mobility);
+        let share = (R::splat(2.0) - R::splat(2.0) * taken).clamp(R::zero(), R::one());
+        R::splat(0.5) * self.dt_s * share * qdd_radps2
     }
 
     /// `drag` with a damper, at the step's end or in its middle.
@@ -144,7 +148,9 @@ pub fn start<R: Real>(
         qd_radps
     };
     let target_rad = follow(f, p, m, step, command_rad);
-    let ahead_radps = step.ahead_radps(qdd_radps2);
+    let ahead_radps = step.ahead_radps(p, stop.law.mobility(), qdd_radps2);
+    // a rotor behind play or springs has an acceleration of its own
+    let motor_ahead_radps = R::select(soft, R::zero(), ahead_radps);
     let motor_nm = motor(
         f,
         p,
@@ -154,7 +160,7 @@ pub fn start<R: Real>(
         bus,
         target_rad - q_rad,
         qd_radps + ahead_radps,
-        motor_radps + ahead_radps,
+        motor_radps + motor_ahead_radps,
     );
 
     let bound_nm = friction_bound(f, p, hinge, m, motor_radps);

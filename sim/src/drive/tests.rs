@@ -172,6 +172,23 @@ fn swings_as_the_formula_says_with_dampers_at_the_time_of_the_positions() {
     assert!(centred < 2e-5, "{centred}");
 }
 
+/// 18 N·m·s/rad on 0.0122 kg·m² take away 1.5 of the velocity in a step of 1 ms.
+#[test]
+fn looking_ahead_makes_no_strong_damper_swing() {
+    for kd_nms_per_rad in [4.0, 9.0, 18.0] {
+        let damped = ServoDrive {
+            kd_nms_per_rad,
+            ..servo()
+        };
+        let mut rig = Rig::new(damped, hinge());
+        (rig.centred, rig.q) = (true, 0.1);
+        rig.run(0.1, |_| 0.0, 0.0);
+        // it creeps home with kp/kd
+        let want = -15.0 / kd_nms_per_rad * rig.q;
+        near("speed", rig.qd, want, 0.1 * want.abs());
+    }
+}
+
 #[test]
 fn droops_by_load_over_gain_and_integral_takes_it_out() {
     // 0.6 N·m on 15 N·m/rad: 0.04 rad
