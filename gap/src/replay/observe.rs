@@ -399,7 +399,8 @@ fn channel<'a>(seen: &mut Seen<'a>, piece: &Piece, times_s: &'a [f64], out: &mut
         Kind::BasePosition | Kind::BaseVelocity | Kind::BaseAttitude => {
             f64::from(sensing.mocap_delay_s)
         }
-        Kind::Current => f64::from(sensing.current_delay_s[i]),
+        // a servo's torque is its current, in other units
+        Kind::Current | Kind::Torque => f64::from(sensing.current_delay_s[i]),
         _ => 0.0,
     };
     let number = seen.stamps(times_s, late_s + trace.recorded_late_s(piece.kind));
@@ -422,9 +423,11 @@ fn channel<'a>(seen: &mut Seen<'a>, piece: &Piece, times_s: &'a [f64], out: &mut
                 out.extend(true_radps.iter().map(|qd| (gain * qd) as f32));
             }
         }
-        Kind::Torque => out.extend(stamps.joint(trace, 2, i).iter().map(|&x| x as f32)),
-        Kind::Current => {
-            let current = |given_nm: f64| current(plant, i, given_nm);
+        Kind::Current | Kind::Torque => {
+            let current = |given_nm: f64| match piece.kind {
+                Kind::Torque => given_nm as f32,
+                _ => current(plant, i, given_nm),
+            };
             let lag_s = f64::from(sensing.current_lag_s[i]);
             if lag_s > 0.0 {
                 let column = trace.lagged::<1>(2 * n + i, lag_s);
