@@ -27,6 +27,8 @@ use crate::trial::Kind;
 
 /// Mean square error of one channel in one run, in squared noises, that counts at most.
 const MOST_MISFIT: f64 = 80.0;
+/// With hinges that nobody drives, engines part by so many times (and not once) what halving the step changes.
+const ENGINES_APART: f32 = 7.0;
 /// Nobody has measured how hard the ground is: what one of a quarter of the file's time constant changes
 /// belongs to the floor.
 const HARDER_GROUND: f64 = 4.0;
@@ -70,12 +72,18 @@ impl Judge {
         if self.data.trials.iter().all(|t| t.base == BaseHold::Water) {
             return Ok(false);
         }
+        let model = replayer.model();
+        let apart = match model.joints().len() == model.actuated().len() {
+            true => 1.0,
+            false => ENGINES_APART,
+        };
+        let harder = replayer.on_harder_ground(HARDER_GROUND);
         let others = [
-            (BaseHold::Fixed, replayer.of_first_order()),
-            (BaseHold::Free, replayer.on_harder_ground(HARDER_GROUND)),
+            (BaseHold::Fixed, replayer.finer(), apart),
+            (BaseHold::Free, harder, 1.0),
         ];
         let as_given = replayer.predict(&self.data, &[Vec::new()])?.swap_remove(0);
-        for (base, other) in others {
+        for (base, other, times) in others {
             if self.data.trials.iter().all(|t| t.base != base) {
                 continue;
             }
@@ -88,7 +96,7 @@ impl Judge {
                 for piece in &segment.pieces {
                     let of = &off[piece.range.clone()];
                     let square = dot(of, of) / of.len().max(1) as f64;
-                    let grows = 1.0_f32.hypot(square.sqrt() as f32);
+                    let grows = 1.0_f32.hypot(times * square.sqrt() as f32);
                     for k in piece.range.clone() {
                         self.noise.grow(k, grows);
                     }

@@ -13,7 +13,7 @@ use super::search::{Found, MOST_TERMS};
 use super::state::{Context, State};
 use crate::effects::Domain;
 use crate::error::GapError;
-use crate::replay::{Term, Variant};
+use crate::replay::Variant;
 use crate::report::Cause;
 
 /// Rivals that are fitted per cause, besides the declared look-alikes.
@@ -40,6 +40,13 @@ const GREAT_SHARE: f64 = 0.5;
 /// outside the catalogue, seeds 101 to 113) none took more than 0.51 off those, and three of four right ones
 /// 0.69 to 0.82.
 const GREAT_SHARE_OF_FIT: f64 = 0.6;
+/// Two look-alikes are both there if together they take this share off what the cause alone leaves of the
+/// runs that are fitted …
+const MORE_TOGETHER: f64 = 0.25;
+/// … and this one off what it leaves in cross-validation.
+const MORE_TOGETHER_CROSS: f64 = 0.2;
+/// A rival that is so many times as probable takes a cause's place.
+const FAR_MORE: f64 = 2.0;
 /// After so many steps causes are dropped only.
 const MOST_STEPS: usize = 2 * MOST_TERMS;
 
@@ -99,7 +106,8 @@ pub fn name(context: &Context, found: &mut Found, out: &mut Vec<Named>) -> Resul
             let named = rivals_of(context, found, index)?;
             let mut better = None;
             if steps < MOST_STEPS {
-                better = better_name(context, &found.best, &named, &seen);
+                better = simpler(context, &found.best, &named, &seen)
+                    .or_else(|| more_probable(context, &found.best, &named, &seen));
                 if better.is_none() && named.worth.cross > 0.0 {
                     let new = |s: &State| !seen.contains(&s.key());
                     better = both(context, &found.best, &named)?.filter(new);
@@ -119,46 +127,44 @@ pub fn name(context: &Context, found: &mut Found, out: &mut Vec<Named>) -> Resul
     }
 }
 
-/// The model with the rival of the cause in `named` that the runs speak for most, if they do so more than for the
-/// cause: it leaves less, or it says it with fewer parameters ([`evidence`]). Where nothing at all tells them apart,
-/// one without several joints that have the same size of an effect by chance. None that was the best before (`seen`),
-/// nor a law in the place of its special case.
-fn better_name(
+/// The model with the rival that says the same as the cause in `named` with less, which is the first to be
+/// believed: with fewer parameters, or, where nothing at all tells them apart, without several joints that
+/// have the same size of an effect by chance; none that was the best before (`seen`).
+fn simpler(
     context: &Context,
     best: &State,
     named: &Named,
     seen: &BTreeSet<Vec<String>>,
 ) -> Option<State> {
+    let model = context.replayer.model();
+    let size = |s: &State| (s.parameters(model), chances(s));
     let own = &best.terms[named.index];
-    let concerned = concerned(context, own);
-    let over = |r: &&Rival| {
-        let by_chance = chances(&r.state).cmp(&chances(best));
-        match indistinguishable(best, &r.state) && by_chance.is_ne() {
-            true if by_chance.is_lt() => f64::MIN_POSITIVE,
-            true => f64::NEG_INFINITY,
-            false => evidence(context, &r.state, concerned) - evidence(context, best, concerned),
+    let same = |r: &Rival| {
+        if r.state.parameters(model) == best.parameters(model) {
+            return indistinguishable(best, &r.state);
         }
+        if wider(r.state.terms[r.index].effect, own.effect) {
+            // what the wider law has beyond its special case must earn its place as a further cause beside it
+            // would
+            let more = gates::worth(context, &r.state, best, Some(&own.place));
+            return !more.passed || is_a_lead(gates::quiet(context), &more);
+        }
+        // what is clearly worse does not say the same
+        let more = gates::worth(context, &r.state, best, None);
+        more.low <= 0.0 || more.fit <= 0.0
     };
-    let may = |r: &&Rival| {
-        let term = &r.state.terms[r.index];
-        r.short < STANDS_IN
-            && over(r) > 0.0
-            && !wider(own.effect, term.effect)
-            && !seen.contains(&r.state.key())
-            && gates::matters(context, term)
-            && gates::worth(context, &named.without, &r.state, Some(&term.place)).passed
-    };
-    let possible = named.rivals.iter().filter(may);
-    let first = possible.max_by(|a, b| over(a).total_cmp(&over(b)))?;
+    // a law is never simpler than its special case, whatever else is left free
+    let special = |r: &&Rival| !wider(own.effect, r.state.terms[r.index].effect);
+    let new = |r: &&Rival| !seen.contains(&r.state.key());
+    let alike = (named.rivals.iter())
+        .filter(new)
+        .filter(special)
+        .filter(|r| r.in_set && size(&r.state) < size(best) && same(r));
+    let first = alike.min_by(|a, b| {
+        let by_size = size(&a.state).cmp(&size(&b.state));
+        by_size.then(a.short.total_cmp(&b.short))
+    })?;
     Some(first.state.clone())
-}
-
-/// Logarithm of the evidence for a model: that of its likelihood where the share `concerned` of the joints decides,
-/// less Schwarz's half of the logarithm of the number of errors for each parameter (Annals of Statistics 6, 1978).
-fn evidence(context: &Context, state: &State, concerned: f64) -> f64 {
-    let of_one = 0.5 * ERRORS_OF_LAW.ln();
-    let parameters = state.parameters(context.replayer.model()) as f64;
-    log_likelihood(gates::misfit(context, state), concerned) - of_one * parameters
 }
 
 /// What [`name`] did not come to when time ended. What each of these causes is worth is known then; it and its
@@ -214,9 +220,33 @@ fn chances(state: &State) -> usize {
         .sum()
 }
 
-/// The model with a rival of the answer set beside the cause in `named`, if there is one that the runs speak for
-/// more than for the cause alone: two look-alikes that are both there leave little of each other, less than what
-/// ends the search.
+/// The model with the rival of the cause in `named` that is far more probable than it, says it with as little, and
+/// would be a cause in its place; none that was the best before (`seen`).
+fn more_probable(
+    context: &Context,
+    best: &State,
+    named: &Named,
+    seen: &BTreeSet<Vec<String>>,
+) -> Option<State> {
+    let model = context.replayer.model();
+    let takes_over = |r: &&Rival| {
+        let term = &r.state.terms[r.index];
+        let worth = || gates::worth(context, &named.without, &r.state, Some(&term.place));
+        let by_chance = || chances(&r.state) > chances(best) && indistinguishable(best, &r.state);
+        r.probability > FAR_MORE * named.probability
+            && !seen.contains(&r.state.key())
+            && r.state.parameters(model) <= best.parameters(model)
+            && gates::matters(context, term)
+            && !by_chance()
+            && worth().passed
+    };
+    let first = named.rivals.iter().find(takes_over)?;
+    Some(first.state.clone())
+}
+
+/// The model with a rival of the answer set beside the cause in `named`, if there is one with which it says
+/// far more than alone: two look-alikes that are both there leave little of each other, less than what ends
+/// the search.
 fn both(context: &Context, best: &State, named: &Named) -> Result<Option<State>, GapError> {
     let term = &best.terms[named.index];
     let other = |r: &&Rival| {
@@ -246,12 +276,12 @@ fn both(context: &Context, best: &State, named: &Named) -> Result<Option<State>,
     }
     let fitted = refine(context, &context.fit, variants, None, None)?;
     let fitted: Vec<Variant> = fitted.into_iter().map(|f| f.0).collect();
-    let concerned = concerned(context, term);
     let more = |state: &State| {
         let worth = gates::worth(context, best, state, Some(&term.place));
         worth.passed
             && worth.low > 0.0
-            && evidence(context, state, concerned) > evidence(context, best, concerned)
+            && worth.fit > MORE_TOGETHER * worth.fit_of
+            && worth.cross > MORE_TOGETHER_CROSS * worth.of
             && state.terms.iter().all(|t| gates::matters(context, t))
     };
     Ok(context
@@ -311,7 +341,12 @@ fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, Ga
         })
         .collect();
     rivals.sort_by(|a, b| a.short.total_cmp(&b.short));
-    let concerned = concerned(context, term);
+    // the misfit is a mean over all joints: where one of many is concerned, the others' say nothing
+    let joints = context.replayer.model().actuated().len().max(1);
+    let concerned = match term.place.domain {
+        Domain::Joints => term.place.items.len().clamp(1, joints) as f64 / joints as f64,
+        _ => 1.0,
+    };
     let own = penalised(context, best);
     for r in &mut rivals {
         let other = &r.state.terms[r.index];
@@ -341,30 +376,17 @@ fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, Ga
     })
 }
 
-/// Share of the joints that `term` concerns: the misfit is a mean over all of them, and where one of many is
-/// concerned, the others' say nothing.
-fn concerned(context: &Context, term: &Term) -> f64 {
-    let joints = context.replayer.model().actuated().len().max(1);
-    match term.place.domain {
-        Domain::Joints => term.place.items.len().clamp(1, joints) as f64 / joints as f64,
-        _ => 1.0,
-    }
-}
-
-/// Logarithm of the likelihood of a model that leaves `misfit` floors, up to a constant.
-fn log_likelihood(misfit: f64, concerned: f64) -> f64 {
-    -0.5 * ERRORS_OF_LAW / concerned * (misfit + RIGHT_LEAVES).ln()
-}
-
 /// Likelihood of a model that leaves `rival` floors, where one that leaves `own` has 1 and they differ at the share
 /// `concerned` of the joints.
 fn likelihood(own: f64, rival: f64, concerned: f64) -> f64 {
-    let over = log_likelihood(rival, concerned) - log_likelihood(own, concerned);
-    over.exp().min(1.0 / AS_LIKELY)
+    let ratio = (own + RIGHT_LEAVES) / (rival + RIGHT_LEAVES);
+    ratio
+        .powf(0.5 * ERRORS_OF_LAW / concerned)
+        .min(1.0 / AS_LIKELY)
 }
 
 /// Declared look-alikes at their best place, and whatever screening likes.
-fn rivals<'a>(term: &Term, screened: &'a [Screened]) -> Vec<&'a Screened> {
+fn rivals<'a>(term: &crate::replay::Term, screened: &'a [Screened]) -> Vec<&'a Screened> {
     let mut chosen: Vec<&Screened> = Vec::new();
     let own = |s: &Screened| s.effect == term.effect;
     for id in term.effect.look_alikes() {

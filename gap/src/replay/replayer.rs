@@ -36,8 +36,6 @@ pub struct Replayer {
     step_s: f64,
     /// As in [`EngineConfig::contact_hardness`].
     contact_hardness: f64,
-    /// As in [`EngineConfig::centred`]; commands and readings of speed go with it.
-    centred: bool,
     engines: [Mutex<Vec<BatchEngine>>; 3],
     rollouts: AtomicUsize,
     simulated_ms: AtomicUsize,
@@ -61,7 +59,6 @@ impl Replayer {
             go_on: GoOn::default(),
             step_s: EngineConfig::default().dt_s,
             contact_hardness: 1.0,
-            centred: true,
             engines: [(); 3].map(|()| Mutex::new(Vec::new())),
             rollouts: AtomicUsize::new(0),
             simulated_ms: AtomicUsize::new(0),
@@ -107,13 +104,9 @@ impl Replayer {
         other
     }
 
-    /// The same with half the step, of the first order: as a firmware of 1 kHz works out a speed, and as many
-    /// simulators go.
-    pub fn of_first_order(&self) -> Self {
-        Self {
-            centred: false,
-            ..self.with(0.5 * self.step_s, self.contact_hardness)
-        }
+    /// The same with half the step.
+    pub fn finer(&self) -> Self {
+        self.with(0.5 * self.step_s, self.contact_hardness)
     }
 
     /// The same on ground that pushes back so many times faster.
@@ -130,7 +123,6 @@ impl Replayer {
             go_on: self.go_on.clone(),
             step_s,
             contact_hardness,
-            centred: true,
             engines: [(); 3].map(|()| Mutex::new(Vec::new())),
             rollouts: AtomicUsize::new(0),
             simulated_ms: AtomicUsize::new(0),
@@ -260,7 +252,7 @@ impl Replayer {
             substeps: 1,
             fixed_base: hold == 0,
             contact_hardness: self.contact_hardness,
-            centred: self.centred,
+            centred: true,
             ..EngineConfig::default()
         };
         let mut ground = TerrainConfig::default();
