@@ -12,6 +12,7 @@ mod lanes;
 mod observe;
 mod replayer;
 mod starts;
+mod trace;
 
 pub use crate::term::{Term, Variant};
 pub use cuts::SegmentOptions;

@@ -173,10 +173,7 @@ pub fn start<R: Real>(
     );
     let mut drag = step.damped(drag, hinge.damping_nms_per_rad, motor_radps);
     if f.ripple {
-        let turns = (p.ripple_per_turn * q_rad + p.ripple_phase_rad) * R::splat(1.0 / TAU);
-        let within = turns - (turns + R::splat(0.5)).floor();
-        let (sin, _) = (within * R::splat(TAU)).sin_cos();
-        drag.now_nm += p.ripple_nm * sin;
+        drag.now_nm += ripple_nm(p, q_rad);
     }
 
     let rigid = drag.plus(ImplicitTorque::constant(motor_nm));
@@ -209,6 +206,15 @@ pub fn start<R: Real>(
         drag,
         gear,
     }
+}
+
+/// The torque of the gear's ripple at `q_rad`, N·m.
+#[inline(always)]
+fn ripple_nm<R: Real>(p: &ServoDrive<R>, q_rad: R) -> R {
+    let turns = (p.ripple_per_turn * q_rad + p.ripple_phase_rad) * R::splat(1.0 / TAU);
+    let within = turns - (turns + R::splat(0.5)).floor();
+    let (sin, _) = (within * R::splat(TAU)).sin_cos();
+    p.ripple_nm * sin
 }
 
 /// Takes into memory that the joint moved by `moved_rad` and went from velocity `qd_before_radps` to
