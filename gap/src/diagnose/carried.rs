@@ -239,7 +239,7 @@ impl Model {
                     let names = term.effect.parameters.iter().zip(&term.values);
                     names
                         .into_iter()
-                        .all(|(p, v)| c.parameters[p.name].value == *v)
+                        .all(|(p, v)| c.parameters.get(p.name).is_some_and(|own| own.value == *v))
                 };
                 let cause = cause_of(term, causes);
                 match cause.filter(same) {

@@ -27,7 +27,9 @@ use crate::trial::Kind;
 
 /// Mean square error of one channel in one run, in squared noises, that counts at most.
 const MOST_MISFIT: f64 = 80.0;
-/// With hinges that nobody drives, engines part by so many times (and not once) what halving the step changes.
+/// With hinges that nobody drives, engines part by so many times (and not once) what halving the step changes: with
+/// once both healthy days of a salamander on a stand are a gap. Chosen on these days, when steps were of the first
+/// order.
 const ENGINES_APART: f32 = 7.0;
 /// Nobody has measured how hard the ground is: what one of a quarter of the file's time constant changes
 /// belongs to the floor.

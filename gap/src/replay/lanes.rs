@@ -1,7 +1,7 @@
 //! One engine full of jobs: reset, step, record.
 
 use caudata_sim::batch::{BatchEngine, Readout};
-use caudata_sim::{Engine, EngineConfig, InitialState, MAX_LOOP_DELAY_S};
+use caudata_sim::{Engine, InitialState, MAX_LOOP_DELAY_S};
 
 use super::commands::{Reader, Readers, true_angle};
 use super::cuts::replay_span;
@@ -23,15 +23,6 @@ const FIRMWARE_TICK_S: f64 = 0.0005;
 /// row tells. Much longer, and a soft integral part would have taken over all of the load.
 const STAND_S: f64 = 1.0;
 
-/// How long before the time of the positions a step's velocities are, s: it takes them from half a step before it
-/// to half a step after.
-fn velocities_ahead_s(step: &EngineConfig) -> f64 {
-    match step.centred {
-        true => 0.5 * step.dt_s,
-        false => 0.0,
-    }
-}
-
 /// Periods in which all of a stretch is recorded: one more than it lasts, since velocities are those of half a
 /// period before.
 fn periods(duration_s: f64, period_s: f64) -> usize {
@@ -47,8 +38,6 @@ struct Lane<'a> {
     trace: Trace,
     /// After how many periods it is put to what was measured once more, and what that was.
     again: Option<(usize, &'a Start)>,
-    /// How long before the time of the positions a step begins, s.
-    ahead_s: f64,
     /// Periods for which it stands before its stretch begins.
     stand: usize,
     /// Whether the candidate can be simulated.
@@ -56,8 +45,7 @@ struct Lane<'a> {
 }
 
 impl<'a> Lane<'a> {
-    fn new(plant: Plant, data: &'a Data, segment: usize, step: &EngineConfig) -> Self {
-        let period_s = step.dt_s;
+    fn new(plant: Plant, data: &'a Data, segment: usize, period_s: f64) -> Self {
         let own = &data.segments[segment];
         let trial = &data.trials[own.trial];
         let periods = periods(own.duration_s(), period_s);
@@ -67,8 +55,7 @@ impl<'a> Lane<'a> {
         };
         let from_s = own.start_s - stand as f64 * period_s;
         let to_s = from_s + (stand + periods) as f64 * period_s;
-        let ahead_s = velocities_ahead_s(step);
-        let window_s = (from_s - ahead_s, to_s);
+        let window_s = (from_s - 0.5 * period_s, to_s);
         let again = own.again.as_ref().map(|(at_s, measured)| {
             let after = ((at_s - own.start_s) / period_s).round() as usize;
             (after, measured)
@@ -76,15 +63,7 @@ impl<'a> Lane<'a> {
         Self {
             readers: readers_of(trial, &plant, window_s),
             switches: Switches::new(trial, &plant, own.start_s),
-            trace: Trace::new(
-                readout(trial),
-                &plant,
-                own.start_s,
-                period_s,
-                periods,
-                ahead_s,
-            ),
-            ahead_s,
+            trace: Trace::new(readout(trial), &plant, own.start_s, period_s, periods),
             plant,
             segment,
             again,
@@ -119,8 +98,9 @@ impl<'a> Lane<'a> {
             self.trace.forget();
         }
         let from = own.start_s + (k as f64 - stand as f64) * period_s;
-        let from = from - self.ahead_s;
-        self.readers.means(from, from + period_s, targets);
+        // a step takes velocities from half a step before to half a step after the time of the positions
+        let half_s = 0.5 * period_s;
+        self.readers.means(from - half_s, from + half_s, targets);
         if self.switches.due(from) && self.sound {
             let params = self.switches.apply(&self.plant, from);
             self.sound &= engine.set_params(lane, &params).is_ok();
@@ -141,7 +121,7 @@ pub(super) fn run(
     let mut most = 0;
     let mut all = Vec::with_capacity(jobs.len());
     for (number, (plant, segment)) in jobs.into_iter().enumerate() {
-        let mut lane = Lane::new(plant, data, segment, engine.config());
+        let mut lane = Lane::new(plant, data, segment, period_s);
         let own = &data.segments[segment];
         let signals = readout(&data.trials[own.trial]);
         read.base |= signals.base || own.again.is_some() || lane.stand > 0;

@@ -13,8 +13,6 @@ use crate::trial::{Kind, YAW, attitude_of, nearest_turn};
 pub(super) struct Trace {
     start_s: f64,
     pub(super) period_s: f64,
-    /// How long before the time of the positions velocities are, s.
-    ahead_s: f64,
     rows: usize,
     pub(super) width: usize,
     pub(super) joints: usize,
@@ -32,12 +30,12 @@ pub(super) struct Trace {
 pub(super) const GYRO: usize = 0;
 pub(super) const ACC: usize = 3;
 pub(super) const GRAV: usize = 6;
-pub(super) const IMU: usize = 9;
+const IMU: usize = 9;
 /// Places of the base's signals, and how many numbers they are.
 pub(super) const POS: usize = 0;
 pub(super) const VEL: usize = 3;
 pub(super) const QUAT: usize = 6;
-pub(super) const BASE: usize = 10;
+const BASE: usize = 10;
 
 impl Trace {
     pub(super) fn new(
@@ -46,7 +44,6 @@ impl Trace {
         start_s: f64,
         period_s: f64,
         periods: usize,
-        ahead_s: f64,
     ) -> Self {
         let joints = plant.model.actuated().len();
         let feet = if readout.feet {
@@ -57,7 +54,6 @@ impl Trace {
         let mut trace = Self {
             start_s,
             period_s,
-            ahead_s,
             rows: periods + 1,
             width: 0,
             joints,
@@ -129,12 +125,12 @@ impl Trace {
         values.extend_from_slice(&state.foot_pos_m[row(3 * state.feet)][..3 * self.feet]);
     }
 
-    /// How much later than what it shows of `kind` a state is, s. The IMU takes the difference of two
-    /// velocities.
+    /// How much later than what it shows of `kind` a state is, s: velocities are those of half a step before the
+    /// positions, and the IMU takes the difference of two of them.
     pub(super) fn recorded_late_s(&self, kind: Kind) -> f64 {
         match kind {
-            Kind::Velocity | Kind::Gyro | Kind::BaseVelocity => -self.ahead_s,
-            Kind::Acceleration => -2.0 * self.ahead_s,
+            Kind::Velocity | Kind::Gyro | Kind::BaseVelocity => -0.5 * self.period_s,
+            Kind::Acceleration => -self.period_s,
             _ => 0.0,
         }
     }
