@@ -98,7 +98,7 @@ settings! {
         /// `batch`: whether dampers and the servo's damping act at the time of the positions, half a step on
         /// from that of the velocities. Default false. True: a servo's loop answers as in much smaller steps,
         /// with an error of the second order in `dt_s`; bristles of friction, stops and gears keep theirs of
-        /// the first. Diagnosis replays logs so.
+        /// the first. `sim rollout` and diagnosis simulate so.
         pub centred: bool = false,
     }
 }

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use caudata_gap::check::{CheckVerdict, Checked, JointExcitation, RunCheck, check_dirs};
-use caudata_studies::diagnosis::log_folders;
+use caudata_studies::diagnosis::logs_at;
 use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure};
 use clap::Args;
@@ -16,8 +16,8 @@ pub struct CheckArgs {
     /// Robot file
     #[arg(long, value_name = "R.robot.toml")]
     robot: PathBuf,
-    /// Log folder, or a folder of log folders; may be given several times
-    #[arg(long = "log", value_name = "DIR", required = true)]
+    /// Logs: folders, files of rows with their circumstances beside them, or folders of such
+    #[arg(long = "log", value_name = "LOG", required = true, num_args = 1..)]
     logs: Vec<PathBuf>,
     /// One JSON object on the last line
     #[arg(long)]
@@ -26,7 +26,7 @@ pub struct CheckArgs {
 
 pub fn run(args: &CheckArgs) -> Result<(), Failure> {
     let robot = files::robot(&args.robot)?;
-    let dirs = log_folders(&args.logs)?;
+    let dirs = logs_at(&args.logs)?;
     let (_, checked) = check_dirs(&dirs, &robot);
     say::either(args.json, &checked, print)?;
     match checked.verdict {

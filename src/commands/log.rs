@@ -7,9 +7,10 @@ use std::path::{Path, PathBuf};
 
 use caudata_config::Config;
 use caudata_model::{Pose, RobotModel};
-use caudata_runlog::ros::{Compression, Frame, Scene, parse_mcap, write_mcap};
+use caudata_runlog::ros::{Compression, Frame, Scene, write_mcap};
 use caudata_runlog::{
     Axis, LogError, LogMeta, LogWriter, META_NAME, QuatPart, RunLog, Signal, Table, TableWriter,
+    meta_file, read_rows,
 };
 use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
@@ -112,22 +113,12 @@ fn read(path: &Path) -> Result<(Option<LogMeta>, Table), Failure> {
             let hint = format!("its robot's log is {}", path.join("robot").display());
             return Err(Failure::message(ExitCode::NoInput, message).hint(hint));
         }
-        let log = RunLog::read(path).map_err(|error| wrong(error, path))?;
-        return Ok((Some(log.meta), log.table));
-    }
-    let table = match extension(path) {
-        "mcap" => parse_mcap(&path.display().to_string(), &files::read(path)?),
-        "parquet" => Table::from_parquet(path),
-        _ => Table::read(path),
-    };
-    let table = table.map_err(|error| wrong(error, path))?;
-    let beside = path.with_extension("toml");
-    if !beside.is_file() {
+    } else if !meta_file(path).is_file() {
+        let table = read_rows(path).map_err(|error| wrong(error, path))?;
         return Ok((None, table));
     }
-    let text = String::from_utf8(files::read(&beside)?).or_exit(ExitCode::BadInput)?;
-    let meta = LogMeta::parse(&beside.display().to_string(), &text).or_exit(ExitCode::BadInput)?;
-    Ok((Some(meta), table))
+    let log = RunLog::read(path).map_err(|error| wrong(error, path))?;
+    Ok((Some(log.meta), log.table))
 }
 
 fn wrong(error: LogError, path: &Path) -> Failure {

@@ -30,6 +30,8 @@ const LARGEST_RAD: f64 = 62.8;
 /// Periods and times that differ by this share are the same.
 const ROUNDING: f64 = 1e-6;
 
+/// What is simulated stands beside logs of robots, in which no step is to be seen; what is set otherwise wins.
+const CENTRED: &str = "engine.centred=true";
 /// Share of the commands of a log that may be lost to the next one in the same control period.
 const LOST: f64 = 0.01;
 /// How much longer than a control period the intervals of a log are on average, at most: it misses rows.
@@ -70,7 +72,7 @@ pub struct RolloutArgs {
     /// One JSON object on the last line
     #[arg(long)]
     json: bool,
-    /// Step sizes and solver come from `[engine]`; `--set lane.KEY=VALUE` changes the robot's physical
+    /// Step sizes and solver come from `[engine]`, with `centred` as a diagnosis has it; `--set lane.KEY=VALUE` changes the robot's physical
     /// parameters, for instance lane.foot_friction=0.5, lane.kp_nm_per_rad=12, lane.kp_nm_per_rad.FL_hip=9
     #[command(flatten)]
     config: ConfigArgs,
@@ -85,7 +87,8 @@ enum Base {
 }
 
 pub fn run(args: &RolloutArgs, stop: &StopFlag) -> Result<(), Failure> {
-    let (flags, changes) = lane_params::split(&args.config);
+    let (mut flags, changes) = lane_params::split(&args.config);
+    flags.overrides.insert(0, CENTRED.to_owned());
     let mut config = flags.load().or_exit(ExitCode::BadConfig)?;
     if let Some(engine) = args.engine {
         config.engine.kind = engine.into();

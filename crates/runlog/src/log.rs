@@ -1,4 +1,4 @@
-//! A log folder, read whole.
+//! A log, read whole.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -19,38 +19,59 @@ pub const META_NAME: &str = "log.toml";
 const MAX_META_BYTES: u64 = 1 << 20;
 /// Extension of a recording of ROS 2.
 const MCAP: &str = "mcap";
+/// Extensions of files of rows.
+pub const ROWS: [&str; 3] = ["csv", MCAP, "parquet"];
 
 /// A run: circumstances and rows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunLog {
-    /// `log.toml`.
+    /// `log.toml`, or what stands beside the rows.
     pub meta: LogMeta,
-    /// `log.csv`.
+    /// `log.csv`, or what else holds the rows.
     pub table: Table,
 }
 
 impl RunLog {
-    /// Reads and checks a log folder.
+    /// Reads and checks a log: a folder, or a file of rows that has its circumstances beside it.
     ///
     /// # Errors
     /// [`LogError`] with file, line and reason.
-    pub fn read(dir: &Path) -> Result<Self, LogError> {
-        let path = dir.join(META_NAME);
+    pub fn read(log: &Path) -> Result<Self, LogError> {
+        let path = meta_file(log);
         let text = read_text_at_most(&path, MAX_META_BYTES).map_err(io_error(&path))?;
         let meta = LogMeta::parse(&path.display().to_string(), &text)?;
-        let rows = rows_file(dir);
-        let table = match rows.extension().is_some_and(|x| x == MCAP) {
-            true => parse_mcap(&rows.display().to_string(), &read_whole(&rows)?)?,
-            false => Table::read(&rows)?,
-        };
+        let table = read_rows(&rows_file(log))?;
         Ok(Self { meta, table })
     }
 }
 
-/// The file of a log folder that its rows are read from: `log.csv`, else the first MCAP by name.
-pub fn rows_file(dir: &Path) -> PathBuf {
-    let csv = dir.join(CSV_NAME);
-    match mcap_in(dir) {
+/// Reads a file of rows as what its name ends with: an MCAP or a Parquet file, else CSV.
+///
+/// # Errors
+/// [`LogError`] with file, line and reason.
+pub fn read_rows(path: &Path) -> Result<Table, LogError> {
+    match path.extension().and_then(|x| x.to_str()) {
+        Some(MCAP) => parse_mcap(&path.display().to_string(), &read_whole(path)?),
+        Some("parquet") => Table::from_parquet(path),
+        _ => Table::read(path),
+    }
+}
+
+/// The file of a log's circumstances: `log.toml` of a folder; `NAME.toml` beside a file of rows, `NAME.csv`.
+pub fn meta_file(log: &Path) -> PathBuf {
+    match log.is_file() {
+        true => log.with_extension("toml"),
+        false => log.join(META_NAME),
+    }
+}
+
+/// The file of a log's rows: of a folder `log.csv`, else the first MCAP by name; else the file itself.
+pub fn rows_file(log: &Path) -> PathBuf {
+    if log.is_file() {
+        return log.to_owned();
+    }
+    let csv = log.join(CSV_NAME);
+    match mcap_in(log) {
         Some(mcap) if !csv.is_file() => mcap,
         _ => csv,
     }

@@ -9,7 +9,7 @@ use caudata_evaluation::{Suite, SuiteResult};
 use caudata_gap::Report;
 use caudata_gap::check::run_name;
 use caudata_gap::report::{Cause, Parameter, Verdict};
-use caudata_runlog::{META_NAME, rows_file};
+use caudata_runlog::{meta_file, rows_file};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Args;
 use serde::{Deserialize, Serialize};
@@ -41,11 +41,11 @@ const OWN_KEYS: [&str; 2] = ["robot", "run.iterations"];
 /// What to adapt to what.
 #[derive(Clone, Debug, Args)]
 pub struct Plan {
-    /// Log folder of the robot, or a folder of log folders; may be given several times
-    #[arg(long = "log", value_name = "DIR", required = true)]
+    /// Logs of the robot: folders, files of rows with their circumstances beside them, or folders of such
+    #[arg(long = "log", value_name = "LOG", required = true, num_args = 1..)]
     pub logs: Vec<PathBuf>,
-    /// Log folder that diagnosis is only judged on
-    #[arg(long = "holdout", value_name = "DIR")]
+    /// Logs that diagnosis is only judged on
+    #[arg(long = "holdout", value_name = "LOG", num_args = 1..)]
     pub holdouts: Vec<PathBuf>,
     /// The policy that the robot has
     #[arg(long, value_name = "P.onnx")]
@@ -292,9 +292,9 @@ fn asked(plan: &Plan, config: &Config, policy: &str) -> Result<Asked, Failure> {
     ];
     let mut asked = out_folder::asked(config, &OWN_KEYS, flags);
     for (flag, dirs) in [("--log", &plan.logs), ("--holdout", &plan.holdouts)] {
-        for (number, dir) in (1..).zip(diagnosis::log_folders(dirs)?) {
+        for (number, dir) in (1..).zip(diagnosis::logs_at(dirs)?) {
             let rows = files::sha256(&rows_file(&dir))?;
-            let about = files::sha256(&dir.join(META_NAME))?;
+            let about = files::sha256(&meta_file(&dir))?;
             asked.insert(
                 format!("{flag} {number}"),
                 format!("{} {rows} {about}", run_name(&dir)),

@@ -1,5 +1,6 @@
-//! A diagnosis from log folders into an output folder.
+//! A diagnosis from logs into an output folder.
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -10,7 +11,7 @@ use caudata_gap::{
     excite, extension, page,
 };
 use caudata_model::RobotModel;
-use caudata_runlog::{META_NAME, rows_file};
+use caudata_runlog::{CSV_NAME, ROWS, meta_file, rows_file};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
 use clap::Args;
 
@@ -31,11 +32,11 @@ pub struct Plan {
     /// Robot file
     #[arg(long, value_name = "R.robot.toml")]
     pub robot: PathBuf,
-    /// Log folder, or a folder of log folders, to fit to; may be given several times
-    #[arg(long = "log", value_name = "DIR", required = true)]
+    /// Logs to fit to: folders, files of rows with their circumstances beside them, or folders of such
+    #[arg(long = "log", value_name = "LOG", required = true, num_args = 1..)]
     pub logs: Vec<PathBuf>,
-    /// Log folder that is only judged on; default: every third trial is set aside
-    #[arg(long = "holdout", value_name = "DIR")]
+    /// Logs that are only judged on; default: every third trial is set aside
+    #[arg(long = "holdout", value_name = "LOG", num_args = 1..)]
     pub holdouts: Vec<PathBuf>,
     /// Folder for report.json, report.html and extended.robot.toml
     #[arg(long, value_name = "DIR")]
@@ -127,7 +128,7 @@ pub fn diagnose(
 fn runs(plan: &Plan, robot: &RobotModel) -> Result<(Vec<Run>, Vec<DataFault>), Failure> {
     let mut dirs = Vec::new();
     for (given, role) in [(&plan.logs, Role::Fit), (&plan.holdouts, Role::Holdout)] {
-        dirs.extend(log_folders(given)?.into_iter().map(|d| (d, role)));
+        dirs.extend(logs_at(given)?.into_iter().map(|d| (d, role)));
     }
     let folders: Vec<&PathBuf> = dirs.iter().map(|(d, _)| d).collect();
     let (logs, checked) = check_dirs(&folders, robot);
@@ -215,38 +216,55 @@ fn refused(error: GapError, stop: &StopFlag) -> Failure {
 
 const OTHER_RECORDINGS: &str = "`caudata gap import` makes log folders from other recordings";
 
-/// The log folders that were named: each is one, or holds some (a folder of repeats).
+/// The logs that were named: each is one (a folder of `log.csv` and `log.toml`, or a file of rows that has its
+/// circumstances beside it, as `caudata sim rollout` writes them), or a folder that holds some.
 ///
 /// # Errors
-/// When a folder is missing or holds no log.
-pub fn log_folders(given: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
-    let is_log = |dir: &Path| dir.join(META_NAME).is_file();
+/// When one is missing, has no circumstances, or holds no log.
+pub fn logs_at(given: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
     let mut out = Vec::new();
-    for dir in given {
-        if is_log(dir) {
-            out.push(dir.clone());
+    for path in given {
+        if is_log(path) {
+            out.push(whole(path));
             continue;
         }
-        if dir.is_file() {
-            let message = format!("log {}: is a file, and a log is a folder", dir.display());
+        let shown = path.display();
+        if path.is_file() {
+            let beside = path.with_extension("toml");
+            let message = format!("log {shown}: {} is not beside it", beside.display());
             return Err(Failure::message(ExitCode::BadInput, message).hint(OTHER_RECORDINGS));
         }
-        let entries = std::fs::read_dir(dir).map_err(|e| {
-            Failure::new(ExitCode::of_io(&e, false), e).context(format!("log {}", dir.display()))
+        let entries = std::fs::read_dir(path).map_err(|e| {
+            Failure::new(ExitCode::of_io(&e, false), e).context(format!("log {shown}"))
         })?;
-        let mut inside: Vec<PathBuf> = entries
-            .filter_map(|e| Some(e.ok()?.path()))
-            .filter(|p| is_log(p))
-            .collect();
+        let entries = entries.filter_map(|e| Some(e.ok()?.path()));
+        let mut inside: Vec<PathBuf> = entries.filter(|p| is_log(p)).collect();
         inside.sort();
+        // the same run as several kinds of files is one
+        inside.dedup_by_key(|p| meta_file(p));
         if inside.is_empty() {
-            let dir = dir.display();
-            let message = format!("{dir} is no log folder and holds none (log.csv and log.toml)");
+            let message = format!(
+                "{shown} is no log and holds none (folders of log.csv and log.toml, or NAME.csv with NAME.toml)"
+            );
             return Err(Failure::message(ExitCode::NoInput, message).hint(OTHER_RECORDINGS));
         }
         out.extend(inside);
     }
     Ok(out)
+}
+
+fn is_log(path: &Path) -> bool {
+    let rows = |x: &OsStr| ROWS.iter().any(|r| x == *r);
+    (path.is_dir() || path.extension().is_some_and(rows)) && meta_file(path).is_file()
+}
+
+/// The folder whose rows were named, or `log` itself.
+fn whole(log: &Path) -> PathBuf {
+    let folder = log.parent().filter(|dir| !dir.as_os_str().is_empty());
+    match log.file_name() == Some(OsStr::new(CSV_NAME)) {
+        true => folder.unwrap_or(log).to_owned(),
+        false => log.to_owned(),
+    }
 }
 
 /// The bytes of a robot file, and name and bytes of the MJCF beside it.
@@ -264,7 +282,43 @@ pub fn robot_files(path: &Path) -> Result<(Vec<u8>, String, Vec<u8>), Failure> {
 
 #[cfg(test)]
 mod tests {
-    use super::seconds;
+    use std::path::PathBuf;
+
+    use super::{logs_at, seconds};
+
+    #[test]
+    fn a_log_is_a_folder_or_rows_with_their_circumstances_beside_them() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        for folder in ["walk", "rest", "empty"] {
+            std::fs::create_dir(at(folder)).unwrap();
+        }
+        for file in [
+            "walk/log.csv",
+            "walk/log.toml",
+            "rest/log.csv",
+            "rest/log.toml",
+        ] {
+            std::fs::write(at(file), "").unwrap();
+        }
+        // a rollout, the same as a bag, and rows of which nothing is known
+        for file in ["trot.csv", "trot.mcap", "trot.toml", "bare.csv"] {
+            std::fs::write(at(file), "").unwrap();
+        }
+        let logs = |names: &[&str]| {
+            let given: Vec<PathBuf> = names.iter().map(|name| at(name)).collect();
+            logs_at(&given).map_err(|failure| failure.to_string())
+        };
+        let all = vec![at("rest"), at("trot.csv"), at("walk")];
+        assert_eq!(logs(&[""]).unwrap(), all);
+        let named = vec![at("walk"), at("trot.mcap"), at("rest")];
+        assert_eq!(logs(&["walk/log.csv", "trot.mcap", "rest"]).unwrap(), named);
+        let failure = logs(&["bare.csv"]).unwrap_err();
+        assert!(failure.contains("bare.toml is not beside it"), "{failure}");
+        let failure = logs(&["empty"]).unwrap_err();
+        assert!(failure.contains("is no log and holds none"), "{failure}");
+        assert!(logs(&["nowhere"]).is_err());
+    }
 
     #[test]
     fn a_time_has_a_unit() {

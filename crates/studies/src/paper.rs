@@ -12,7 +12,7 @@ use caudata_runlog::{BaseHold, RunLog};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
 use clap::Args;
 
-use crate::diagnosis::{self, log_folders};
+use crate::diagnosis::{self, logs_at};
 use crate::out_folder::OutFolder;
 use crate::policies::{self, Compared, Effort, Given, Robots};
 use crate::{Steps, Table, files};
@@ -66,7 +66,7 @@ pub fn draw(plan: &Plan, steps: &mut Steps<'_>) -> Result<Drawn, Failure> {
     let taken = OutFolder::lock(&plan.out)?;
     let what = format!("logs of a simulated robot into {}", logs.display());
     steps.run("record", &what, |stop, _| make(plan, stop))?;
-    let folders = log_folders(std::slice::from_ref(&logs))?;
+    let folders = logs_at(std::slice::from_ref(&logs))?;
     let held = |folder: &PathBuf| name(folder).starts_with("holdout");
     let (holdouts, fit) = folders.iter().cloned().partition(held);
     let diagnosis = diagnosis::Plan {

@@ -75,7 +75,7 @@ pub enum CheckVerdict {
     DataFault,
 }
 
-/// Reads log folders and checks them together. A log that cannot be read becomes a fault.
+/// Reads logs and checks them together. A log that cannot be read becomes a fault.
 pub fn check_dirs(
     dirs: &[impl AsRef<Path>],
     robot: &RobotModel,
@@ -100,9 +100,13 @@ pub fn check_dirs(
     (logs, checked)
 }
 
-/// The name that reports give to the run in `dir`: its folder's.
-pub fn run_name(dir: &Path) -> String {
-    let name = dir.file_name().unwrap_or(dir.as_os_str());
+/// The name that reports give to the run of a log: its folder's, or its file's without what that ends with.
+pub fn run_name(log: &Path) -> String {
+    let name = match log.is_file() {
+        true => log.file_stem(),
+        false => log.file_name(),
+    };
+    let name = name.unwrap_or(log.as_os_str());
     name.to_string_lossy().into_owned()
 }
 

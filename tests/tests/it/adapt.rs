@@ -69,22 +69,7 @@ fn record(robot: &Path, folder: &Path, trial: &str, engine: &str, kp: f64) -> Pa
         &soft,
     ]);
     assert!(log.join("log.toml").is_file());
-    drop_torques(&out);
     log
-}
-
-/// Takes torques out of a rollout's rows: they are means over a row, which no servo reports.
-fn drop_torques(log: &Path) {
-    let text = std::fs::read_to_string(log).unwrap();
-    let head: Vec<&str> = text.lines().next().unwrap().split(',').collect();
-    let kept = |row: &str| {
-        let cells = row.split(',').zip(&head);
-        let cells = cells.filter(|(_, name)| !name.starts_with("tau."));
-        cells.map(|(cell, _)| cell).collect::<Vec<_>>().join(",") + "\n"
-    };
-    let less: String = text.lines().map(kept).collect();
-    assert!(less.len() < text.len(), "{head:?}");
-    std::fs::write(log, less).unwrap();
 }
 
 /// A robot file whose robot has a soft knee, beside the MJCF.

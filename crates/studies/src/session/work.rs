@@ -275,12 +275,12 @@ impl Own<'_> {
             self.plan.dir.join("logs").join(name)
         };
         let dirs: Vec<PathBuf> = self.rounds.iter().map(of).collect();
-        diagnosis::log_folders(&dirs)
+        diagnosis::logs_at(&dirs)
     }
 
     /// Whether the log of `next` is there: made now of a simulated robot, else waited for.
     fn record(&self, next: &Next, steps: &mut Steps<'_>) -> Result<bool, Failure> {
-        let is_there = || diagnosis::log_folders(std::slice::from_ref(&next.log)).is_ok();
+        let is_there = || diagnosis::logs_at(std::slice::from_ref(&next.log)).is_ok();
         if is_there() {
             steps.is_there("record", &next.log);
             return noted_in_log(next);
@@ -422,7 +422,7 @@ fn noted_in_log(next: &Next) -> Result<bool, Failure> {
     let Some(weight) = &next.payload else {
         return Ok(true);
     };
-    for dir in diagnosis::log_folders(std::slice::from_ref(&next.log))? {
+    for dir in diagnosis::logs_at(std::slice::from_ref(&next.log))? {
         let log = RunLog::read(&dir).or_exit(ExitCode::BadInput)?;
         if log.meta.payload.is_empty() {
             let message = format!(
