@@ -7,7 +7,6 @@
 pub mod calibrate;
 pub mod explain;
 pub mod gap;
-pub mod lag;
 pub mod measure;
 pub mod parts;
 pub mod session;
