@@ -12,8 +12,8 @@ use crate::error::{ModelError, Remark};
 
 /// Largest robot file or MJCF that is read.
 const FILE_LIMIT_BYTES: u64 = 16 * 1024 * 1024;
-/// Deepest nesting of elements.
-const DEPTH_LIMIT: usize = 512;
+/// Deepest nesting of elements: 64 bodies in each other, and what stands around and in them.
+const DEPTH_LIMIT: usize = 68;
 /// Deepest chain of includes.
 const INCLUDE_LIMIT: usize = 16;
 /// Largest magnitude of any number.

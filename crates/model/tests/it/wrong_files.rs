@@ -426,6 +426,17 @@ fn mjcf_outside_the_subset() {
         "<body name=\"two\"/></worldbody>",
         &["<body name=\"two\">", "second tree"],
     );
+    let deep = format!(
+        "{}{}</worldbody>",
+        "<body>".repeat(400),
+        "</body>".repeat(400)
+    );
+    check(
+        "mjcf",
+        "</worldbody>",
+        &deep,
+        &["polymander.xml", "nest more than 68 deep"],
+    );
     check(
         "mjcf",
         "integrator=",
