@@ -277,10 +277,6 @@ pub fn transport(found: &transport::Finding) {
             "what steps_per_s steps_per_cpu_s share_of_bare",
         );
     }
-    if !found.phases.is_empty() {
-        say::line("the in-process actor:");
-        say::records(&found.phases, "what share");
-    }
 }
 
 /// Light actors against one learner.

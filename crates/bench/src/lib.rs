@@ -13,6 +13,5 @@ pub mod session;
 pub mod sim;
 pub mod skill;
 pub mod train;
-mod training;
 pub mod transport;
 pub mod verify;
