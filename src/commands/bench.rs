@@ -1,7 +1,7 @@
 //! `caudata bench`: how fast the parts are on this machine. The measuring is in `crates/bench`.
 
 use caudata_bench::transport::ingest;
-use caudata_bench::{calibrate, explain, gap, lag, session, sim, skill, train, transport};
+use caudata_bench::{calibrate, explain, gap, session, sim, skill, train, transport};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Subcommand;
 
@@ -39,9 +39,6 @@ pub enum BenchCommand {
     Transport(WithJson<transport::Plan>),
     /// Many light actors against one learner: what arrives, how fast it is acknowledged, what it takes
     Ingest(WithJson<ingest::Plan>),
-    /// Trainings whose data is a forced number of iterations old: the final return against fresh data, with
-    /// and without correction
-    Lag(WithJson<lag::Plan>),
 }
 
 pub fn run(command: &BenchCommand) -> Result<(), Failure> {
@@ -101,14 +98,6 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
             let found = ingest::run(plan)?;
             say::either(*json, &found, show::ingest)?;
             found.verdict(plan)
-        }
-        BenchCommand::Lag(WithJson { plan, json }) => {
-            let found = lag::run(plan, &learner()?, &mut |one| {
-                if !*json {
-                    show::lag(one);
-                }
-            })?;
-            say::either(*json, &found, show::lags)
         }
     }
 }

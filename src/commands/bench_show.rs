@@ -3,7 +3,7 @@
 use caudata_bench::measure::Rate;
 use caudata_bench::sim::{DT_S, Speed};
 use caudata_bench::transport::ingest;
-use caudata_bench::{calibrate, explain, gap, lag, session, sim, skill, train, transport};
+use caudata_bench::{calibrate, explain, gap, session, sim, skill, train, transport};
 use caudata_gap_benchmark::calibrate::Case;
 use caudata_gap_benchmark::calibrate::fit::Score;
 use caudata_gap_benchmark::case::Answer;
@@ -277,10 +277,6 @@ pub fn transport(found: &transport::Finding) {
             "what steps_per_s steps_per_cpu_s share_of_bare",
         );
     }
-    if !found.phases.is_empty() {
-        say::line("the in-process actor:");
-        say::records(&found.phases, "what share");
-    }
 }
 
 /// Light actors against one learner.
@@ -293,17 +289,6 @@ pub fn ingest(found: &ingest::Finding) {
         found,
         "acknowledged_p50_ms acknowledged_p99_ms acknowledged_max_ms memory_max_mb memory_before_mb cpu_us_per_frame",
     );
-}
-
-/// One training with old data.
-pub fn lag(run: &lag::Run) {
-    say::record(run, "lag loss seed effective_share_min seconds");
-}
-
-/// All of them.
-pub fn lags(found: &lag::Finding) {
-    say::record(found, "returns");
-    say::records(&found.rows, "lag loss last_tenth_return share_of_fresh");
 }
 
 /// A rate in words.

@@ -7,13 +7,11 @@
 pub mod calibrate;
 pub mod explain;
 pub mod gap;
-pub mod lag;
 pub mod measure;
 pub mod parts;
 pub mod session;
 pub mod sim;
 pub mod skill;
 pub mod train;
-mod training;
 pub mod transport;
 pub mod verify;

@@ -1,11 +1,14 @@
 //! Where a second of training goes: per iteration and as shares of the time of all cores.
 
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
+use std::process::{ExitStatus, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use caudata_config::ConfigArgs;
+use caudata_studies::{flags, training};
 use caudata_telemetry::progress::Event;
 use caudata_telemetry::spans::Part;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
@@ -13,7 +16,6 @@ use clap::Args;
 use serde::Serialize;
 
 use crate::measure::{cpu_s_of, median};
-use crate::training;
 
 /// Iterations at the start of a training that are not counted.
 const WARM_UP: u64 = 5;
@@ -159,10 +161,6 @@ fn together(build: &'static str, runs: &[Run], cores: usize) -> Build {
 }
 
 fn train(plan: &Plan, program: &Path) -> Result<Run, Failure> {
-    let sets = [
-        format!("run.iterations={}", plan.iterations),
-        "telemetry.metrics=false".to_owned(),
-    ];
     let began = Instant::now();
     let cpu_s = |process| cpu_s_of(process).unwrap_or(f64::NAN);
     let mut run = Run {
@@ -190,12 +188,41 @@ fn train(plan: &Plan, program: &Path) -> Result<Run, Failure> {
         }
         _ => {}
     };
-    let status = training::run(program, &plan.config, &sets, "bench", hear)?;
+    let status = listened(plan, program, hear)?;
     if !status.success() || run.iterations_s.is_empty() {
         let message = format!("the training of {} ended with {status}", program.display());
         return Err(Failure::message(ExitCode::Internal, message));
     }
     Ok(run)
+}
+
+/// Trains in a folder of its own; `hear` is told the process and what it says.
+fn listened(
+    plan: &Plan,
+    program: &Path,
+    mut hear: impl FnMut(u32, Event),
+) -> Result<ExitStatus, Failure> {
+    let folder = tempfile::tempdir().or_exit(ExitCode::CannotCreate)?;
+    let mut flags = flags::or_preset(&plan.config, "quick");
+    flags.overrides.extend([
+        format!("run.iterations={}", plan.iterations),
+        "telemetry.metrics=false".to_owned(),
+    ]);
+    let words = flags::as_words(&flags);
+    let mut child = training::command(program, &words, "bench", folder.path())
+        .stdout(Stdio::piped())
+        .spawn()
+        .or_exit(ExitCode::OsResource)?;
+    let process = child.id();
+    if let Some(stdout) = child.stdout.take() {
+        for line in BufReader::new(stdout).lines() {
+            // What later versions may say is none of these.
+            if let Ok(event) = serde_json::from_str(&line.or_exit(ExitCode::Internal)?) {
+                hear(process, event);
+            }
+        }
+    }
+    child.wait().or_exit(ExitCode::OsResource)
 }
 
 /// Threads that do nothing, all the time, until dropped.

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use crate::error::ModelError;
-use crate::mjcf::MjModel;
 use crate::params::{BacklashParams, WaterParams};
+use crate::parts::Robot;
 use crate::robot_file::{BaseWord, Checker, RobotFile};
 use crate::servos::Presets;
 use crate::types::{Ball, BaseKind, Foot, Joint, JointKind, Link, Site};
@@ -21,20 +21,14 @@ pub(crate) fn find<'a>(
     names.position(|n| n == name).ok_or_else(missing)
 }
 
-fn find_joint(c: &Checker<'_>, at: &str, name: &str, mj: &MjModel) -> Result<usize, ModelError> {
-    find(
-        c,
-        at,
-        "joint",
-        name,
-        mj.joints.iter().map(|j| j.name.as_str()),
-    )
+fn find_joint(c: &Checker<'_>, at: &str, name: &str, mj: &Robot) -> Result<usize, ModelError> {
+    find(c, at, "joint", name, mj.joints().map(|j| j.name.as_str()))
 }
 
 pub(crate) fn base_kind(
     c: &Checker<'_>,
     file: &RobotFile,
-    mj: &MjModel,
+    mj: &Robot,
 ) -> Result<BaseKind, ModelError> {
     match (file.base, mj.free_base) {
         (BaseWord::Free, true) => Ok(BaseKind::Free),
@@ -53,9 +47,8 @@ pub(crate) fn base_kind(
 /// Model index of each actuated joint; the MJCF's actuators must stand in the same order.
 pub(crate) fn actuated_joints(
     c: &Checker<'_>,
-    mjcf_label: &str,
     file: &RobotFile,
-    mj: &MjModel,
+    mj: &Robot,
 ) -> Result<Vec<usize>, ModelError> {
     let at = "joints.actuated";
     let names = &file.joints.actuated;
@@ -72,16 +65,12 @@ pub(crate) fn actuated_joints(
         match mj.actuators.get(i) {
             Some(a) if &a.joint == name => {}
             Some(a) => {
-                return Err(ModelError::Mjcf {
-                    file: mjcf_label.to_owned(),
-                    line: a.line,
-                    element: format!("actuator `{}`", a.name),
-                    message: format!(
-                        "drives `{}` where the robot file's joint order has `{name}` (place {}); use one order in both files",
-                        a.joint,
-                        i + 1
-                    ),
-                });
+                let message = format!(
+                    "drives `{}` where the robot file's joint order has `{name}` (place {}); use one order in both files",
+                    a.joint,
+                    i + 1
+                );
+                return Err(ModelError::Mjcf(a.element.remark_of(message)));
             }
             None => {
                 return c.refuse(at, format!("joint `{name}` has no actuator in the MJCF"));
@@ -100,7 +89,7 @@ pub(crate) fn actuated_joints(
 pub(crate) fn backlash(
     c: &Checker<'_>,
     file: &RobotFile,
-    mj: &MjModel,
+    mj: &Robot,
 ) -> Result<BacklashParams, ModelError> {
     let Some(b) = &file.backlash else {
         return Ok(BacklashParams::default());
@@ -128,16 +117,16 @@ pub(crate) fn backlash(
 pub(crate) fn joints(
     c: &Checker<'_>,
     file: &RobotFile,
-    mj: &MjModel,
+    mj: &Robot,
     actuated: &[usize],
     backlash: &BacklashParams,
     presets: &Presets,
     servo_of: &[usize],
 ) -> Result<Vec<Joint>, ModelError> {
-    let mut out = Vec::with_capacity(mj.joints.len());
+    let mut out: Vec<Joint> = Vec::new();
     for (link, body) in mj.bodies.iter().enumerate() {
-        for &j in &body.joints {
-            let m = &mj.joints[j];
+        for m in &body.joints {
+            let j = out.len();
             let mut joint = Joint {
                 name: m.name.clone(),
                 motion: m.motion,
@@ -146,7 +135,7 @@ pub(crate) fn joints(
                 child_link: link,
                 axis: m.axis,
                 anchor_m: m.anchor_m,
-                range_rad: m.range_rad,
+                range_rad: m.range,
                 stop: m.stop,
                 stiffness_nm_per_rad: m.stiffness,
                 spring_ref_rad: m.spring_ref,
@@ -237,31 +226,32 @@ type Parts = (
     Vec<(usize, usize)>,
 );
 
-pub(crate) fn parts(mj: MjModel) -> Parts {
-    let links = mj
-        .bodies
-        .into_iter()
-        .map(|b| Link {
+pub(crate) fn parts(mj: Robot) -> Parts {
+    let place = |name: &String| mj.bodies.iter().position(|b| b.name == *name);
+    let pair = |[a, b]: &[String; 2]| Some((place(a)?, place(b)?));
+    let excluded = mj.excluded.iter().filter_map(pair).collect();
+    let (mut links, mut sites, mut joints) = (Vec::new(), Vec::new(), 0);
+    for (link, b) in mj.bodies.into_iter().enumerate() {
+        let inertial = b.inertial.unwrap_or_default();
+        let first = joints;
+        joints += b.joints.len();
+        links.push(Link {
             name: b.name,
             parent: b.parent,
             parent_from_link: b.parent_from_body,
-            mass_kg: b.mass_kg,
-            com_m: b.com_m,
-            inertia_kgm2: b.inertia_kgm2,
-            joints: b.joints,
-            geoms: b.geoms,
-        })
-        .collect();
-    let sites = mj
-        .sites
-        .into_iter()
-        .map(|(link, s)| Site {
-            name: s.name,
+            mass_kg: inertial.mass_kg,
+            com_m: inertial.com_m,
+            inertia_kgm2: inertial.inertia_kgm2,
+            joints: (first..joints).collect(),
+            geoms: b.geoms.into_iter().map(|painted| painted.geom).collect(),
+        });
+        sites.extend(b.sites.into_iter().map(|(name, link_from_site)| Site {
+            name,
             link,
-            link_from_site: s.link_from_site,
-        })
-        .collect();
-    (links, sites, mj.world_geoms, mj.excluded)
+            link_from_site,
+        }));
+    }
+    (links, sites, mj.world_geoms, excluded)
 }
 
 /// The feet; also gives every geom on a link the friction of the robot file.

@@ -1,6 +1,27 @@
 //! Everything that can be wrong with a robot's files.
 
+use std::fmt;
 use std::path::PathBuf;
+
+/// Something to say about one place of a file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Remark {
+    /// File in which it stands.
+    pub file: String,
+    /// Line, counted from 1; 0: of no line in particular.
+    pub line: u32,
+    /// What is the matter and what to do, or what was done.
+    pub message: String,
+}
+
+impl fmt::Display for Remark {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.line {
+            0 => write!(f, "{}: {}", self.file, self.message),
+            line => write!(f, "{}:{line}: {}", self.file, self.message),
+        }
+    }
+}
 
 /// Why a robot could not be loaded. Each message is one line that says what is wrong, where, and what to do.
 #[derive(Debug, thiserror::Error)]
@@ -40,17 +61,8 @@ pub enum ModelError {
         message: String,
     },
     /// The MJCF uses something outside the supported subset, or a value is wrong.
-    #[error("{file}:{line}: <{element}>: {message}")]
-    Mjcf {
-        /// The file.
-        file: String,
-        /// Line, counted from 1.
-        line: u32,
-        /// Element (and attribute) at fault.
-        element: String,
-        /// What is wrong and what to do.
-        message: String,
-    },
+    #[error("{0}")]
+    Mjcf(Remark),
     /// The two files do not describe one valid robot.
     #[error("{file}: {at}: {message}")]
     Invalid {

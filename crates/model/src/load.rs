@@ -1,26 +1,23 @@
 //! From two files to a checked [`RobotModel`].
 
-use std::io::ErrorKind;
 use std::path::Path;
 
-use caudata_durable::read_at_most;
 use sha2::{Digest, Sha256};
 
 use crate::assemble::{
     actuated_joints, backlash, base_kind, feet, find, joints, parts, pose, water,
 };
 use crate::error::ModelError;
-use crate::mjcf::{self, MjModel};
+use crate::mjcf;
 use crate::model::RobotModel;
 use crate::of_joint;
 use crate::params::{Gains, SensorParams};
+use crate::parts::Robot;
 use crate::pose::Pose;
 use crate::robot_file::{self, Checker, RobotFile};
 use crate::servos::servos;
+use crate::tree::{Element, bytes};
 use crate::types::{Joint, Link, Site};
-
-/// Largest robot file or MJCF that is read.
-const FILE_LIMIT_BYTES: u64 = 16 * 1024 * 1024;
 
 impl RobotModel {
     /// Reads a robot file and the MJCF that it names (a file in the same folder), and checks both completely.
@@ -42,10 +39,10 @@ impl RobotModel {
 
 fn from_path(robot_toml: &Path) -> Result<RobotModel, ModelError> {
     let label = robot_toml.display().to_string();
-    let toml_bytes = read(robot_toml)?;
+    let toml_bytes = bytes(robot_toml)?;
     let file = robot_file::parse(&label, utf8(&label, &toml_bytes)?)?;
     let mjcf_path = robot_toml.with_file_name(&file.mjcf);
-    let mjcf_bytes = read(&mjcf_path)?;
+    let mjcf_bytes = bytes(&mjcf_path)?;
     build(
         &label,
         &mjcf_path.display().to_string(),
@@ -59,20 +56,6 @@ fn from_bytes(label: &str, robot_toml: &[u8], mjcf: &[u8]) -> Result<RobotModel,
     let file = robot_file::parse(label, utf8(label, robot_toml)?)?;
     let mjcf_label = file.mjcf.clone();
     build(label, &mjcf_label, file, robot_toml, mjcf)
-}
-
-pub(crate) fn read(path: &Path) -> Result<Vec<u8>, ModelError> {
-    let failed = |source| ModelError::Read {
-        path: path.to_owned(),
-        source,
-    };
-    read_at_most(path, FILE_LIMIT_BYTES).map_err(|error| match error.kind() {
-        ErrorKind::FileTooLarge => ModelError::TooLarge {
-            file: path.display().to_string(),
-            limit: FILE_LIMIT_BYTES,
-        },
-        _ => failed(error),
-    })
 }
 
 fn utf8<'a>(file: &str, bytes: &'a [u8]) -> Result<&'a str, ModelError> {
@@ -106,7 +89,7 @@ fn build(
     let mj = mjcf::parse(mjcf_label, utf8(mjcf_label, mjcf_bytes)?)?;
     let c = Checker { file: label };
     let base = base_kind(&c, &file, &mj)?;
-    let actuated = actuated_joints(&c, mjcf_label, &file, &mj)?;
+    let actuated = actuated_joints(&c, &file, &mj)?;
     of_joint::check_groups(&c, &file)?;
     let gains = gains(&c, &file)?;
     let (servo_presets, servo_of) = servos(&c, &file)?;
@@ -120,7 +103,7 @@ fn build(
         &servo_presets,
         &servo_of,
     )?;
-    let limits_rad = limits(&c, &file, mjcf_label, &mj, &actuated, &joints)?;
+    let limits_rad = limits(&c, &file, &mj, &actuated, &joints)?;
     let pose = |at, by_name| pose(&c, at, by_name, &file, &limits_rad);
     let nominal_pos_rad = pose("pose.nominal_rad", &file.pose.nominal_rad)?;
     let swimming = file.pose.swimming_rad.as_ref();
@@ -169,18 +152,15 @@ fn build(
 fn limits(
     c: &Checker<'_>,
     file: &RobotFile,
-    mjcf_label: &str,
-    mj: &MjModel,
+    mj: &Robot,
     actuated: &[usize],
     joints: &[Joint],
 ) -> Result<Vec<(f64, f64)>, ModelError> {
+    let elements: Vec<&Element> = mj.joints().map(|joint| &joint.element).collect();
+    let missing = "attribute `range`: is missing; an actuated joint needs limits";
     let limit = |&j: &usize| {
-        joints[j].range_rad.ok_or_else(|| ModelError::Mjcf {
-            file: mjcf_label.to_owned(),
-            line: mj.joints[j].line,
-            element: format!("joint name=\"{}\"", joints[j].name),
-            message: "attribute `range`: is missing; an actuated joint needs limits".to_owned(),
-        })
+        let none = || ModelError::Mjcf(elements[j].remark_of(missing));
+        joints[j].range_rad.ok_or_else(none)
     };
     of_joint::known(c, "joints.limits_rad", file.joints.limits_rad.keys(), file)?;
     let narrowed = |j: &usize| {

@@ -195,6 +195,16 @@ pub fn turn_tensor(r: &[[f64; 3]; 3], m: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
     out
 }
 
+/// The shortest turn that takes the z axis to the unit vector `d`.
+pub(crate) fn z_to(d: [f64; 3]) -> [f64; 4] {
+    let w = 1.0 + d[2];
+    if w < 1e-12 {
+        return [0.0, 1.0, 0.0, 0.0]; // half a turn about x
+    }
+    // (1 + z·d, z × d), normalised
+    quat_normalised([w, -d[1], d[0], 0.0]).unwrap_or([1.0, 0.0, 0.0, 0.0])
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -259,5 +269,21 @@ mod tests {
         close(t[0], [2.0, -0.1, -0.3]);
         close(t[1], [-0.1, 1.0, 0.2]);
         close(t[2], [-0.3, 0.2, 3.0]);
+    }
+
+    #[test]
+    fn z_to_points_the_z_axis() {
+        for d in [
+            [0.0, 0.0, 1.0],
+            [0.0, 0.0, -1.0],
+            [1.0, 0.0, 0.0],
+            [0.6, 0.0, -0.8],
+            [0.0, -0.6, 0.8],
+        ] {
+            let z = quat_rotate(z_to(d), [0.0, 0.0, 1.0]);
+            for i in 0..3 {
+                assert!((z[i] - d[i]).abs() < 1e-12, "{d:?} gave {z:?}");
+            }
+        }
     }
 }

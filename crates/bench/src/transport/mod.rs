@@ -15,7 +15,7 @@ use serde::Serialize;
 pub use link::Speed;
 pub use peer::serve_if_peer;
 pub use plan::{FindActor, Kind, Plan};
-pub use rollouts::{Phase, Rollouts};
+pub use rollouts::Rollouts;
 
 /// Links, and rollouts over them.
 #[derive(Clone, Debug, Serialize)]
@@ -32,9 +32,6 @@ pub struct Finding {
     pub links: Vec<Speed>,
     /// Simulator and policy alone, and over each link.
     pub rollouts: Vec<Rollouts>,
-    /// What the actor of the in-process link spends its time on, as shares; empty where that link was not
-    /// measured.
-    pub phases: Vec<Phase>,
 }
 
 /// Measures what the plan says.
@@ -53,13 +50,12 @@ pub fn run(plan: &Plan, actor: FindActor<'_>) -> Result<Finding, Failure> {
         seconds: plan.time.seconds,
         links: Vec::new(),
         rollouts: Vec::new(),
-        phases: Vec::new(),
     };
     if !plan.rollouts_only {
         finding.links = link::all(kinds, plan)?;
     }
     if !plan.no_rollouts {
-        (finding.rollouts, finding.phases) = rollouts::all(kinds, plan, actor)?;
+        finding.rollouts = rollouts::all(kinds, plan, actor)?;
     }
     Ok(finding)
 }

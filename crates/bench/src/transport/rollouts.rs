@@ -37,33 +37,10 @@ pub struct Rollouts {
     pub share_of_bare: f64,
 }
 
-/// A part of an actor's time.
-#[derive(Clone, Debug, Serialize)]
-pub struct Phase {
-    /// Which part.
-    pub what: &'static str,
-    /// Its share, `[0, 1]`.
-    pub share: f64,
-}
-
-/// Parts of an actor's time, by the metric that counts its seconds. The rest is exploration, copies and
-/// writing the frame.
-const PHASES: [(&str, &str); 5] = [
-    ("simulator", "caudata_actor_env_seconds_total"),
-    ("inference", "caudata_inference_latency_seconds_sum"),
-    ("new policies", "caudata_actor_policy_seconds_total"),
-    ("handing over", "caudata_actor_send_seconds_total"),
-    ("waiting", "caudata_actor_wait_seconds_total"),
-];
-
 /// What one actor collects over each link when it never waits, and what it takes, beside simulator and policy
 /// alone. Each link is measured between two measurements of these, several times in turns, so that what else
 /// the machine does falls on both; medians.
-pub fn all(
-    kinds: &[Kind],
-    plan: &Plan,
-    actor: FindActor<'_>,
-) -> Result<(Vec<Rollouts>, Vec<Phase>), Failure> {
+pub fn all(kinds: &[Kind], plan: &Plan, actor: FindActor<'_>) -> Result<Vec<Rollouts>, Failure> {
     let mut flags = flags::or_preset(&plan.config, "quick");
     flags.overrides.extend([
         "actors.count=1".to_owned(),
@@ -83,10 +60,9 @@ pub fn all(
     };
     let mut bares = vec![scene.bare()?];
     let mut of_kinds: Vec<Vec<Rollouts>> = kinds.iter().map(|_| Vec::new()).collect();
-    let mut phases = Vec::new();
     for _ in 0..plan.rounds {
         for (kind, found) in kinds.iter().zip(&mut of_kinds) {
-            let mut rollouts = scene.collected(*kind, actor, &mut phases)?;
+            let mut rollouts = scene.collected(*kind, actor)?;
             let after = scene.bare()?;
             let before = bares.last().map_or(f64::NAN, |bare| bare.steps_per_cpu_s);
             rollouts.share_of_bare =
@@ -95,36 +71,8 @@ pub fn all(
             found.push(rollouts);
         }
     }
-    let found = std::iter::once(bares)
-        .chain(of_kinds)
-        .filter_map(|found| medians(&found))
-        .collect();
-    Ok((found, phases))
-}
-
-/// Seconds that the actor's metrics have counted so far, in the order of [`PHASES`].
-fn seconds_of_phases(metrics: &Metrics) -> [f64; PHASES.len()] {
-    let page = metrics.encode();
-    PHASES.map(|(_, metric)| {
-        let mut lines = page.lines();
-        let value = lines.find_map(|line| line.strip_prefix(metric)?.trim().parse().ok());
-        value.unwrap_or(0.0)
-    })
-}
-
-fn shares(before: [f64; PHASES.len()], after: [f64; PHASES.len()], of_s: f64) -> Vec<Phase> {
-    let mut rest = 1.0;
-    let mut phases: Vec<Phase> = Vec::new();
-    for (i, (what, _)) in PHASES.into_iter().enumerate() {
-        let share = (after[i] - before[i]) / of_s;
-        rest -= share;
-        phases.push(Phase { what, share });
-    }
-    phases.push(Phase {
-        what: "rest",
-        share: rest,
-    });
-    phases
+    let found = std::iter::once(bares).chain(of_kinds);
+    Ok(found.filter_map(|found| medians(&found)).collect())
 }
 
 /// The median of each figure.
@@ -159,16 +107,10 @@ impl Scene {
         bare(&self.config, Arc::clone(&self.model), &file, self.seconds)
     }
 
-    /// Over a link; the share is not known yet. `phases` are filled in for the in-process one.
-    fn collected(
-        &self,
-        kind: Kind,
-        actor: FindActor<'_>,
-        phases: &mut Vec<Phase>,
-    ) -> Result<Rollouts, Failure> {
-        let registry = Metrics::new();
+    /// Over a link; the share is not known yet.
+    fn collected(&self, kind: Kind, actor: FindActor<'_>) -> Result<Rollouts, Failure> {
         let mut stage = Stage::new(kind, self.config.transport.clone())?;
-        let ends = self.actor(&stage, actor, &registry)?;
+        let ends = self.actor(&stage, actor)?;
         let mut version = 0;
         let policy = self.policy(&stage.run_id, version)?;
         stage.publish(version, policy.into(), Control::Run)?;
@@ -181,14 +123,10 @@ impl Scene {
             }
         }
         self.collect(&mut stage, &mut version, WARM_UP_S)?;
-        let counted = seconds_of_phases(&registry);
         let ((steps, made_s), cost) = Cost::of(
             || ends.cpu_s(),
             || self.collect(&mut stage, &mut version, self.seconds),
         )?;
-        if kind == Kind::Inproc {
-            *phases = shares(counted, seconds_of_phases(&registry), cost.wall_s);
-        }
         stage.publish(version, Arc::default(), Control::Stop)?;
         stage.let_go()?;
         ends.finish()?;
@@ -201,12 +139,7 @@ impl Scene {
     }
 
     /// The actor: a thread on a link within this process, else the program.
-    fn actor(
-        &self,
-        stage: &Stage,
-        program: FindActor<'_>,
-        registry: &Metrics,
-    ) -> Result<Ends, Failure> {
+    fn actor(&self, stage: &Stage, program: FindActor<'_>) -> Result<Ends, Failure> {
         let mut ends = Ends::default();
         let Some(hub) = &stage.hub else {
             let mut command = Command::new(program()?);
@@ -221,7 +154,7 @@ impl Scene {
         let env = build_env(&self.config, Arc::clone(&self.model), 0)
             .map_err(|error| error.into_failure())?;
         let settings = ActorSettings::from_config(&self.config, &stage.run_id, 0, 0);
-        let (stop, metrics) = (StopFlag::new(), ActorMetrics::register(registry));
+        let (stop, metrics) = (StopFlag::new(), ActorMetrics::register(&Metrics::new()));
         ends.thread(move || {
             caudata_actor::run(&settings, env, link, &stop, &metrics, None, None)
                 .map(|_| ())

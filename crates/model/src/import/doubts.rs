@@ -1,10 +1,10 @@
 //! What a file says that can hardly be so: degrees, grams and millimetres where radians, kilograms and metres
 //! belong, and inertias that no body has.
 
-use super::geometry::principal;
-use super::parts::{Body, GRAVITY_MPS2, Robot, reach_m, weight_n};
-use super::tree::{Element, Remarks};
-use crate::mjcf::check_inertia;
+use super::finish::{GRAVITY_MPS2, reach_m, weight_n};
+use crate::geometry::{check_inertia, principal};
+use crate::parts::{Body, Robot};
+use crate::tree::{Element, Remarks};
 use crate::types::JointMotion;
 
 /// Two turns: farther off a limit is in degrees, or of a joint that turns without end.

@@ -5,30 +5,21 @@
 //! with a note. Bodies that are welded together become one; what is not written (inertia of a body, a name)
 //! follows as in MuJoCo.
 
-mod actuators;
 mod doubts;
-mod geometry;
-mod mesh;
-mod mjcf;
-mod mjcf_context;
-mod mjcf_joint;
-mod mjcf_shape;
-mod parts;
-mod remark;
+mod finish;
 mod robot_toml;
 mod stance;
-mod tree;
 mod urdf;
 mod write;
 
 use std::path::Path;
 
 use crate::error::ModelError;
+use crate::mjcf;
 use crate::model::RobotModel;
+use crate::tree::{self, Element, Remarks};
 
-use tree::{Element, Remarks};
-
-pub use remark::Remark;
+pub use crate::error::Remark;
 pub use urdf::ImportOptions;
 
 /// What became of a file.
@@ -89,7 +80,7 @@ pub fn import(file: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
     let stem = file.file_stem().map(|s| s.to_string_lossy().into_owned());
     let name = options.name.clone().or(robot.name.take()).or(stem);
     let name = plain(&name.unwrap_or_default());
-    parts::finish(&mut robot, &root, &mut remarks);
+    finish::finish(&mut robot, &root, &mut remarks);
     doubts::say(&robot, &root, &mut remarks);
     if !remarks.refusals.is_empty() {
         return Err(ImportError::Refused(remarks.refusals));
@@ -153,7 +144,7 @@ fn unexpanded(root: &Element, file: &Path, remarks: &mut Remarks) -> Result<(), 
 
 /// Letters, digits, _ and - only, in small letters.
 fn plain(name: &str) -> String {
-    let name = parts::word(name).trim_matches('_').to_lowercase();
+    let name = finish::word(name).trim_matches('_').to_lowercase();
     if name.is_empty() {
         "robot".to_owned()
     } else {

@@ -5,13 +5,12 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
-use super::parts::{
-    Actuator, Body, Geom, Joint, Robot, nominal, two_digits, unsaid_torque_nm, word,
-};
-use super::remark::Remark;
-use super::tree::{Element, Remarks};
+use super::finish::{nominal, two_digits, unsaid_torque_nm, word};
+use crate::error::Remark;
+use crate::parts::{Actuator, Body, Joint, Robot};
 use crate::pose::{self, Pose};
-use crate::types::{JointMotion, Shape};
+use crate::tree::{Element, Remarks};
+use crate::types::{Geom, JointMotion, Shape};
 
 /// Gains that are written where the MJCF commands torque: the whole torque at this error, as legged robots of
 /// 12 to 50 kg are run (Unitree, ANYmal), and this much damping for it.
@@ -447,5 +446,6 @@ pub(super) fn moved(joint: &Joint, q: f64) -> Pose {
 /// Shapes that can touch the ground.
 pub(super) fn reaching(body: &Body) -> impl Iterator<Item = &Geom> {
     let solid = |g: &&Geom| !matches!(g.shape, Shape::Ellipsoid { .. } | Shape::Plane);
-    body.geoms.iter().filter(|g| g.collides()).filter(solid)
+    let geoms = body.geoms.iter().map(|painted| &painted.geom);
+    geoms.filter(|g| g.collides()).filter(solid)
 }

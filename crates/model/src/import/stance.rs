@@ -1,9 +1,9 @@
 //! A pose to stand in, for a robot whose file has none: knees bent, feet below the hips, all at one height.
 
-use super::parts::{Joint, Robot};
 use super::robot_toml::{moved, places, reaching};
+use crate::parts::{Joint, Robot};
 use crate::pose::{self, Pose};
-use crate::types::JointMotion;
+use crate::types::{Geom, JointMotion};
 
 /// How far a leg reaches down, of what it could: knees bent by some 80°.
 const BENT: f64 = 0.75;
@@ -172,7 +172,7 @@ fn limb(robot: &Robot, end: usize) -> Option<Limb> {
         return None;
     }
     // the shape farthest from the last joint
-    let far = |g: &&super::parts::Geom| pose::norm(g.link_from_geom.pos_m);
+    let far = |g: &&Geom| pose::norm(g.link_from_geom.pos_m);
     let touching = reaching(&robot.bodies[end]);
     let tip = touching.max_by(|a, b| far(a).total_cmp(&far(b)))?;
     limb.tip_m = tip.link_from_geom.pos_m;

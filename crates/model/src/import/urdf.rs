@@ -3,12 +3,12 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use super::geometry::Inertial;
-use super::mesh::Meshes;
-use super::parts::{Actuator, Body, Geom, Joint, Robot};
-use super::tree::{Element, Remarks};
+use crate::geometry::Inertial;
+use crate::mesh::Meshes;
+use crate::parts::{Actuator, Body, Joint, Painted, Robot};
 use crate::pose::{self, Pose};
-use crate::types::{JointMotion, Shape, Softness};
+use crate::tree::{Element, Remarks};
+use crate::types::{Geom, JointMotion, Shape, Softness};
 
 /// Deepest chain of links.
 const CHAIN_LIMIT: usize = 128;
@@ -310,6 +310,7 @@ impl<'a> Reader<'a> {
             gains: None,
             force_limit: effort,
             speed_limit: of(self.remarks, "limit", "velocity").filter(|v| *v > 0.0),
+            element: e.clone(),
         });
         Some(Joint {
             name,
@@ -367,7 +368,7 @@ impl<'a> Reader<'a> {
         Some(own.seen_from(&at))
     }
 
-    fn shape(&mut self, e: &Element, link: &Element) -> Option<Geom> {
+    fn shape(&mut self, e: &Element, link: &Element) -> Option<Painted> {
         let collides = e.tag == "collision";
         let mut at = self.origin(e);
         let geometry = e.first("geometry")?.children.first()?.clone();
@@ -433,7 +434,7 @@ impl<'a> Reader<'a> {
             }
         };
         let bits = u32::from(collides);
-        Some(Geom {
+        let geom = Geom {
             name: None,
             shape,
             link_from_geom: at,
@@ -441,8 +442,8 @@ impl<'a> Reader<'a> {
             contype: bits,
             conaffinity: bits,
             soft: Softness::default(),
-            rgba: None,
-        })
+        };
+        Some(Painted { geom, rgba: None })
     }
 
     /// A mesh's file: beside the URDF, or under a folder above it that holds the package.

@@ -2,8 +2,8 @@
 
 use std::fmt::Write as _;
 
-use super::geometry::principal;
-use super::parts::{Actuator, Body, Geom, Joint, Robot};
+use crate::geometry::principal;
+use crate::parts::{Actuator, Body, Joint, Painted, Robot};
 use crate::pose::Pose;
 use crate::types::{JointMotion, Shape, Softness};
 use crate::xml_text::{escaped, line};
@@ -144,7 +144,7 @@ fn write_joint(w: &mut String, joint: &Joint, depth: usize) {
     line(w, depth, &format!("{text}/>"));
 }
 
-fn write_geom(w: &mut String, geom: &Geom, depth: usize) {
+fn write_geom(w: &mut String, Painted { geom, rgba }: &Painted, depth: usize) {
     let Some((kind, size)) = geom.shape.mjcf() else {
         return;
     };
@@ -174,7 +174,7 @@ fn write_geom(w: &mut String, geom: &Geom, depth: usize) {
         let _ = write!(text, " friction=\"{}\"", geom.friction.max(0.0));
         soft(&mut text, &geom.soft, "solref", "solimp");
     }
-    if let Some(rgba) = &geom.rgba {
+    if let Some(rgba) = rgba {
         let _ = write!(text, " rgba=\"{}\"", escaped(rgba));
     }
     line(w, depth, &format!("{text}/>"));
@@ -223,12 +223,17 @@ fn actuator(w: &mut String, robot: &Robot, drive: &Actuator) {
 fn pose(at: &Pose) -> String {
     let mut out = String::new();
     if at.pos_m != [0.0; 3] {
-        let [x, y, z] = at.pos_m;
+        let [x, y, z] = at.pos_m.map(unsigned);
         let _ = write!(out, " pos=\"{x} {y} {z}\"");
     }
     if at.quat_wxyz != Pose::IDENTITY.quat_wxyz {
-        let [qw, x, y, z] = at.quat_wxyz;
+        let [qw, x, y, z] = at.quat_wxyz.map(unsigned);
         let _ = write!(out, " quat=\"{qw} {x} {y} {z}\"");
     }
     out
+}
+
+/// Without the sign of a zero, which is for no reader.
+fn unsigned(x: f64) -> f64 {
+    x + 0.0
 }

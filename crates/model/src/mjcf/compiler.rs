@@ -1,14 +1,9 @@
 //! `<compiler>`: units and conventions of the file.
 
-use roxmltree::Node;
-
-use crate::error::ModelError;
 use crate::pose;
 
-use super::xml::Source;
-
 /// `<compiler>` settings.
-pub(crate) struct Compiler {
+pub(super) struct Compiler {
     pub rad_per_unit: f64,
     pub autolimits: bool,
     /// Axis index and whether it turns with the frame, for each of the three Euler angles.
@@ -26,42 +21,6 @@ impl Default for Compiler {
 }
 
 impl Compiler {
-    pub(super) fn read(
-        &mut self,
-        source: &Source<'_>,
-        node: Node<'_, '_>,
-    ) -> Result<(), ModelError> {
-        source.only_attributes(
-            node,
-            &[
-                "angle",
-                "autolimits",
-                "eulerseq",
-                "coordinate",
-                "inertiafromgeom",
-                "balanceinertia",
-            ],
-        )?;
-        source.no_children(node)?;
-        for a in node.attributes() {
-            let bad = |m: String| Err(source.error(node, Some(a.name()), m));
-            match (a.name(), a.value()) {
-                ("angle", "radian") => self.rad_per_unit = 1.0,
-                ("angle", "degree") => self.rad_per_unit = 1f64.to_radians(),
-                ("autolimits", "true") => self.autolimits = true,
-                ("autolimits", "false") => self.autolimits = false,
-                ("coordinate", "local") | ("inertiafromgeom", "false" | "auto") => {}
-                ("balanceinertia", "false") => {}
-                ("eulerseq", v) if self.set_euler(v) => {}
-                ("eulerseq", v) => {
-                    return bad(format!("`{v}` is not three of x y z X Y Z"));
-                }
-                (_, v) => return bad(format!("`{v}` is not supported")),
-            }
-        }
-        Ok(())
-    }
-
     /// Takes a sequence of axes; `false`: it is none.
     pub fn set_euler(&mut self, sequence: &str) -> bool {
         let axes = euler_sequence(sequence);

@@ -202,7 +202,7 @@ fn joint_roles_and_order() {
         "\"FL_knee\", \"FL_hip\"",
         &[
             "polymander.xml:",
-            "actuator `FL_hip`",
+            "<position name=\"FL_hip\">",
             "drives `FL_hip`",
             "has `FL_knee` (place 9)",
             "one order",
@@ -412,7 +412,7 @@ fn mjcf_outside_the_subset() {
         "mjcf",
         "<worldbody>",
         "<worldbody><light/>",
-        &["<light>", "not supported in <worldbody>"],
+        &["<light>", "not supported inside <worldbody>"],
     );
     check(
         "mjcf",
@@ -425,6 +425,17 @@ fn mjcf_outside_the_subset() {
         "</worldbody>",
         "<body name=\"two\"/></worldbody>",
         &["<body name=\"two\">", "second tree"],
+    );
+    let deep = format!(
+        "{}{}</worldbody>",
+        "<body>".repeat(400),
+        "</body>".repeat(400)
+    );
+    check(
+        "mjcf",
+        "</worldbody>",
+        &deep,
+        &["polymander.xml", "nest more than 68 deep"],
     );
     check(
         "mjcf",
@@ -442,7 +453,7 @@ fn mjcf_outside_the_subset() {
         "mjcf",
         "<position class=\"servo\" name=\"spine_1\"",
         "<general name=\"spine_1\"",
-        &["<general name=\"spine_1\">", "position or motor"],
+        &["<general name=\"spine_1\">", "position, motor"],
     );
     check(
         "mjcf",
@@ -488,7 +499,7 @@ fn mjcf_values() {
         "mjcf",
         "mass=\"0.328768\"",
         "mass=\"heavy\"",
-        &["attribute `mass`", "`heavy` is not a number"],
+        &["attribute `mass`", "`heavy` is not a usable number"],
     );
     check(
         "mjcf",
@@ -519,7 +530,7 @@ fn mjcf_values() {
         "mjcf",
         "<inertial pos=\"-0.0874556",
         "<inertial quat=\"0 1 0 0\" pos=\"-0.0874556",
-        &["fullinertia", "orientation"],
+        &["fullinertia", "stands beside `quat`"],
     );
     check(
         "mjcf",

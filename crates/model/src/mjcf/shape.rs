@@ -1,22 +1,26 @@
 //! MJCF: shapes.
 
-use super::geometry::{Inertial, Solid};
-use super::mjcf_context::{Context, softness};
-use super::parts::Geom;
-use super::tree::Element;
-use crate::mjcf::between;
-use crate::pose::{self, Pose};
-use crate::types::Shape;
+use super::context::{Context, softness, within};
+use crate::geometry::{Inertial, Solid};
+use crate::parts::Painted;
+use crate::pose::{self, Pose, z_to};
+use crate::tree::Element;
+use crate::types::{Geom, Shape};
 
 /// MuJoCo's default density, kg/m³.
 const DENSITY_KG_PER_M3: f64 = 1000.0;
+
 impl Context<'_> {
     /// A shape, where it is kept, and its mass.
-    pub fn geom(&mut self, e: &Element, frame: &Pose) -> (Option<Geom>, Option<Inertial>) {
-        let bits = |key: &str| {
-            e.get(key)
-                .and_then(|t| t.trim().parse().ok())
-                .unwrap_or(1u32)
+    pub fn geom(&mut self, e: &Element, frame: &Pose) -> (Option<Painted>, Option<Inertial>) {
+        let mut bits = |key: &str| match e.get(key).map(|text| (text, text.trim().parse())) {
+            None => 1u32,
+            Some((_, Ok(bits))) => bits,
+            Some((text, Err(_))) => {
+                let message = format!("attribute `{key}`: `{text}` is not a whole number ≥ 0");
+                self.remarks.refuse_if_strict(e, message);
+                1
+            }
         };
         let (contype, conaffinity) = (bits("contype"), bits("conaffinity"));
         let kind = e.get("type").unwrap_or(if e.get("mesh").is_some() {
@@ -28,7 +32,7 @@ impl Context<'_> {
         let Some((shape, at, solid)) = self.shape(e, kind, collides) else {
             return (None, None);
         };
-        let at = frame.compose(&at);
+        let at = within(frame, at);
         let mass = e.number("mass", self.remarks);
         let density = e
             .number("density", self.remarks)
@@ -38,9 +42,12 @@ impl Context<'_> {
             (mass > 0.0).then(|| solid.with_mass(mass, &at))
         });
         let soft = softness(e, "solref", "solimp", self.remarks);
-        let friction = e
-            .numbers("friction", self.remarks)
-            .and_then(|f| f.first().copied());
+        let friction = e.some_numbers("friction", 3, self.remarks);
+        let friction = friction.and_then(|f| f.first().copied()).unwrap_or(1.0);
+        if friction < 0.0 {
+            let message = format!("attribute `friction`: is {friction}; it must not be negative");
+            self.remarks.refuse_if_strict(e, message);
+        }
         let Some(shape) = shape else {
             return (None, inertial);
         };
@@ -48,13 +55,13 @@ impl Context<'_> {
             name: e.get("name").map(str::to_owned),
             shape,
             link_from_geom: at,
-            friction: friction.unwrap_or(1.0),
+            friction,
             contype,
             conaffinity,
             soft,
-            rgba: e.get("rgba").map(str::to_owned),
         };
-        (Some(geom), inertial)
+        let rgba = e.get("rgba").map(str::to_owned);
+        (Some(Painted { geom, rgba }), inertial)
     }
 
     /// The shape of a geom, its place, and its volume. A mesh that collides becomes the box that it fills.
@@ -94,10 +101,24 @@ impl Context<'_> {
             let half_size_m = mesh.half_size_m.map(|h| h.max(1e-4));
             return Some((Some(Shape::Box { half_size_m }), at, Some(solid)));
         }
-        let size = e.numbers("size", self.remarks).unwrap_or_default();
-        let (mut at, mut size) = (self.pose(e), size);
+        let size = e.some_numbers("size", 3, self.remarks);
+        let (mut at, mut size) = (self.pose(e), size.unwrap_or_default());
         if let Some(ends) = e.array::<6>("fromto", self.remarks) {
+            if !matches!(kind, "capsule" | "cylinder" | "box" | "ellipsoid") {
+                let message = format!("attribute `fromto`: is not for a {kind}");
+                self.remarks.refuse_if_strict(e, message);
+            }
             let (middle, half_length) = between(ends);
+            let beside = ["pos", "quat", "euler"];
+            if let Some(other) = beside.iter().find(|k| e.get(k).is_some()) {
+                let message =
+                    format!("attribute `{other}`: stands beside `fromto`; give one of them");
+                self.remarks.refuse_if_strict(e, message);
+            }
+            if half_length < 0.5e-9 {
+                let message = "attribute `fromto`: its two points coincide";
+                self.remarks.refuse_if_strict(e, message);
+            }
             let radius = size.first().copied().unwrap_or(0.0);
             size = match kind {
                 "box" | "ellipsoid" => vec![radius, radius, half_length],
@@ -106,6 +127,11 @@ impl Context<'_> {
             at = middle;
         }
         let Some(shape) = Shape::from_mjcf(kind, &size) else {
+            let message = match kind {
+                "plane" => "attribute `type`: a plane belongs in <worldbody>, not on a link",
+                _ => "attribute `size`: is missing, too short or not above zero",
+            };
+            self.remarks.refuse_if_strict(e, message);
             if matches!(kind, "plane" | "hfield") || collides {
                 self.remarks
                     .note_of(e, format!("a {kind} of this size is left out"));
@@ -115,4 +141,17 @@ impl Context<'_> {
         let solid = Solid::of(&shape);
         Some((Some(shape), at, solid))
     }
+}
+
+/// The middle of two points, its z axis along them, and half their distance. MuJoCo lets the axis run from the
+/// second point to the first; a symmetric shape does not care.
+fn between(ends: [f64; 6]) -> (Pose, f64) {
+    let (a, b) = ([ends[0], ends[1], ends[2]], [ends[3], ends[4], ends[5]]);
+    let along = pose::sub(a, b);
+    let length = pose::norm(along);
+    let middle = Pose {
+        pos_m: pose::add(a, b).map(|x| 0.5 * x),
+        quat_wxyz: z_to(along.map(|x| x / length.max(1e-12))),
+    };
+    (middle, 0.5 * length)
 }

@@ -4,8 +4,8 @@ use crate::pose::{self, Pose};
 use crate::types::Shape;
 
 /// Mass, centre of mass (m) and inertia about it (kg·m²), in the axes of the frame that it is seen from.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Inertial {
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Inertial {
     pub mass_kg: f64,
     pub com_m: [f64; 3],
     pub inertia_kgm2: [[f64; 3]; 3],
@@ -64,7 +64,7 @@ impl Inertial {
 const SWEEPS: usize = 32;
 
 /// Principal moments and the frame that they are about, seen from the given one (Jacobi's rotations).
-pub(super) fn principal(inertia: [[f64; 3]; 3]) -> ([f64; 3], [f64; 4]) {
+pub(crate) fn principal(inertia: [[f64; 3]; 3]) -> ([f64; 3], [f64; 4]) {
     let mut m = inertia;
     let mut axes = diagonal([1.0; 3]);
     for _ in 0..SWEEPS {
@@ -96,13 +96,13 @@ pub(super) fn principal(inertia: [[f64; 3]; 3]) -> ([f64; 3], [f64; 4]) {
     )
 }
 
-pub(super) fn diagonal([x, y, z]: [f64; 3]) -> [[f64; 3]; 3] {
+pub(crate) fn diagonal([x, y, z]: [f64; 3]) -> [[f64; 3]; 3] {
     [[x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, z]]
 }
 
 /// A solid of density 1 about its own centre: volume (m³), centre, moments per density.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Solid {
+pub(crate) struct Solid {
     pub volume_m3: f64,
     pub centre_m: [f64; 3],
     /// About the centre, m⁵.
@@ -181,12 +181,68 @@ impl Solid {
     }
 }
 
+/// Whether an inertia tensor can belong to a body.
+///
+/// The second moments Σ = ½·tr(I)·E − I = ∫ r rᵀ dm must be positive semi-definite: that is the triangle
+/// inequality of the principal moments (each at most the sum of the other two). A 3×3 matrix is, when all its
+/// principal minors are ≥ 0.
+pub(crate) fn check_inertia(i: [[f64; 3]; 3]) -> Result<(), String> {
+    let half_trace = 0.5 * (i[0][0] + i[1][1] + i[2][2]);
+    if !(i[0][0] > 0.0 && i[1][1] > 0.0 && i[2][2] > 0.0) {
+        return Err("the moments of inertia must be above zero".to_owned());
+    }
+    // scaled to trace 1, so that the tolerance is relative
+    let s = |r: usize, c: usize| {
+        (if r == c {
+            half_trace - i[r][c]
+        } else {
+            -i[r][c]
+        }) / (2.0 * half_trace)
+    };
+    let minor2 = |a: usize, b: usize| s(a, a) * s(b, b) - s(a, b) * s(b, a);
+    let det = s(0, 0) * minor2(1, 2) - s(0, 1) * (s(1, 0) * s(2, 2) - s(1, 2) * s(2, 0))
+        + s(0, 2) * (s(1, 0) * s(2, 1) - s(1, 1) * s(2, 0));
+    let minors = [
+        s(0, 0),
+        s(1, 1),
+        s(2, 2),
+        minor2(0, 1),
+        minor2(0, 2),
+        minor2(1, 2),
+        det,
+    ];
+    const TOLERANCE: f64 = 1e-9;
+    if minors.iter().any(|m| *m < -TOLERANCE) {
+        return Err(
+            "no body has this inertia: a principal moment exceeds the sum of the other two \
+                    (triangle inequality)"
+                .to_owned(),
+        );
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn near(a: f64, b: f64) {
         assert!((a - b).abs() < 1e-12 * b.abs().max(1.0), "{a} is not {b}");
+    }
+
+    #[test]
+    fn inertia_of_a_thin_rod_is_the_limit_of_what_exists() {
+        let diag = |a: f64, b: f64, c: f64| [[a, 0.0, 0.0], [0.0, b, 0.0], [0.0, 0.0, c]];
+        // thin rod along x: (0, m l²/12, m l²/12); nearly that is fine
+        assert!(check_inertia(diag(1e-9, 1.0, 1.0)).is_ok());
+        // disc: Izz = Ixx + Iyy, the other limit
+        assert!(check_inertia(diag(1.0, 1.0, 2.0)).is_ok());
+        assert!(check_inertia(diag(1.0, 1.0, 2.001)).is_err());
+        assert!(check_inertia(diag(0.0, 1.0, 1.0)).is_err());
+        // positive diagonal, but not a tensor of anything: off-diagonal larger than the diagonal allows
+        assert!(check_inertia([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 1.0]]).is_err());
+        // Σ = [[0.5, -0.4, 0], [-0.4, 0.5, 0], [0, 0, 0.5]] is positive definite
+        assert!(check_inertia([[1.0, 0.4, 0.0], [0.4, 1.0, 0.0], [0.0, 0.0, 1.0]]).is_ok());
     }
 
     #[test]

@@ -1,87 +1,12 @@
-//! What both readers make: bodies, joints, shapes, actuators; and what is worked out of them.
+//! What is worked out of a robot that was read, and the form that the supported subset has.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
-use super::geometry::{Inertial, Solid};
-use super::tree::{Element, Remarks};
+use crate::geometry::Solid;
+use crate::parts::{Actuator, Body, Joint, Robot};
 use crate::pose::{self, Pose};
-use crate::types::{JointMotion, Shape, Softness};
-
-/// A robot as it was read.
-#[derive(Default)]
-pub(super) struct Robot {
-    pub name: Option<String>,
-    pub gravity_mps2: [f64; 3],
-    pub free_base: bool,
-    /// A parent always comes before its children.
-    pub bodies: Vec<Body>,
-    pub actuators: Vec<Actuator>,
-    /// Pairs of bodies that never touch, by name.
-    pub excluded: Vec<[String; 2]>,
-    /// Joint positions of a named pose.
-    pub home: BTreeMap<String, f64>,
-    /// Whether that pose stands in no file.
-    pub home_is_ours: bool,
-    /// Sites that a gyroscope or an accelerometer sits at.
-    pub sensed: BTreeSet<String>,
-    /// Bodies that became part of others, and of which.
-    pub merged: BTreeMap<String, String>,
-}
-
-pub(super) struct Body {
-    pub name: String,
-    pub parent: Option<usize>,
-    pub parent_from_body: Pose,
-    pub inertial: Option<Inertial>,
-    pub joints: Vec<Joint>,
-    pub geoms: Vec<Geom>,
-    pub sites: Vec<(String, Pose)>,
-    pub element: Element,
-}
-
-pub(super) struct Joint {
-    pub name: String,
-    pub motion: JointMotion,
-    pub axis: [f64; 3],
-    pub anchor_m: [f64; 3],
-    pub range: Option<(f64, f64)>,
-    pub stop: Softness,
-    pub stiffness: f64,
-    pub spring_ref: f64,
-    pub damping: f64,
-    pub armature: f64,
-    pub friction_loss: f64,
-    /// Largest torque of its drive, where the joint says so.
-    pub force_limit: Option<f64>,
-    pub element: Element,
-}
-
-pub(super) struct Geom {
-    pub name: Option<String>,
-    pub shape: Shape,
-    pub link_from_geom: Pose,
-    pub friction: f64,
-    pub contype: u32,
-    pub conaffinity: u32,
-    pub soft: Softness,
-    pub rgba: Option<String>,
-}
-
-impl Geom {
-    pub fn collides(&self) -> bool {
-        self.contype != 0 || self.conaffinity != 0
-    }
-}
-
-/// The drive of a joint.
-pub(super) struct Actuator {
-    pub joint: String,
-    /// Gains of its position loop; `None`: it commands torque.
-    pub gains: Option<(f64, f64)>,
-    pub force_limit: Option<f64>,
-    /// Speed that it cannot pass, rad/s.
-    pub speed_limit: Option<f64>,
-}
+use crate::tree::{Element, Remarks};
+use crate::types::JointMotion;
 
 /// Joint positions of the pose that the robot file calls nominal.
 pub(super) fn nominal(robot: &Robot, joint: &Joint) -> f64 {
@@ -129,14 +54,14 @@ pub(super) fn finish(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
 
 /// An MJCF without actuators: its users add them in code. As in a URDF, each joint has a drive.
 fn drive_all(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
-    let joints = robot.bodies.iter().flat_map(|b| &b.joints);
     let drive = |joint: &Joint| Actuator {
         joint: joint.name.clone(),
         gains: None,
         force_limit: joint.force_limit,
         speed_limit: None,
+        element: joint.element.clone(),
     };
-    robot.actuators = joints.map(drive).collect();
+    robot.actuators = robot.joints().map(drive).collect();
     let count = robot.actuators.len();
     remarks.note(
         root,
@@ -170,7 +95,7 @@ fn merge_welded(robot: &mut Robot) {
         let host = &mut bodies[target];
         robot.merged.insert(body.name.clone(), host.name.clone());
         for mut geom in body.geoms {
-            geom.link_from_geom = at.compose(&geom.link_from_geom);
+            geom.geom.link_from_geom = at.compose(&geom.geom.link_from_geom);
             host.geoms.push(geom);
         }
         for (name, pose) in body.sites {
@@ -337,8 +262,7 @@ pub(super) fn word(text: &str) -> String {
 
 /// Gives joints names that policies and logs can carry.
 fn name_plainly(robot: &mut Robot, remarks: &mut Remarks) {
-    let all = robot.bodies.iter().flat_map(|b| &b.joints);
-    let mut taken: BTreeSet<String> = all.map(|j| j.name.clone()).collect();
+    let mut taken: BTreeSet<String> = robot.joints().map(|j| j.name.clone()).collect();
     for joint in robot.bodies.iter_mut().flat_map(|b| &mut b.joints) {
         let mut short = word(&joint.name);
         if short.len() > NAME_MAX {
@@ -379,7 +303,8 @@ const NAME_MAX: usize = 32;
 /// Gives shapes of the same name others, so that each can be spoken of.
 fn name_uniquely(robot: &mut Robot) {
     let mut names = BTreeSet::new();
-    for geom in robot.bodies.iter_mut().flat_map(|b| &mut b.geoms) {
+    let all = robot.bodies.iter_mut().flat_map(|b| &mut b.geoms);
+    for geom in all.map(|painted| &mut painted.geom) {
         if let Some(name) = &geom.name
             && !names.insert(name.clone())
         {
@@ -390,6 +315,7 @@ fn name_uniquely(robot: &mut Robot) {
         let colliding = body
             .geoms
             .iter_mut()
+            .map(|painted| &mut painted.geom)
             .filter(|g| g.collides() && g.name.is_none());
         for (i, geom) in colliding.enumerate() {
             let name = format!("{}_shape_{i}", body.name);

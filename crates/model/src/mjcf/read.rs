@@ -1,15 +1,15 @@
-//! MJCF: settings, default classes, bodies, shapes, sites, named poses.
+//! Sections, bodies, what stands in them, named poses.
 
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use super::actuators;
-use super::geometry::{Inertial, diagonal};
-use super::mjcf_context::{Context, FromGeoms};
-use super::mjcf_joint;
-use super::parts::{Body, Robot};
-use super::tree::{Element, Remarks};
+use super::context::{Context, FromGeoms};
+use super::{actuators, joint};
+use crate::geometry::{Inertial, check_inertia, diagonal};
+use crate::parts::{Body, Robot};
 use crate::pose::Pose;
+use crate::tree::{Element, Remarks};
+use crate::types::{Geom, Shape};
 
 /// A tree with at most this part of the robot's drives is not another robot.
 const LEFT_OVER: usize = 4;
@@ -35,7 +35,7 @@ const PASSED_OVER: &[(&str, &str)] = &[
 ];
 
 /// Reads `<mujoco>`.
-pub(super) fn read(root: &Element, file: &Path, remarks: &mut Remarks) -> Option<Robot> {
+pub(crate) fn read(root: &Element, file: &Path, remarks: &mut Remarks) -> Option<Robot> {
     let mut context = Context::new(root, file, remarks);
     let mut robot = Robot {
         name: root.get("model").map(str::to_owned),
@@ -48,9 +48,11 @@ pub(super) fn read(root: &Element, file: &Path, remarks: &mut Remarks) -> Option
             "option" => {
                 let gravity = section.array("gravity", context.remarks);
                 robot.gravity_mps2 = gravity.unwrap_or(robot.gravity_mps2);
-                context
-                    .remarks
-                    .note(section, "<option>: only gravity is kept");
+                if !context.remarks.strict {
+                    context
+                        .remarks
+                        .note(section, "<option>: only gravity is kept");
+                }
             }
             "contact" => {
                 let names =
@@ -74,7 +76,20 @@ pub(super) fn read(root: &Element, file: &Path, remarks: &mut Remarks) -> Option
         }
     }
     let tree = context.tree(root)?;
+    if context.remarks.strict {
+        robot.world_geoms = context.scenery(root);
+    }
     context.body(&tree, None, Pose::IDENTITY, None, &mut robot);
+    for pair in root.all("contact").flat_map(|c| c.all("exclude")) {
+        for key in ["body1", "body2"] {
+            let name = pair.get(key);
+            if !robot.bodies.iter().any(|b| Some(b.name.as_str()) == name) {
+                let name = name.unwrap_or_default();
+                let message = format!("attribute `{key}`: there is no body `{name}`");
+                context.remarks.refuse_if_strict(pair, message);
+            }
+        }
+    }
     actuators::read(&mut context, root, &mut robot);
     let sensors = root.all("sensor").flat_map(|sensor| &sensor.children);
     robot.sensed = sensors
@@ -88,8 +103,7 @@ pub(super) fn read(root: &Element, file: &Path, remarks: &mut Remarks) -> Option
 
 /// Joint names in the order of MuJoCo's positions.
 fn joint_order(robot: &Robot) -> Vec<String> {
-    let joints = robot.bodies.iter().flat_map(|b| &b.joints);
-    joints.map(|j| j.name.clone()).collect()
+    robot.joints().map(|j| j.name.clone()).collect()
 }
 
 /// The pose of the key called home, else stand, else the first.
@@ -130,6 +144,7 @@ impl Context<'_> {
         for other in worlds.iter().flat_map(|w| &w.children) {
             match other.tag.as_str() {
                 "body" | "light" | "camera" | "frame" => {}
+                "geom" if self.remarks.strict => {}
                 "geom" => self.remarks.note_once(
                     other,
                     "what is fixed to the world is not kept; the ground is a plane",
@@ -181,6 +196,28 @@ impl Context<'_> {
         }
     }
 
+    /// The shapes that are fixed to the world.
+    fn scenery(&mut self, root: &Element) -> Vec<Geom> {
+        let mut shapes = Vec::new();
+        for e in root.all("worldbody").flat_map(|w| w.all("geom")) {
+            let mut e = self.resolved(e, None);
+            let plane = e.get("type") == Some("plane");
+            if plane {
+                // all else of a plane is read as of a ball
+                e.attributes.insert("type".to_owned(), "sphere".to_owned());
+                e.attributes.insert("size".to_owned(), "1".to_owned());
+            }
+            shapes.extend(self.geom(&e, &Pose::IDENTITY).0.map(|found| match plane {
+                true => Geom {
+                    shape: Shape::Plane,
+                    ..found.geom
+                },
+                false => found.geom,
+            }));
+        }
+        shapes
+    }
+
     /// Adds a body and what hangs on it.
     fn body(
         &mut self,
@@ -204,8 +241,15 @@ impl Context<'_> {
         let name = e
             .get("name")
             .map_or_else(|| format!("body_{index}"), str::to_owned);
+        if let Some(class) = e
+            .get("childclass")
+            .filter(|c| !self.classes.contains_key(*c))
+        {
+            let message = format!("attribute `childclass`: there is no default class `{class}`");
+            self.remarks.refuse_of(e, message);
+        }
         let childclass = e.get("childclass").or(childclass);
-        let placed = frame.compose(&self.pose(e));
+        let placed = self.place(e, &frame);
         robot.bodies.push(Body {
             name,
             parent,
@@ -245,7 +289,7 @@ impl Context<'_> {
             match child.tag.as_str() {
                 "body" => self.body(child, Some(index), frame, childclass, robot),
                 "frame" => {
-                    let inner = frame.compose(&self.pose(child));
+                    let inner = self.place(child, &frame);
                     let class = child.get("childclass").or(childclass);
                     self.children(child, index, inner, class, robot);
                 }
@@ -268,13 +312,13 @@ impl Context<'_> {
             match child.tag.as_str() {
                 "body" | "inertial" => {}
                 "frame" => {
-                    let inner = frame.compose(&self.pose(child));
+                    let inner = self.place(child, &frame);
                     let class = child.get("childclass").or(childclass);
                     self.contents(child, index, inner, class, robot, solids);
                 }
                 "joint" | "freejoint" => {
                     let resolved = self.resolved(child, childclass);
-                    mjcf_joint::read(self, &resolved, index, &frame, robot);
+                    joint::read(self, &resolved, index, &frame, robot);
                 }
                 "geom" => {
                     let resolved = self.resolved(child, childclass);
@@ -285,7 +329,7 @@ impl Context<'_> {
                 "site" => {
                     let resolved = self.resolved(child, childclass);
                     if let Some(name) = child.get("name") {
-                        let at = frame.compose(&self.pose(&resolved));
+                        let at = self.place(&resolved, &frame);
                         robot.bodies[index].sites.push((name.to_owned(), at));
                     }
                 }
@@ -302,13 +346,36 @@ impl Context<'_> {
 
     fn inertial(&mut self, e: &Element) -> Option<Inertial> {
         let at = self.pose(e);
+        let inertia = e.get("diaginertia").or(e.get("fullinertia"));
+        let needed = [
+            ("pos", e.get("pos")),
+            ("mass", e.get("mass")),
+            ("diaginertia", inertia),
+        ];
+        for (key, _) in needed.iter().filter(|(_, text)| text.is_none()) {
+            let or = if *key == "diaginertia" {
+                " (or `fullinertia`)"
+            } else {
+                ""
+            };
+            let message = format!("attribute `{key}`: is missing{or}");
+            self.remarks.refuse_if_strict(e, message);
+        }
         let mass_kg = e.number("mass", self.remarks)?;
-        let own = if let Some(d) = e.array::<3>("diaginertia", self.remarks) {
-            diagonal(d)
+        if mass_kg <= 0.0 {
+            let message = format!("attribute `mass`: is {mass_kg} kg; it must be above zero");
+            self.remarks.refuse_if_strict(e, message);
+        }
+        let (key, own) = if let Some(d) = e.array::<3>("diaginertia", self.remarks) {
+            ("diaginertia", diagonal(d))
         } else {
             let [xx, yy, zz, xy, xz, yz] = e.array::<6>("fullinertia", self.remarks)?;
-            [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+            ("fullinertia", [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         };
+        if let Err(why) = check_inertia(own) {
+            self.remarks
+                .refuse_if_strict(e, format!("attribute `{key}`: {why}"));
+        }
         let own = Inertial {
             mass_kg,
             com_m: [0.0; 3],

@@ -2,9 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use super::mjcf_context::Context;
-use super::parts::{Actuator, Robot};
-use super::tree::Element;
+use super::context::Context;
+use super::joint::not_negative;
+use crate::parts::{Actuator, Robot};
+use crate::tree::Element;
 
 fn elements(root: &Element) -> impl Iterator<Item = &Element> {
     root.all("actuator").flat_map(|a| &a.children)
@@ -33,13 +34,9 @@ pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot)
                 .note_of(&e, "drives no joint and is not kept");
             continue;
         };
-        let all = robot.bodies.iter().flat_map(|b| &b.joints);
-        let Some(own_limit) = all
-            .into_iter()
-            .find(|j| j.name == joint)
-            .map(|j| j.force_limit)
-        else {
-            let message = format!("there is no joint `{joint}`");
+        let own = robot.joints().find(|j| j.name == joint);
+        let Some(own_limit) = own.map(|j| j.force_limit) else {
+            let message = format!("attribute `joint`: there is no joint `{joint}`");
             if named(root, &joint) {
                 let message = format!("{message} in the robot; the actuator is not kept");
                 context.remarks.note_of(&e, message);
@@ -48,7 +45,8 @@ pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot)
             }
             continue;
         };
-        if robot.actuators.iter().any(|a| a.joint == joint) {
+        // a robot's own file is held against the order of the robot file, which says more
+        if !context.remarks.strict && robot.actuators.iter().any(|a| a.joint == joint) {
             context.remarks.note_of(
                 &e,
                 format!("`{joint}` has an actuator already; this one is not kept"),
@@ -64,15 +62,18 @@ pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot)
             Some(range[0].abs().max(range[1].abs()) * gear).filter(|x| *x > 0.0)
         };
         let gains = gains(context, &e).map(|(kp, kd)| (kp * gear * gear, kd * gear * gear));
-        let mut force_limit = limit(context, "forcerange");
-        if force_limit.is_none() && gains.is_none() && e.tag == "motor" {
-            force_limit = limit(context, "ctrlrange");
+        for key in ["kp", "kv"] {
+            not_negative(context, &e, key);
         }
+        let (force, control) = (limit(context, "forcerange"), limit(context, "ctrlrange"));
+        let by_control = control.filter(|_| gains.is_none() && e.tag == "motor");
+        let force_limit = force.or(by_control);
         robot.actuators.push(Actuator {
             joint,
             gains,
             force_limit: own_limit.or(force_limit),
             speed_limit: None,
+            element: e,
         });
     }
 }

@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::geometry::Inertial;
-use super::mesh::Meshes;
-use super::tree::{Element, Remarks};
-use crate::mjcf::{Compiler, z_to};
-use crate::pose::{self, Pose};
+use super::compiler::Compiler;
+use crate::geometry::Inertial;
+use crate::mesh::Meshes;
+use crate::pose::{self, Pose, z_to};
+use crate::tree::{Element, Remarks};
 use crate::types::Softness;
 
 /// Between these MuJoCo holds impedances.
@@ -130,7 +130,12 @@ impl<'a> Context<'a> {
                 return;
             }
         };
-        let base = self.classes.get(&name).or_else(|| self.classes.get(parent));
+        let known = self.classes.get(&name);
+        if known.is_some() && !outermost {
+            self.remarks
+                .refuse_if_strict(e, format!("attribute `class`: `{name}` is defined twice"));
+        }
+        let base = known.or_else(|| self.classes.get(parent));
         let mut class = base.cloned().unwrap_or_default();
         for child in e.children.iter().filter(|c| c.tag != "default") {
             let tag = default_tag(&child.tag).to_owned();
@@ -147,8 +152,13 @@ impl<'a> Context<'a> {
     pub fn resolved(&mut self, e: &Element, childclass: Option<&str>) -> Element {
         let name = e.get("class").or(childclass).unwrap_or("main");
         let Some(class) = self.classes.get(name) else {
-            self.remarks
-                .refuse_of(e, format!("there is no default class `{name}`"));
+            let attribute = if e.get("class").is_some() {
+                "class"
+            } else {
+                "childclass"
+            };
+            let message = format!("attribute `{attribute}`: there is no default class `{name}`");
+            self.remarks.refuse_of(e, message);
             return e.clone();
         };
         let mut out = Element {
@@ -159,7 +169,8 @@ impl<'a> Context<'a> {
             // one way of saying where something lies replaces the other
             let said = |other: &&str| e.attributes.contains_key(*other);
             let turns = ["quat", "euler", "axisangle", "xyaxes", "zaxis"];
-            if turns.contains(&key.as_str()) && turns.iter().any(said) {
+            let is_turn = turns.contains(&key.as_str());
+            if is_turn && turns.iter().any(said) || (is_turn || key == "pos") && said(&"fromto") {
                 continue;
             }
             out.attributes
@@ -169,12 +180,22 @@ impl<'a> Context<'a> {
         out
     }
 
+    /// Place and orientation of an element that is written in `frame`.
+    pub fn place(&mut self, e: &Element, frame: &Pose) -> Pose {
+        within(frame, self.pose(e))
+    }
+
     /// Place and orientation of an element.
     pub fn pose(&mut self, e: &Element) -> Pose {
         let pos_m = e.array("pos", self.remarks).unwrap_or([0.0; 3]);
         let mut quat_wxyz = Pose::IDENTITY.quat_wxyz;
         if let Some(q) = e.array::<4>("quat", self.remarks) {
-            quat_wxyz = pose::quat_normalised(q).unwrap_or(quat_wxyz);
+            let unit = pose::quat_normalised(q);
+            if unit.is_none() {
+                let message = "attribute `quat`: has length zero; it needs a direction";
+                self.remarks.refuse_if_strict(e, message);
+            }
+            quat_wxyz = unit.unwrap_or(quat_wxyz);
         } else if let Some(angles) = e.array::<3>("euler", self.remarks) {
             quat_wxyz = self.compiler.euler_to_quat(angles);
         } else if let Some([x, y, z, angle]) = e.array::<4>("axisangle", self.remarks) {
@@ -200,37 +221,53 @@ impl<'a> Context<'a> {
     }
 }
 
+/// What is written in `frame`. Without one, signs of zeros stay as they are: the same bits.
+pub(super) fn within(frame: &Pose, own: Pose) -> Pose {
+    match *frame == Pose::IDENTITY {
+        true => own,
+        false => frame.compose(&own),
+    }
+}
+
 /// How a constraint gives way, held within MuJoCo's limits.
 pub(super) fn softness(e: &Element, solref: &str, solimp: &str, remarks: &mut Remarks) -> Softness {
     let mut out = Softness::default();
-    for (slot, x) in out
-        .solref
-        .iter_mut()
-        .zip(e.numbers(solref, remarks).unwrap_or_default())
-    {
-        *slot = x;
-    }
-    for (slot, x) in out
-        .solimp
-        .iter_mut()
-        .zip(e.numbers(solimp, remarks).unwrap_or_default())
-    {
-        *slot = x;
-    }
+    let mut put = |key: &str, slots: &mut [f64]| {
+        let given = e.some_numbers(key, slots.len(), remarks);
+        for (slot, x) in slots.iter_mut().zip(given.unwrap_or_default()) {
+            *slot = x;
+        }
+    };
+    put(solref, &mut out.solref);
+    put(solimp, &mut out.solimp);
     if !out.is_usable() {
         out.solref = Softness::default().solref;
+        let message =
+            "must be a time constant and a damping ratio above zero, or -stiffness and -damping";
+        remarks.refuse_if_strict(e, format!("attribute `{solref}`: {message}"));
         remarks.note_of(
             e,
             format!("{solref} is not usable; MuJoCo's default is written"),
         );
     }
-    for i in [0, 1, 3] {
+    let [low, high, width, middle, _] = out.solimp;
+    if !([low, high, middle].iter().all(|x| (0.0..1.0).contains(x)) && width >= 0.0) {
+        let message = format!(
+            "attribute `{solimp}`: must be two shares below one, a width, a share below one"
+        );
+        remarks.refuse_if_strict(e, message);
+    }
+    for i in [0, 1, 3].into_iter().filter(|_| !remarks.strict) {
         out.solimp[i] = out.solimp[i].clamp(IMPEDANCE.0, IMPEDANCE.1);
     }
     out.solimp[2] = out.solimp[2].max(0.0);
     let power = out.solimp[4];
     if power != 1.0 && power != 2.0 {
         out.solimp[4] = if power < 1.5 { 1.0 } else { 2.0 };
+        let message = format!(
+            "attribute `{solimp}`: has a power other than 1 and 2, which are those supported"
+        );
+        remarks.refuse_if_strict(e, message);
         remarks.note_once(
             e,
             format!("{solimp}: the power {power} is rounded to 1 or 2"),

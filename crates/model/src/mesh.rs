@@ -3,16 +3,16 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::geometry::Solid;
-use super::tree::{Element, Remarks};
+use crate::geometry::Solid;
 use crate::pose::{cross, dot, norm, sub};
+use crate::tree::{Element, Remarks};
 
 /// Largest mesh file that is read, bytes.
 const MESH_LIMIT_BYTES: u64 = 64 * 1024 * 1024;
 
 /// How a mesh's volume is counted (attribute `inertia` of MuJoCo's `<mesh>`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Volumes {
+pub(crate) enum Volumes {
     /// MuJoCo's default: each triangle's tetrahedron counts as positive, from the middle of the surface and
     /// then from the centre of mass that this gives. Too much where the mesh is hollow or not convex, but
     /// something where it is not closed.
@@ -23,7 +23,7 @@ pub(super) enum Volumes {
 
 /// What is kept of a mesh.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Mesh {
+pub(crate) struct Mesh {
     pub middle_m: [f64; 3],
     pub half_size_m: [f64; 3],
     pub solid: Solid,
@@ -31,7 +31,7 @@ pub(super) struct Mesh {
 
 /// The meshes of a file, read when they are asked for.
 #[derive(Default)]
-pub(super) struct Meshes {
+pub(crate) struct Meshes {
     files: BTreeMap<String, (PathBuf, [f64; 3], Volumes)>,
     read: BTreeMap<String, Option<Mesh>>,
 }

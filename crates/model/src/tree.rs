@@ -1,15 +1,19 @@
-//! An XML file as a tree of its own, with what it includes in place, and the remarks made about it.
+//! An XML file as a tree of its own, and the remarks made about it.
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
+use std::io::ErrorKind;
 use std::path::Path;
 
+use caudata_durable::read_at_most;
 use roxmltree::{Document, Node};
 
-use super::remark::Remark;
-use crate::error::ModelError;
-use crate::load;
+use crate::error::{ModelError, Remark};
 
+/// Largest robot file or MJCF that is read.
+const FILE_LIMIT_BYTES: u64 = 16 * 1024 * 1024;
+/// Deepest nesting of elements: 64 bodies in each other, and what stands around and in them.
+const DEPTH_LIMIT: usize = 68;
 /// Deepest chain of includes.
 const INCLUDE_LIMIT: usize = 16;
 /// Largest magnitude of any number.
@@ -17,10 +21,12 @@ const NUMBER_LIMIT: f64 = 1e9;
 
 /// An element.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Element {
+pub(crate) struct Element {
     pub tag: String,
     pub attributes: BTreeMap<String, String>,
     pub children: Vec<Element>,
+    /// Whether text stands in it.
+    pub has_text: bool,
     pub file: String,
     pub line: u32,
     /// Whether its tag is a macro of xacro.
@@ -29,7 +35,9 @@ pub(super) struct Element {
 
 /// All that was said.
 #[derive(Default)]
-pub(super) struct Remarks {
+pub(crate) struct Remarks {
+    /// Whether the file is a robot's own, in which nothing may be passed over in silence.
+    pub strict: bool,
     pub notes: Vec<Remark>,
     pub refusals: Vec<Remark>,
 }
@@ -45,12 +53,19 @@ impl Remarks {
 
     /// A note of an element, which is named in front.
     pub fn note_of(&mut self, at: &Element, message: impl Display) {
-        self.note(at, format!("{}: {message}", at.label()));
+        self.notes.push(at.remark_of(message));
     }
 
     /// A refusal, likewise.
     pub fn refuse_of(&mut self, at: &Element, message: impl Display) {
-        self.refuse(at, format!("{}: {message}", at.label()));
+        self.refusals.push(at.remark_of(message));
+    }
+
+    /// A refusal of what is let pass in a file of another tool.
+    pub fn refuse_if_strict(&mut self, at: &Element, message: impl Display) {
+        if self.strict {
+            self.refuse_of(at, message);
+        }
     }
 
     /// A refusal of no line in particular.
@@ -73,12 +88,17 @@ impl Remarks {
 }
 
 impl Element {
-    fn remark(&self, message: impl Into<String>) -> Remark {
+    pub fn remark(&self, message: impl Into<String>) -> Remark {
         Remark {
             file: self.file.clone(),
             line: self.line,
             message: message.into(),
         }
+    }
+
+    /// A remark of the element, which is named in front.
+    pub fn remark_of(&self, message: impl Display) -> Remark {
+        self.remark(format!("{}: {message}", self.label()))
     }
 
     pub fn get(&self, attribute: &str) -> Option<&str> {
@@ -117,15 +137,31 @@ impl Element {
             match word.parse::<f64>() {
                 Ok(x) if x.is_finite() && x.abs() <= NUMBER_LIMIT => out.push(x),
                 _ => {
-                    remarks.refuse_of(
-                        self,
-                        format!("`{attribute}`: `{word}` is not a usable number"),
-                    );
+                    let message =
+                        format!("attribute `{attribute}`: `{word}` is not a usable number");
+                    remarks.refuse_of(self, message);
                     return None;
                 }
             }
         }
         Some(out)
+    }
+
+    /// At most `most` numbers of an attribute, and at least one.
+    pub fn some_numbers(
+        &self,
+        attribute: &str,
+        most: usize,
+        remarks: &mut Remarks,
+    ) -> Option<Vec<f64>> {
+        let numbers = self.numbers(attribute, remarks)?;
+        if !(1..=most).contains(&numbers.len()) {
+            let found = numbers.len();
+            let message =
+                format!("attribute `{attribute}`: has {found} numbers where 1 to {most} belong");
+            remarks.refuse_if_strict(self, message);
+        }
+        Some(numbers)
     }
 
     /// Exactly `N` numbers of an attribute.
@@ -138,7 +174,7 @@ impl Element {
         let found = numbers.len();
         let array = numbers.try_into().ok();
         if array.is_none() {
-            let message = format!("`{attribute}` has {found} numbers where {N} belong");
+            let message = format!("attribute `{attribute}`: has {found} numbers where {N} belong");
             remarks.refuse_of(self, message);
         }
         array
@@ -149,38 +185,68 @@ impl Element {
     }
 }
 
+/// The bytes of a file, if there are not too many.
+pub(crate) fn bytes(path: &Path) -> Result<Vec<u8>, ModelError> {
+    read_at_most(path, FILE_LIMIT_BYTES).map_err(|source| match source.kind() {
+        ErrorKind::FileTooLarge => ModelError::TooLarge {
+            file: path.display().to_string(),
+            limit: FILE_LIMIT_BYTES,
+        },
+        _ => ModelError::Read {
+            path: path.to_owned(),
+            source,
+        },
+    })
+}
+
 /// Reads a file and everything that it includes.
-pub(super) fn read(file: &Path, remarks: &mut Remarks) -> Result<Element, ModelError> {
+pub(crate) fn read(file: &Path, remarks: &mut Remarks) -> Result<Element, ModelError> {
     let mut root = parse(file)?;
     include(&mut root, file, remarks, 0);
     Ok(root)
 }
 
 fn parse(file: &Path) -> Result<Element, ModelError> {
-    let bytes = load::read(file)?;
-    let label = file.display().to_string();
-    let text = String::from_utf8_lossy(&bytes);
-    let document = Document::parse(&text).map_err(|e| ModelError::Xml {
-        file: label.clone(),
-        message: e.to_string(),
-    })?;
-    Ok(own(&document, document.root_element(), &label))
+    let bytes = bytes(file)?;
+    of_text(
+        &file.display().to_string(),
+        &String::from_utf8_lossy(&bytes),
+    )
 }
 
-fn own(document: &Document<'_>, node: Node<'_, '_>, file: &str) -> Element {
+/// What a text holds; `file` names it.
+pub(crate) fn of_text(file: &str, text: &str) -> Result<Element, ModelError> {
+    let wrong = |message: String| ModelError::Xml {
+        file: file.to_owned(),
+        message,
+    };
+    let document = Document::parse(text).map_err(|e| wrong(e.to_string()))?;
+    own(&document, document.root_element(), file, 0)
+        .ok_or_else(|| wrong(format!("elements nest more than {DEPTH_LIMIT} deep")))
+}
+
+/// The element and what it holds; `None`: it nests too deeply.
+fn own(document: &Document<'_>, node: Node<'_, '_>, file: &str, depth: usize) -> Option<Element> {
+    if depth > DEPTH_LIMIT {
+        return None;
+    }
     let attribute = |a: roxmltree::Attribute<'_, '_>| (a.name().to_owned(), a.value().to_owned());
     let children = node.children().filter(Node::is_element);
-    Element {
+    let is_text = |n: Node<'_, '_>| n.is_text() && !n.text().unwrap_or("").trim().is_empty();
+    Some(Element {
         tag: node.tag_name().name().to_owned(),
         attributes: node.attributes().map(attribute).collect(),
-        children: children.map(|c| own(document, c, file)).collect(),
+        children: children
+            .map(|c| own(document, c, file, depth + 1))
+            .collect::<Option<_>>()?,
+        has_text: node.children().any(is_text),
         file: file.to_owned(),
         line: document.text_pos_at(node.range().start).row,
         of_xacro: node
             .tag_name()
             .namespace()
             .is_some_and(|name| name.contains("xacro")),
-    }
+    })
 }
 
 /// Puts the children of included files in the place of `<include>`.

@@ -1,9 +1,9 @@
 //! MJCF: joints.
 
-use super::mjcf_context::{Context, softness};
-use super::parts::{Joint, Robot};
-use super::tree::Element;
+use super::context::{Context, softness};
+use crate::parts::{Joint, Robot};
 use crate::pose::{self, Pose};
+use crate::tree::Element;
 use crate::types::JointMotion;
 
 /// Reads a joint of the body at `index`; `frame`: where it is written.
@@ -22,8 +22,9 @@ pub(super) fn read(
         "hinge" => JointMotion::Hinge,
         "slide" => JointMotion::Slide,
         other => {
-            let message =
-                format!("a {other} joint is not simulated; write it as hinges, or weld it");
+            let message = format!(
+                "attribute `type`: a {other} joint is not simulated; write it as hinges, or weld it"
+            );
             context.remarks.refuse_of(e, message);
             return;
         }
@@ -37,7 +38,9 @@ pub(super) fn read(
         .unwrap_or([0.0, 0.0, 1.0]);
     let length = pose::norm(axis);
     if length < 1e-9 {
-        context.remarks.refuse_of(e, "`axis` has no direction");
+        context
+            .remarks
+            .refuse_of(e, "attribute `axis`: has no direction");
     }
     let anchor = e.array::<3>("pos", context.remarks).unwrap_or([0.0; 3]);
     // positions are counted from where the file draws the joint
@@ -46,6 +49,11 @@ pub(super) fn read(
         context
             .remarks
             .note_of(e, "`ref` is taken off: its positions count from 0");
+    }
+    if index == 0 && robot.free_base {
+        context
+            .remarks
+            .refuse_if_strict(e, "stands beside <freejoint>");
     }
     let number = |context: &mut Context<'_>, key: &str| e.number(key, context.remarks);
     if e.get("springdamper")
@@ -64,15 +72,25 @@ pub(super) fn read(
         anchor_m: frame.point(anchor),
         range: range(context, e, unit).map(|(low, high)| (low - start, high - start)),
         stop: softness(e, "solreflimit", "solimplimit", context.remarks),
-        stiffness: number(context, "stiffness").unwrap_or(0.0).max(0.0),
+        stiffness: not_negative(context, e, "stiffness"),
         spring_ref,
-        damping: number(context, "damping").unwrap_or(0.0).max(0.0),
-        armature: number(context, "armature").unwrap_or(0.0).max(0.0),
-        friction_loss: number(context, "frictionloss").unwrap_or(0.0).max(0.0),
+        damping: not_negative(context, e, "damping"),
+        armature: not_negative(context, e, "armature"),
+        friction_loss: not_negative(context, e, "frictionloss"),
         force_limit: force_limit.map(|[low, high]| low.abs().max(high.abs())),
         element: e.clone(),
     };
     robot.bodies[index].joints.push(joint);
+}
+
+/// A number that is 0 where it is absent, or negative.
+pub(super) fn not_negative(context: &mut Context<'_>, e: &Element, key: &str) -> f64 {
+    let x = e.number(key, context.remarks).unwrap_or(0.0);
+    if x < 0.0 {
+        let message = format!("attribute `{key}`: is {x}; it must not be negative");
+        context.remarks.refuse_if_strict(e, message);
+    }
+    x.max(0.0)
 }
 
 /// The joint of a free base.
@@ -80,6 +98,11 @@ fn free(context: &mut Context<'_>, e: &Element, index: usize, robot: &mut Robot)
     if robot.bodies[index].parent.is_some() {
         let message = "a free joint belongs to the root body; move this body to the world";
         context.remarks.refuse_of(e, message);
+    }
+    if robot.free_base || !robot.bodies[index].joints.is_empty() {
+        context
+            .remarks
+            .refuse_if_strict(e, "must be the only joint of its body");
     }
     let drags = ["damping", "armature", "frictionloss"];
     let dragged = |key: &&str| e.get(key).is_some_and(|v| v.trim() != "0");
@@ -92,8 +115,7 @@ fn free(context: &mut Context<'_>, e: &Element, index: usize, robot: &mut Robot)
 
 fn name(e: &Element, robot: &Robot) -> String {
     let given = e.get("name").map(str::to_owned);
-    let count = robot.bodies.iter().map(|b| b.joints.len()).sum::<usize>();
-    given.unwrap_or_else(|| format!("joint_{count}"))
+    given.unwrap_or_else(|| format!("joint_{}", robot.joints().count()))
 }
 
 /// Limits, where there are any.
@@ -104,13 +126,24 @@ fn range(context: &mut Context<'_>, e: &Element, unit: f64) -> Option<(f64, f64)
         "false" => false,
         _ => context.compiler.autolimits && range.is_some(),
     };
+    if limited && range.is_none() {
+        let message = "attribute `range`: is missing on a limited joint";
+        context.remarks.refuse_if_strict(e, message);
+    }
+    if range.is_some()
+        && !context.compiler.autolimits
+        && e.get("limited").is_none_or(|l| l == "auto")
+    {
+        let message = "attribute `limited`: must be given beside `range` when autolimits is off";
+        context.remarks.refuse_if_strict(e, message);
+    }
     let (low, high) = range
         .filter(|_| limited)
         .map(|[a, b]| (a * unit, b * unit))?;
     if low < high {
         return Some((low, high));
     }
-    let message = "the lower end of its range is not below the upper";
+    let message = "attribute `range`: its lower end is not below its upper end";
     context.remarks.refuse_of(e, message);
     None
 }

@@ -1,0 +1,83 @@
+//! A robot as a file describes it: bodies, joints, shapes, actuators.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use crate::geometry::Inertial;
+use crate::pose::Pose;
+use crate::tree::Element;
+use crate::types::{Geom, JointMotion, Softness};
+
+/// A robot as it was read.
+#[derive(Default)]
+pub(crate) struct Robot {
+    pub name: Option<String>,
+    pub gravity_mps2: [f64; 3],
+    pub free_base: bool,
+    /// A parent always comes before its children.
+    pub bodies: Vec<Body>,
+    pub actuators: Vec<Actuator>,
+    /// What the file fixes to the world.
+    pub world_geoms: Vec<Geom>,
+    /// Pairs of bodies that never touch, by name.
+    pub excluded: Vec<[String; 2]>,
+    /// Joint positions of a named pose.
+    pub home: BTreeMap<String, f64>,
+    /// Whether that pose stands in no file.
+    pub home_is_ours: bool,
+    /// Sites that a gyroscope or an accelerometer sits at.
+    pub sensed: BTreeSet<String>,
+    /// Bodies that became part of others, and of which.
+    pub merged: BTreeMap<String, String>,
+}
+
+impl Robot {
+    /// Joints in model order.
+    pub fn joints(&self) -> impl Iterator<Item = &Joint> {
+        self.bodies.iter().flat_map(|body| &body.joints)
+    }
+}
+
+pub(crate) struct Body {
+    pub name: String,
+    pub parent: Option<usize>,
+    pub parent_from_body: Pose,
+    pub inertial: Option<Inertial>,
+    pub joints: Vec<Joint>,
+    pub geoms: Vec<Painted>,
+    pub sites: Vec<(String, Pose)>,
+    pub element: Element,
+}
+
+pub(crate) struct Joint {
+    pub name: String,
+    pub motion: JointMotion,
+    pub axis: [f64; 3],
+    pub anchor_m: [f64; 3],
+    pub range: Option<(f64, f64)>,
+    pub stop: Softness,
+    pub stiffness: f64,
+    pub spring_ref: f64,
+    pub damping: f64,
+    pub armature: f64,
+    pub friction_loss: f64,
+    /// Largest torque of its drive, where the joint says so.
+    pub force_limit: Option<f64>,
+    pub element: Element,
+}
+
+/// A shape, and the colour that its file gives it.
+pub(crate) struct Painted {
+    pub geom: Geom,
+    pub rgba: Option<String>,
+}
+
+/// The drive of a joint.
+pub(crate) struct Actuator {
+    pub joint: String,
+    /// Gains of its position loop; `None`: it commands torque.
+    pub gains: Option<(f64, f64)>,
+    pub force_limit: Option<f64>,
+    /// Speed that it cannot pass, rad/s.
+    pub speed_limit: Option<f64>,
+    pub element: Element,
+}
