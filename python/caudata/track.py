@@ -163,6 +163,8 @@ def main() -> int:
     parser.add_argument("--patience", type=float, default=300.0, help="longest wait for the next iteration, s")
     options = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: _OVER.set())
+    # Trackers write folders called like their packages, which hide these, or seem to be them.
+    sys.path = [folder for folder in sys.path if Path(folder).resolve() != Path.cwd()]
     try:
         print("%d iterations are in %s" % (track(options.run, options.to, options.patience), options.to))
     except ModuleNotFoundError as missing:
@@ -174,6 +176,10 @@ def main() -> int:
     except (OSError, ValueError) as error:
         print("error: %s: %s" % (options.run, error), file=sys.stderr)
         return 66
+    except Exception as error:  # whatever the tracker's package has
+        said = " ".join(str(error).split())
+        print("error: %s: %s: %s" % (options.to, type(error).__name__, said), file=sys.stderr)
+        return 69
     return 0
 
 

@@ -208,23 +208,29 @@ class Package(unittest.TestCase):
             (run / "config.toml").write_text("")
             event = {"event": "iteration", "iteration": 1, "kl": 0.5, "reward_terms": {}}
             (run / "progress.jsonl").write_text(json.dumps(event) + "\n{")
+            (run / "wandb").mkdir()  # what the package itself writes there
             # As those packages would be, each call a line.
-            (run / "wandb.py").write_text(
+            (run / "stubs").mkdir()
+            (run / "stubs" / "wandb.py").write_text(
                 "class Run:\n url = 'here'\n def log(self, values, step): print(step, values)\n"
                 " def save(self, path, **_): print(path)\n def finish(self): print('end')\n"
                 "init = lambda **_: Run()\n"
             )
             command = [sys.executable, "-m", "caudata.track", ".", "--to", "wandb"]
-            with subprocess.Popen(command, cwd=run, stdout=subprocess.PIPE, text=True) as tracker:
+            stubs = {"cwd": run, "env": {**os.environ, "PYTHONPATH": str(run / "stubs")}, "text": True}
+            with subprocess.Popen(command, stdout=subprocess.PIPE, **stubs) as tracker:
                 self.assertEqual(tracker.stdout.readline(), "tracked at here\n")
                 tracker.terminate()
                 rest = tracker.communicate(timeout=60)[0].splitlines()
             self.assertEqual(rest, ["1 {'Caudata/kl': 0.5}", "config.toml", "end", "1 iterations are in wandb"])
             self.assertEqual(tracker.returncode, 0)
-            (run / "mlflow.py").write_text("import no_such_package")
-            done = subprocess.run(command[:-1] + ["mlflow"], cwd=run, capture_output=True, text=True)
-            said = "error: No module named 'no_such_package'; `pip install mlflow`\n"
-            self.assertEqual((done.returncode, done.stderr), (69, said))
+            for fault, said in (
+                ("import no_such_package", "No module named 'no_such_package'; `pip install mlflow`"),
+                ("raise RuntimeError('no key:\\n log in')", "mlflow: RuntimeError: no key: log in"),
+            ):
+                (run / "stubs" / "mlflow.py").write_text(fault)
+                done = subprocess.run(command[:-1] + ["mlflow"], capture_output=True, **stubs)
+                self.assertEqual((done.returncode, done.stderr), (69, "error: %s\n" % said))
 
     @needs("nbclient", "ipykernel")
     def test_the_notebook_runs(self):
@@ -305,6 +311,8 @@ class Package(unittest.TestCase):
             words = ["--suite", "rough", "--episodes", "1", "--seconds", "5", "--log", logs]
             caudata.run("eval", caudata.policy_path("rough"), *words, quiet=True)
             self.assertEqual(len(os.listdir(logs)), 3)
+            with self.assertRaisesRegex(caudata.ProgramError, "not empty"):
+                caudata.run("eval", caudata.policy_path("rough"), *words, quiet=True)
             caudata.run("log", "convert", os.path.join(logs, sorted(os.listdir(logs))[0]), "--out", out)
             with open(out, "rb") as file:
                 summary = mcap_summary(file)
@@ -315,6 +323,12 @@ class Package(unittest.TestCase):
 
     def test_an_own_reward(self):
         self.assertIn("mean reward", example("own_reward.py"))
+
+    def test_the_examples_are_in_the_package(self):
+        command = [sys.executable, "-m", "caudata.examples.own_reward"]
+        self.assertIn("mean reward", subprocess.run(command, capture_output=True, text=True).stdout)
+        there = {path.name for path in (pathlib.Path(caudata.__file__).parent / "examples").iterdir()}
+        self.assertLessEqual({path.name for path in EXAMPLES.glob("*.*")}, there)
 
     @needs("torch")
     def test_ppo(self):

@@ -5,7 +5,21 @@ use std::path::Path;
 use caudata_evaluation::{Frame, Outcome, RobotPose};
 use caudata_model::RobotModel;
 use caudata_runlog::{Axis, BaseHold, LogMeta, LogWriter, QuatPart, Signal};
+use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
+
+/// Makes the folder; one that holds something is refused.
+pub fn check(root: &Path) -> Result<(), Failure> {
+    files::make_folder(root)?;
+    let mut inside = root.read_dir().or_exit(ExitCode::CannotCreate)?;
+    match inside.next() {
+        None => Ok(()),
+        Some(_) => {
+            let message = format!("{} is not empty; give another --log", root.display());
+            Err(Failure::message(ExitCode::CannotCreate, message))
+        }
+    }
+}
 
 /// Writes the filmed episodes below `root`, each called after its scenario.
 pub fn write(

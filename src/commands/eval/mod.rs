@@ -125,9 +125,12 @@ pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
         caudata_sim::mujoco::version()
             .map_err(|why| Failure::message(ExitCode::Unavailable, format!("no MuJoCo: {why}")))?;
     }
+    // before the work, not after it
     if let Some(path) = &args.report {
-        // before the work, not after it
         files::writable(path)?;
+    }
+    if let Some(root) = &args.log {
+        log::check(root)?;
     }
     let evaluation = Evaluation {
         config: &config,
