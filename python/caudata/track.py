@@ -166,7 +166,10 @@ def main() -> int:
     # Trackers write folders called like their packages, which hide these, or seem to be them.
     sys.path = [folder for folder in sys.path if Path(folder).resolve() != Path.cwd()]
     try:
-        print("%d iterations are in %s" % (track(options.run, options.to, options.patience), options.to))
+        count = track(options.run, options.to, options.patience)
+        # It may be told so while Python ends, which takes no more signals.
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        print("%d iterations are in %s" % (count, options.to))
     except ModuleNotFoundError as missing:
         print("error: %s; `pip install %s`" % (missing, options.to), file=sys.stderr)
         return 69

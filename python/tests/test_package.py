@@ -316,8 +316,9 @@ class Package(unittest.TestCase):
             caudata.run("log", "convert", os.path.join(logs, sorted(os.listdir(logs))[0]), "--out", out)
             with open(out, "rb") as file:
                 summary = mcap_summary(file)
-            self.assertEqual(len(summary["/joint_states"][1]), 250)
-            begin, end = (pose.pose.position for pose in summary["/base/pose"][1][::249])
+            # 5 s at 50 Hz; the step that ends an episode begins the next.
+            self.assertEqual(len(summary["/joint_states"][1]), 249)
+            begin, end = (pose.pose.position for pose in summary["/base/pose"][1][::248])
             self.assertGreater(np.hypot(end.x - begin.x, end.y - begin.y), 1.0)  # 5 s at 0.3 m/s, with a start
             self.assertIn("<robot", summary["/robot_description"][1][0].data)
 
