@@ -71,8 +71,10 @@ def build() -> str:
 
 
 def carry(package: str) -> None:
-    """Puts programs, robots, policies and the set-up into the package."""
+    """Puts programs, robots, policies, examples and the set-up into the package."""
     stage.stage(package)
+    examples = os.path.join(CHECKOUT, "python", "examples")
+    shutil.copytree(examples, os.path.join(package, "examples"), ignore=shutil.ignore_patterns("__pycache__"))
     folder = os.path.join(package, "setup")
     os.mkdir(folder)
     for path in glob.glob(os.path.join(CHECKOUT, "setup", "*.py")):

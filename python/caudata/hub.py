@@ -1,8 +1,9 @@
 """``python -m caudata.hub POLICY FOLDER``: a policy as a folder that a hub of models takes as it is.
 
-The folder has the policy, its manifest, settings and evaluation as far as they lie beside it, the robot, a moving
-picture, and a card (``README.md``). Whoever downloads such a folder uses the policy in it as any other: the card says
-how. Nothing here speaks to a hub; its own tools do.
+The folder has the policy, its manifest, settings and evaluation as far as they lie beside it, the robot (two files:
+an imported one has its meshes as boxes in them), the map of the ground if there is one, a moving picture, and a card
+(``README.md``). Whoever downloads such a folder uses the policy in it as any other: the card says how. Nothing here
+speaks to a hub; its own tools do.
 """
 
 from __future__ import annotations
@@ -65,19 +66,23 @@ def _fill(policy: Path, folder: Path, robot: "str | None") -> None:
     manifest.pop("path", None)
     (folder / "manifest.json").write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
     shutil.copy(policy, folder / "policy.onnx")
-    settings = policy.with_name("config.toml")
-    named = re.search('^robot = "(.*?)"', settings.read_text(), re.M) if settings.exists() else None
-    if robot is None and named is None:
+    beside = policy.with_name("config.toml")
+    settings = beside.read_text(encoding="utf-8") if beside.exists() else ""
+    robot = robot or _value(settings, "robot")
+    if not robot:
         raise ValueError("%s: no config.toml beside it says which robot; give --robot" % policy)
-    model = Path(robot_path(robot or named.group(1)))
+    model = Path(robot_path(robot))
     name = model.name.removesuffix(".robot.toml")
     (folder / "robot").mkdir()
-    mjcf = re.search('^mjcf *= *"(.*?)"', model.read_text(), re.M)
-    for path in [model] + ([model.with_name(mjcf.group(1))] if mjcf else []):
+    for path in (model, model.with_name(_value(model.read_text(encoding="utf-8"), "mjcf"))):
         shutil.copy(path, folder / "robot")
-    if settings.exists():
-        text = re.sub('^robot = ".*?"', 'robot = "robot/%s.robot.toml"' % name, settings.read_text(), flags=re.M)
-        (folder / "config.toml").write_text(text, encoding="utf-8")
+    if settings:
+        ground = Path(_value(settings, "map"))
+        moved = {"robot": "robot/" + model.name, "map": "ground" + ground.suffix}
+        if ground.name:
+            shutil.copy(ground, folder / moved["map"])
+        settings = re.sub('^(robot|map) = ".+"', lambda key: '%s = "%s"' % (key[1], moved[key[1]]), settings, flags=re.M)
+        (folder / "config.toml").write_text(settings, encoding="utf-8")
     evaluation: Dict[str, Any] = {}
     if manifest["evaluation"] is not None:
         evaluation = manifest["evaluation"]
@@ -92,6 +97,12 @@ def _fill(policy: Path, folder: Path, robot: "str | None") -> None:
         table=table(evaluation.get("scenarios", [])),
     )
     (folder / "README.md").write_text(card, encoding="utf-8")
+
+
+def _value(text: str, key: str) -> str:
+    """The string of a key of a TOML text, or none."""
+    found = re.search("^%s *= *[\"'](.*?)[\"']" % key, text, re.M)
+    return found.group(1) if found else ""
 
 
 def table(scenarios: List[Dict[str, Any]]) -> str:

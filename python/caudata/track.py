@@ -1,7 +1,8 @@
 """``python -m caudata.track RUN --to wandb`` (or ``mlflow``): a training in a tracker, while it goes on or afterwards.
 
-It reads what the training writes into its run folder; the tracker's own package sends it to where that package is
-set up to. Curves have the names that TensorBoard shows; settings, policy and evaluation come with them.
+``caudata train --logger wandb`` starts it beside a training. It reads what the training writes into its run folder; the
+tracker's own package sends it to where that package is set up to. Curves have the names that TensorBoard shows;
+settings, policy and evaluation come with them.
 """
 
 from __future__ import annotations
@@ -9,7 +10,9 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import signal
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, NamedTuple
@@ -17,6 +20,8 @@ from typing import Any, Callable, Dict, Iterator, NamedTuple
 _FILES = ("config.toml", "changes.toml", "policy.onnx", "evaluation.html", "report.json")
 _TRAIN = {"mean_return": "Train/mean_reward", "mean_episode_length": "Train/mean_episode_length"}
 _LOOK_EVERY_S = 0.5
+_OVER = threading.Event()
+"""Nothing more comes: what is there is handed over at once."""
 
 
 class Tracker(NamedTuple):
@@ -31,6 +36,7 @@ def wandb(name: str, settings: Dict[str, Any]) -> Tracker:
     """A run of this name in Weights & Biases, as its package is set up."""
     package = importlib.import_module("wandb")
     run = package.init(project="caudata", name=name, config=settings)
+    print("tracked at %s" % (run.url or run.dir), flush=True)
 
     def file(path: Path) -> None:
         run.save(str(path), base_path=str(path.parent), policy="now")
@@ -43,6 +49,7 @@ def mlflow(name: str, settings: Dict[str, Any]) -> Tracker:
     package = importlib.import_module("mlflow")
     package.set_experiment("caudata")
     package.start_run(run_name=name)
+    print("tracked at %s" % package.get_tracking_uri(), flush=True)
     package.log_params({key: str(value)[:500] for key, value in settings.items()})
     return Tracker(
         lambda values, step: package.log_metrics(values, step=step),
@@ -54,23 +61,47 @@ def mlflow(name: str, settings: Dict[str, Any]) -> Tracker:
 TRACKERS = {"wandb": wandb, "mlflow": mlflow}
 
 
-def events(path: Path, patience_s: float) -> Iterator[Dict[str, Any]]:
-    """The events of a training, those still to come too, until it has finished or was silent for too long."""
+def events(run: Path, patience_s: float) -> Iterator[Dict[str, Any]]:
+    """The events of a training, those still to come too, until it is over or was silent for too long.
+
+    One that went on has finished several times. After the last time there is an evaluation to come.
+    """
     end = time.monotonic() + patience_s
-    with open(path, encoding="utf-8") as file:
+    finished = None
+    with open(run / "progress.jsonl", encoding="utf-8") as file:
         line = ""
-        while time.monotonic() < end:
+        while True:
+            last_look = _OVER.is_set()
             line += file.readline()
-            if not line.endswith("\n"):  # the rest is still being written
-                time.sleep(_LOOK_EVERY_S)
+            if not line.endswith("\n"):  # the rest is still being written, or comes later
+                late = time.monotonic() >= end
+                if last_look or (finished and (late or finished["reason"] != "completed" or _evaluated(run, finished))):
+                    return
+                if late:
+                    raise TimeoutError("nothing came for %g s, and the training has not finished" % patience_s)
+                _OVER.wait(_LOOK_EVERY_S)
                 continue
             event, line, end = json.loads(line), "", time.monotonic() + patience_s
             if "event" not in event:
                 raise ValueError("a line is no event of a training")
             yield event
-            if event["event"] == "finished":
-                return
-    raise TimeoutError("nothing came for %g s, and the training has not finished" % patience_s)
+            finished = event if event["event"] == "finished" else None
+
+
+def _evaluated(run: Path, finished: Dict[str, Any]) -> bool:
+    """Whether the report is there, and not the one of before the training went on."""
+    return _report(run).get("finished", {}).get("policy_sha256") == finished["policy_sha256"]
+
+
+def _report(run: Path) -> Dict[str, Any]:
+    report = run / "report.json"
+    return json.loads(report.read_text(encoding="utf-8")) if report.exists() else {}
+
+
+def evaluation(run: Path) -> Dict[str, float]:
+    """What the evaluation at the end of a training measured, means over its episodes."""
+    found = (_report(run).get("evaluation") or {}).items()
+    return {"Evaluation/" + key: value["mean"] for key, value in found if isinstance(value, dict) and "mean" in value}
 
 
 def curves(event: Dict[str, Any]) -> Dict[str, float]:
@@ -109,12 +140,14 @@ def track(run: Path, to: str, patience_s: float) -> int:
     :raises ValueError: ``progress.jsonl`` is not of a training
     """
     tracker = TRACKERS[to](run.resolve().name, settings((run / "config.toml").read_text(encoding="utf-8")))
-    count = 0
+    count = last = 0
     try:
-        for event in events(run / "progress.jsonl", patience_s):
+        for event in events(run, patience_s):
             if event["event"] == "iteration":
-                count += 1
-                tracker.curves(curves(event), event["iteration"])
+                count, last = count + 1, event["iteration"]
+                tracker.curves(curves(event), last)
+        if evaluation(run):
+            tracker.curves(evaluation(run), last)
         for path in (run / name for name in _FILES):
             if path.exists():
                 tracker.file(path)
@@ -129,8 +162,14 @@ def main() -> int:
     parser.add_argument("--to", choices=sorted(TRACKERS), required=True, help="the tracker; its package is installed")
     parser.add_argument("--patience", type=float, default=300.0, help="longest wait for the next iteration, s")
     options = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: _OVER.set())
+    # Trackers write folders called like their packages, which hide these, or seem to be them.
+    sys.path = [folder for folder in sys.path if Path(folder).resolve() != Path.cwd()]
     try:
-        print("%d iterations" % track(options.run, options.to, options.patience))
+        count = track(options.run, options.to, options.patience)
+        # It may be told so while Python ends, which takes no more signals.
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        print("%d iterations are in %s" % (count, options.to))
     except ModuleNotFoundError as missing:
         print("error: %s; `pip install %s`" % (missing, options.to), file=sys.stderr)
         return 69
@@ -140,6 +179,10 @@ def main() -> int:
     except (OSError, ValueError) as error:
         print("error: %s: %s" % (options.run, error), file=sys.stderr)
         return 66
+    except Exception as error:  # whatever the tracker's package has
+        said = " ".join(str(error).split())
+        print("error: %s: %s: %s" % (options.to, type(error).__name__, said), file=sys.stderr)
+        return 69
     return 0
 
 

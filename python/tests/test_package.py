@@ -122,6 +122,40 @@ class Package(unittest.TestCase):
             with self.assertRaises(FileExistsError):
                 hub.export(caudata.policy_path("quadruped"), folder, "quadruped")
 
+    def test_a_folder_for_a_hub_has_all_that_an_imported_robot_and_its_ground_need(self):
+        from caudata import hub
+
+        box = [(x, y, z) for x in (-0.19, 0.19) for y in (-0.05, 0.05) for z in (-0.06, 0.06)]
+        sides = "124 143 578 586 156 162 348 387 137 175 268 284".split()
+        lines = ["v %g %g %g" % corner for corner in box] + ["f " + " ".join(side) for side in sides]
+        shipped = caudata.robot_path("quadruped").with_name("quadruped.xml").read_text()
+        trunk = 'name="trunk_box" type="box" size="0.1881 0.0468 0.057"'
+        self.assertIn(trunk, shipped)
+        meshed = shipped.replace(trunk, 'name="trunk_box" type="mesh" mesh="trunk"')
+        meshed = meshed.replace("<worldbody>", '<asset><mesh name="trunk" file="trunk.obj"/></asset><worldbody>')
+        with tempfile.TemporaryDirectory() as scratch:
+            here = pathlib.Path(scratch, "here")
+            here.mkdir()
+            (here / "trunk.obj").write_text("\n".join(lines) + "\n")
+            (here / "dog.xml").write_text(meshed)
+            (here / "hills.csv").write_text("0,0,0\n0,1,0\n0,0,0\n")
+            caudata.run("robot", "import", here / "dog.xml", "--out", here, "--name", "dog2", quiet=True)
+            ground = {"terrain.kind": "map", "terrain.map": str(here / "hills.csv")}
+            envs = caudata.make_vec(str(here / "dog2.robot.toml"), num_envs=1, settings=ground)
+            width, actions = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
+            still = [(np.zeros((actions, width), np.float32), np.zeros(actions, np.float32))]
+            policy = caudata.write_policy(here / "policy.onnx", envs, still, activation="elu")
+            folder = hub.export(pathlib.Path(policy), pathlib.Path(scratch, "dog"))
+            here.rename(pathlib.Path(scratch, "away"))
+            names = {str(path.relative_to(folder)) for path in folder.rglob("*")}
+            self.assertLessEqual({"robot/dog2.robot.toml", "robot/dog2.xml", "ground.csv", "config.toml"}, names)
+            settings = (folder / "config.toml").read_text()
+            self.assertNotIn(str(here), settings)
+            self.addCleanup(os.chdir, os.getcwd())
+            os.chdir(folder)
+            caudata.run("eval", "policy.onnx", "--episodes", "1", "--seconds", "4", quiet=True)
+            os.chdir("/")
+
     def test_a_training_is_handed_to_a_tracker_while_it_goes_on(self):
         from caudata import track
 
@@ -132,10 +166,15 @@ class Package(unittest.TestCase):
             end = lambda: got.update(ended=got["ended"] + 1)  # noqa: E731
             return track.Tracker(lambda *point: got["curves"].append(point), got["files"].append, end)
 
+        def finished(sha256, reason="completed"):
+            return {"event": "finished", "reason": reason, "policy_sha256": sha256}
+
         events = [
             {"event": "started", "run_id": "walk"},
             {"event": "iteration", "iteration": 7, "mean_return": 2.5, "kl": 0.01, "reward_terms": {"slip": -1.0}},
-            {"event": "finished"},
+            finished("a", "SIGTERM"),
+            {"event": "iteration", "iteration": 8, "mean_return": None, "kl": 0.02, "reward_terms": {}},
+            finished("b"),
         ]
         lines = "".join(json.dumps(event) + "\n" for event in events)
         with tempfile.TemporaryDirectory() as scratch, mock.patch.dict(track.TRACKERS, {"wandb": tracker}):
@@ -145,17 +184,53 @@ class Package(unittest.TestCase):
             half = len(lines) // 2
             (run / "progress.jsonl").write_text(lines[:half])
 
-            def go_on(_):
-                with open(run / "progress.jsonl", "a") as file:
-                    file.write(lines[half:])
+            # The rest of a line comes late, then the report of the run before it went on, then its own.
+            def go_on(_, reports=iter("ab")):
+                if (run / "progress.jsonl").stat().st_size < len(lines):
+                    with open(run / "progress.jsonl", "a") as file:
+                        file.write(lines[half:])
+                report = {"finished": finished(next(reports)), "evaluation": {"vx_mps": {"mean": 0.3}, "name": "flat"}}
+                (run / "report.json").write_text(json.dumps(report))
 
-            with mock.patch("caudata.track.time.sleep", go_on):
-                self.assertEqual(track.track(run, "wandb", 60), 1)
+            with mock.patch("caudata.track._OVER.wait", go_on):
+                self.assertEqual(track.track(run, "wandb", 60), 2)
         values = {"Train/mean_reward": 2.5, "Caudata/kl": 0.01, "Episode/slip": -1.0}
-        self.assertEqual(got["curves"], [(values, 7)])
-        self.assertEqual((got["name"], [path.name for path in got["files"]]), ("walk", ["config.toml"]))
+        self.assertEqual(got["curves"], [(values, 7), ({"Caudata/kl": 0.02}, 8), ({"Evaluation/vx_mps": 0.3}, 8)])
+        files = [path.name for path in got["files"]]
+        self.assertEqual((got["name"], files), ("walk", ["config.toml", "report.json"]))
         self.assertEqual(got["ended"], 1)
         self.assertIn(got["seed"], (3, None))  # None: Python 3.10 reads no TOML
+
+    def test_a_tracker_that_is_told_that_the_run_is_over_hands_over_what_is_there(self):
+        with tempfile.TemporaryDirectory() as scratch:
+            run = pathlib.Path(scratch, "run")
+            run.mkdir()
+            (run / "config.toml").write_text("")
+            event = {"event": "iteration", "iteration": 1, "kl": 0.5, "reward_terms": {}}
+            (run / "progress.jsonl").write_text(json.dumps(event) + "\n{")
+            (run / "wandb").mkdir()  # what the package itself writes there
+            # As those packages would be, each call a line.
+            (run / "stubs").mkdir()
+            (run / "stubs" / "wandb.py").write_text(
+                "class Run:\n url = 'here'\n def log(self, values, step): print(step, values)\n"
+                " def save(self, path, **_): print(path)\n def finish(self): print('end')\n"
+                "init = lambda **_: Run()\n"
+            )
+            command = [sys.executable, "-m", "caudata.track", ".", "--to", "wandb"]
+            stubs = {"cwd": run, "env": {**os.environ, "PYTHONPATH": str(run / "stubs")}, "text": True}
+            with subprocess.Popen(command, stdout=subprocess.PIPE, **stubs) as tracker:
+                self.assertEqual(tracker.stdout.readline(), "tracked at here\n")
+                tracker.terminate()
+                rest = tracker.communicate(timeout=60)[0].splitlines()
+            self.assertEqual(rest, ["1 {'Caudata/kl': 0.5}", "config.toml", "end", "1 iterations are in wandb"])
+            self.assertEqual(tracker.returncode, 0)
+            for fault, said in (
+                ("import no_such_package", "No module named 'no_such_package'; `pip install mlflow`"),
+                ("raise RuntimeError('no key:\\n log in')", "mlflow: RuntimeError: no key: log in"),
+            ):
+                (run / "stubs" / "mlflow.py").write_text(fault)
+                done = subprocess.run(command[:-1] + ["mlflow"], capture_output=True, **stubs)
+                self.assertEqual((done.returncode, done.stderr), (69, "error: %s\n" % said))
 
     @needs("nbclient", "ipykernel")
     def test_the_notebook_runs(self):
@@ -178,6 +253,11 @@ class Package(unittest.TestCase):
         with self.assertRaisesRegex(caudata.ProgramError, "unicorn") as raised:
             caudata.run("eval", "unicorn.onnx", quiet=True)
         self.assertEqual(raised.exception.code, 66)
+
+    def test_the_set_up_explains_itself_before_it_loads_anything(self):
+        done = subprocess.run([sys.executable, "-m", "caudata.setup", "--help"], capture_output=True, text=True)
+        self.assertEqual((done.returncode, done.stderr), (0, ""))
+        self.assertIn("libtorch", done.stdout)
 
     def test_an_evaluation(self):
         out = caudata.evaluate("flat", preset="flat", episodes=4, seconds=6)
@@ -225,8 +305,31 @@ class Package(unittest.TestCase):
             with open(back) as file:
                 self.assertEqual(file.readline().split(",")[0], "t")
 
+    def test_an_evaluation_opens_in_the_tools_of_ros(self):
+        with tempfile.TemporaryDirectory() as folder:
+            logs, out = os.path.join(folder, "logs"), os.path.join(folder, "walk.mcap")
+            words = ["--suite", "rough", "--episodes", "1", "--seconds", "5", "--log", logs]
+            caudata.run("eval", caudata.policy_path("rough"), *words, quiet=True)
+            self.assertEqual(len(os.listdir(logs)), 3)
+            with self.assertRaisesRegex(caudata.ProgramError, "not empty"):
+                caudata.run("eval", caudata.policy_path("rough"), *words, quiet=True)
+            caudata.run("log", "convert", os.path.join(logs, sorted(os.listdir(logs))[0]), "--out", out)
+            with open(out, "rb") as file:
+                summary = mcap_summary(file)
+            # 5 s at 50 Hz; the step that ends an episode begins the next.
+            self.assertEqual(len(summary["/joint_states"][1]), 249)
+            begin, end = (pose.pose.position for pose in summary["/base/pose"][1][::248])
+            self.assertGreater(np.hypot(end.x - begin.x, end.y - begin.y), 1.0)  # 5 s at 0.3 m/s, with a start
+            self.assertIn("<robot", summary["/robot_description"][1][0].data)
+
     def test_an_own_reward(self):
         self.assertIn("mean reward", example("own_reward.py"))
+
+    def test_the_examples_are_in_the_package(self):
+        command = [sys.executable, "-m", "caudata.examples.own_reward"]
+        self.assertIn("mean reward", subprocess.run(command, capture_output=True, text=True).stdout)
+        there = {path.name for path in (pathlib.Path(caudata.__file__).parent / "examples").iterdir()}
+        self.assertLessEqual({path.name for path in EXAMPLES.glob("*.*")}, there)
 
     @needs("torch")
     def test_ppo(self):

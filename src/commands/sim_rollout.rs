@@ -493,6 +493,85 @@ mod tests {
         assert_eq!(hip, [0.0, 0.1, 0.2, 0.3, 0.4]);
     }
 
+    #[derive(clap::Parser)]
+    struct Command {
+        #[command(flatten)]
+        rollout: RolloutArgs,
+    }
+
+    /// Columns `pos`, `vel` and `tau` of the weight that one servo swings, after commands in a file.
+    fn swung(csv: &str, flags: &str) -> [Vec<f64>; 3] {
+        let dir = tempfile::tempdir().unwrap();
+        let path = |name: &str| dir.path().join(name).display().to_string();
+        std::fs::write(path("c.csv"), csv).unwrap();
+        let robot = concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/robots/xl330_pendulum.robot.toml"
+        );
+        let (commands, out) = (path("c.csv"), path("t.csv"));
+        let paths = [
+            "rollout",
+            "--robot",
+            robot,
+            "--commands",
+            &commands,
+            "--out",
+            &out,
+        ];
+        let line = paths.into_iter().chain(flags.split_whitespace());
+        let args = <Command as clap::Parser>::parse_from(line).rollout;
+        run(&args, &StopFlag::default()).unwrap();
+        let table = Table::read(Path::new(&out)).unwrap();
+        [Signal::Position, Signal::Velocity, Signal::Torque].map(|signal| {
+            let column = table.column(&signal("swing".to_owned())).unwrap();
+            column.iter().map(|x| x.unwrap()).collect()
+        })
+    }
+
+    /// Hangs still, is sent to `rad` from `jump_s` on, and is looked at until 1 s.
+    fn jump(jump_s: f64, rad: f64, flags: &str) -> [Vec<f64>; 3] {
+        swung(
+            &format!("t,cmd.swing\n0,0\n{jump_s:.2},{rad}\n1,{rad}\n"),
+            flags,
+        )
+    }
+
+    /// The duty of a position loop is a spring (0.886 N·m/rad) behind the back-EMF (0.0482 N·m·s/rad), as the robot's
+    /// file says. A row tells where the weight is and what pulls at it at that instant, so that both go together; the
+    /// mean of the ten steps of a row is of 10 ms before.
+    #[test]
+    fn a_torque_is_of_the_instant_of_its_row() {
+        let [pos, vel, tau] = jump(0.1, 0.5, "");
+        let [_, _, each_step] = jump(0.1, 0.5, "--rate-hz 500");
+        let (mut law, mut mean): (f64, f64) = (0.0, 0.0);
+        for row in 6..=50 {
+            assert_eq!(tau[row], each_step[10 * row], "row {row}");
+            let told = 0.886 * (0.5 - pos[row]) - 0.0482 * vel[row];
+            law = law.max((told - tau[row]).abs());
+            let steps = &each_step[10 * row - 9..=10 * row];
+            mean = mean.max((steps.iter().sum::<f64>() / 10.0 - told).abs());
+        }
+        assert!(law < 0.01 && mean > 0.04, "{law} and {mean} N·m off");
+    }
+
+    /// A frame that is lost is lost for its control period: what is asked for later comes whole periods late.
+    #[test]
+    fn frames_are_lost_by_control_period() {
+        let lossy = "--set lane.command_loss.share=0.6 --set lane.command_loss.burst=2";
+        let late: Vec<usize> = (5..15)
+            .map(|row| {
+                let [pos, ..] = jump(0.02 * f64::from(row), 0.5, lossy);
+                let as_if = |late: u32| jump(0.02 * f64::from(row + late), 0.5, "")[0].clone();
+                let found = (0..10).position(|late| as_if(late) == pos);
+                found.unwrap_or_else(|| panic!("row {row}: {pos:?}"))
+            })
+            .collect();
+        assert!(
+            late.contains(&0) && late.iter().any(|&rows| rows > 1),
+            "{late:?}"
+        );
+    }
+
     #[test]
     fn any_rate_divides_into_steps_that_are_no_longer() {
         assert_eq!(steps(0.002, 50.0).unwrap(), (10, 0.002));

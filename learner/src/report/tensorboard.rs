@@ -1,16 +1,20 @@
-//! TensorBoard event files: TFRecord frames around protobuf events, scalars only.
+//! TensorBoard event files: TFRecord frames around protobuf events, scalars and the settings of a run.
 //!
-//! Formats: TensorFlow `core/util/event.proto`, `core/framework/summary.proto`,
-//! `core/lib/io/record_writer.h`.
+//! Formats: TensorFlow `core/util/event.proto`, `core/framework/summary.proto`, `core/framework/tensor.proto`,
+//! `core/lib/io/record_writer.h`; TensorBoard `plugins/hparams/plugin_data.proto`.
 
+use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
 use prost::Message;
+use serde_json::Value as Json;
 
 /// First event of every file; readers refuse files without it.
 const FILE_VERSION: &str = "brain.Event:2";
+/// `DT_STRING` of TensorFlow's `types.proto`.
+const STRING: i32 = 7;
 
 /// An event file that is being written. Scalars reach the disk with [`EventFile::flush`].
 #[derive(Debug)]
@@ -62,14 +66,46 @@ impl EventFile {
         let value = |(tag, value): &(String, f64)| Value {
             tag: tag.clone(),
             simple_value: Some(*value as f32),
+            ..Value::default()
         };
-        self.write(&Event {
-            wall_time: wall_time_s,
-            step: i64::try_from(step).unwrap_or(i64::MAX),
-            file_version: None,
-            summary: Some(Summary {
-                value: scalars.iter().map(value).collect(),
+        let step = i64::try_from(step).unwrap_or(i64::MAX);
+        self.summary(wall_time_s, step, scalars.iter().map(value).collect())
+    }
+
+    /// Adds the settings of a run: each as a hyperparameter, all as `text`.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn settings(&mut self, wall_time_s: f64, settings: &Json, text: &str) -> io::Result<()> {
+        let mut start = SessionStart {
+            hparams: BTreeMap::new(),
+            start_time_s: wall_time_s,
+        };
+        start.add("", settings);
+        let start = Hparams { start: Some(start) };
+        let hparams = Value {
+            metadata: Metadata::of("hparams", start.encode_to_vec()),
+            ..Value::tagged("_hparams_/session_start_info")
+        };
+        // Markdown: what is indented is shown as it is.
+        let lines: String = text.lines().map(|line| format!("    {line}\n")).collect();
+        let text = Value {
+            metadata: Metadata::of("text", Vec::new()),
+            tensor: Some(Tensor {
+                dtype: STRING,
+                strings: vec![lines.into_bytes()],
             }),
+            ..Value::tagged("settings/text_summary")
+        };
+        self.summary(wall_time_s, 0, vec![hparams, text])
+    }
+
+    fn summary(&mut self, wall_time: f64, step: i64, value: Vec<Value>) -> io::Result<()> {
+        self.write(&Event {
+            wall_time,
+            step,
+            file_version: None,
+            summary: Some(Summary { value }),
         })
     }
 
@@ -112,6 +148,99 @@ struct Value {
     /// A member of a oneof: present even when zero.
     #[prost(float, optional, tag = "2")]
     simple_value: Option<f32>,
+    #[prost(message, optional, tag = "8")]
+    tensor: Option<Tensor>,
+    #[prost(message, optional, tag = "9")]
+    metadata: Option<Metadata>,
+}
+
+impl Value {
+    fn tagged(tag: &str) -> Self {
+        Self {
+            tag: tag.to_owned(),
+            ..Self::default()
+        }
+    }
+}
+
+/// `TensorProto` without a shape: a scalar.
+#[derive(Clone, PartialEq, Message)]
+struct Tensor {
+    #[prost(int32, tag = "1")]
+    dtype: i32,
+    #[prost(bytes = "vec", repeated, tag = "8")]
+    strings: Vec<Vec<u8>>,
+}
+
+/// `SummaryMetadata`: which dashboard a value is for.
+#[derive(Clone, PartialEq, Message)]
+struct Metadata {
+    #[prost(message, optional, tag = "1")]
+    plugin: Option<Plugin>,
+}
+
+#[derive(Clone, PartialEq, Message)]
+struct Plugin {
+    #[prost(string, tag = "1")]
+    name: String,
+    #[prost(bytes = "vec", tag = "2")]
+    content: Vec<u8>,
+}
+
+impl Metadata {
+    fn of(name: &str, content: Vec<u8>) -> Option<Self> {
+        let name = name.to_owned();
+        let plugin = Some(Plugin { name, content });
+        Some(Self { plugin })
+    }
+}
+
+/// `HParamsPluginData`.
+#[derive(Clone, PartialEq, Message)]
+struct Hparams {
+    #[prost(message, optional, tag = "3")]
+    start: Option<SessionStart>,
+}
+
+/// `SessionStartInfo`.
+#[derive(Clone, PartialEq, Message)]
+struct SessionStart {
+    #[prost(btree_map = "string, message", tag = "1")]
+    hparams: BTreeMap<String, Setting>,
+    #[prost(double, tag = "5")]
+    start_time_s: f64,
+}
+
+/// `google.protobuf.Value`, the members of its oneof that are used.
+#[derive(Clone, PartialEq, Message)]
+struct Setting {
+    #[prost(double, optional, tag = "2")]
+    number: Option<f64>,
+    #[prost(string, optional, tag = "3")]
+    text: Option<String>,
+    #[prost(bool, optional, tag = "4")]
+    switch: Option<bool>,
+}
+
+impl SessionStart {
+    /// Adds a setting, or those of a table, whose name is `key`.
+    fn add(&mut self, key: &str, value: &Json) {
+        if let Json::Object(table) = value {
+            for (name, value) in table {
+                let dot = if key.is_empty() { "" } else { "." };
+                self.add(&format!("{key}{dot}{name}"), value);
+            }
+            return;
+        }
+        let mut setting = Setting::default();
+        match value {
+            Json::Number(number) => setting.number = number.as_f64(),
+            Json::Bool(switch) => setting.switch = Some(*switch),
+            Json::String(text) => setting.text = Some(text.clone()),
+            other => setting.text = Some(other.to_string()),
+        }
+        self.hparams.insert(key.to_owned(), setting);
+    }
 }
 
 /// A TFRecord: length, its checksum, data, its checksum; little endian.
@@ -165,6 +294,29 @@ mod tests {
         assert_eq!(at(40, 48), "2300000000000000", "length 35");
         assert_eq!(at(52, 87), scalars);
         assert_eq!(bytes.len(), 12 + 24 + 4 + 12 + 35 + 4);
+    }
+
+    #[test]
+    fn settings_are_hyperparameters_and_a_text() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut events = EventFile::create(dir.path(), 2.0).unwrap();
+        let settings = serde_json::json!({ "run": { "seed": 3, "on": true }, "kind": [0.5] });
+        events.settings(4.0, &settings, "a = 1\n").unwrap();
+        events.flush().unwrap();
+        let file = std::fs::read_dir(dir.path()).unwrap().next().unwrap();
+        let bytes = hex(&std::fs::read(file.unwrap().path()).unwrap());
+        // field 1, length; key "run.seed" (8 bytes), value { number 3.0 }; likewise the others
+        let number = "0a15".to_owned() + "0a08" + &hex(b"run.seed") + "1209" + "110000000000000840";
+        let switch = "0a0c".to_owned() + "0a06" + &hex(b"run.on") + "1202" + "2001";
+        let list = "0a0f".to_owned() + "0a04" + &hex(b"kind") + "1207" + "1a05" + &hex(b"[0.5]");
+        let start = list + &switch + &number + "29" + "0000000000001040";
+        assert!(bytes.contains(&start), "{bytes}");
+        // tensor { dtype 7, string "    a = 1\n" }, metadata { plugin { name "text" } }
+        let tensor = "420e".to_owned() + "0807" + "420a" + &hex(b"    a = 1\n");
+        assert!(
+            bytes.contains(&(tensor + "4a08" + "0a06" + "0a04" + &hex(b"text"))),
+            "{bytes}"
+        );
     }
 
     #[test]

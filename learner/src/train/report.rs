@@ -7,6 +7,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use caudata_config::Config;
 use caudata_telemetry::progress::{self, Event, EventWriter};
 use caudata_telemetry::spans::{self, Part};
 use caudata_telemetry::{Advisor, IterationLoad, Pulse};
@@ -96,6 +97,19 @@ impl Reporter {
     /// What those tell who wait for actors.
     pub fn told(&self) -> (&LearnerMetrics, &Pulse) {
         (&self.metrics, &self.pulse)
+    }
+
+    /// Puts the settings of the run where TensorBoard shows them.
+    pub fn settings(&mut self, config: &Config) {
+        let Some(file) = &mut self.tensorboard else {
+            return;
+        };
+        let settings = serde_json::to_value(config).unwrap_or_default();
+        let text = config.to_toml().unwrap_or_default();
+        let written = file.settings(unix_time_s(), &settings, &text);
+        if let Err(error) = written.and_then(|()| file.flush()) {
+            self.failed("the TensorBoard file", &error.to_string());
+        }
     }
 
     pub fn event(&mut self, event: &Event) {

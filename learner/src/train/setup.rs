@@ -86,6 +86,7 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
     };
     let metrics = LearnerMetrics::register(&settings.metrics);
     let mut reporter = Reporter::new(&settings.run_dir, settings.events, metrics, settings.pulse);
+    reporter.settings(config);
     let incarnations = (0..config.actors.count).map(|id| accounting.next_incarnation(id));
     reporter.event(&Event::Started(Started {
         run_id: settings.run_id.clone(),

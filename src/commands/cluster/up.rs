@@ -10,6 +10,7 @@ use crate::commands::robot;
 use crate::commands::train::children::Programs;
 use crate::commands::train::folder::RunFolder;
 use crate::commands::train::supervise::{Plan, Supervisor};
+use crate::commands::train::tracker::{Logger, Tracker};
 use crate::commands::train::view::View;
 use crate::commands::train::{Resume, clear_if_refused};
 use crate::say;
@@ -19,6 +20,9 @@ pub struct UpArgs {
     /// Actors on this host; more join with `caudata actors`. Otherwise one for each core but one
     #[arg(long, value_name = "N")]
     actors: Option<u32>,
+    /// Hand the run to a tracker, by its Python package and the one of caudata (python3, or CAUDATA_PYTHON)
+    #[arg(long, value_enum, value_name = "TRACKER")]
+    logger: Option<Logger>,
     /// Events as JSON lines; the last line says how it ended
     #[arg(long)]
     json: bool,
@@ -57,8 +61,12 @@ pub fn run(args: &UpArgs, process: &Process) -> Result<(), Failure> {
         actors: args.actors.unwrap_or_else(spare_cores),
         restart_learner: true,
     };
+    let logger = args.logger.map(|logger| (logger, view.clone()));
     let supervisor = Supervisor::start(&programs, &config, &folder, &process.stop, view, plan);
+    let logger = logger.filter(|_| supervisor.is_ok());
+    let tracker = logger.and_then(|(logger, view)| Tracker::beside(&folder, logger, &view));
     let outcome = supervisor.and_then(Supervisor::watch);
+    drop(tracker);
     let mut outcome = outcome.inspect_err(|failure| clear_if_refused(&folder, failure))?;
     outcome.stop_server();
     let finished = &outcome.finished;

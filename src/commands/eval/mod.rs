@@ -1,5 +1,6 @@
 //! `caudata eval`: how well a policy walks, in simulation, without exploration noise.
 
+mod log;
 mod show;
 
 use std::path::{Path, PathBuf};
@@ -61,6 +62,9 @@ pub struct EvalArgs {
     /// Writes a page with tables, curves and a replay in three dimensions; it needs nothing but a browser
     #[arg(long, value_name = "OUT.html")]
     report: Option<PathBuf>,
+    /// Writes an episode of each scenario as a log folder below this one, which `caudata log convert` makes MCAP of
+    #[arg(long, value_name = "DIR")]
+    log: Option<PathBuf>,
     /// Writes a summary beside the policy (P.evaluation.json), bound to the policy's bytes; `caudata policy
     /// show` shows it
     #[arg(long)]
@@ -121,9 +125,12 @@ pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
         caudata_sim::mujoco::version()
             .map_err(|why| Failure::message(ExitCode::Unavailable, format!("no MuJoCo: {why}")))?;
     }
+    // before the work, not after it
     if let Some(path) = &args.report {
-        // before the work, not after it
         files::writable(path)?;
+    }
+    if let Some(root) = &args.log {
+        log::check(root)?;
     }
     let evaluation = Evaluation {
         config: &config,
@@ -134,7 +141,7 @@ pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
             episodes: args.episodes,
             episode_s: args.seconds,
             seed: args.seed,
-            film: args.report.is_some(),
+            film: args.report.is_some() || args.log.is_some(),
             ..Settings::default()
         },
         referee: args.engine.and_then(Engines::referee),
@@ -168,11 +175,15 @@ fn finish(
     outcomes: &[Outcome],
 ) -> Result<(), Failure> {
     let Evaluation {
+        config,
         model,
         policy,
         settings,
         ..
     } = evaluation;
+    if let Some(root) = &args.log {
+        log::write(root, outcomes, &config.robot_path(), model)?;
+    }
     if let Some(path) = &args.report {
         let page =
             report::page(result, outcomes, model, policy, settings).or_exit(ExitCode::Internal)?;

@@ -10,6 +10,7 @@ mod fork;
 mod robot;
 mod start;
 pub mod supervise;
+pub mod tracker;
 pub mod view;
 pub mod watched;
 
@@ -33,6 +34,7 @@ use folder::RunFolder;
 use fork::{Fork, Origin, same_training};
 pub use start::{Resume, clear_if_refused};
 use supervise::{Plan, Supervisor};
+use tracker::{Logger, Tracker};
 use view::View;
 
 #[derive(Debug, Args)]
@@ -65,6 +67,9 @@ pub struct TrainArgs {
     /// Make the changes of this record, each after its iteration: changes.toml of a run that is to be repeated
     #[arg(long, value_name = "FILE.toml", conflicts_with_all = ["resume", "resume_from"])]
     changes: Option<PathBuf>,
+    /// Hand the run to a tracker, by its Python package and the one of caudata (python3, or CAUDATA_PYTHON)
+    #[arg(long, value_enum, value_name = "TRACKER")]
+    logger: Option<Logger>,
     /// Events as JSON lines; the last line is the report
     #[arg(long)]
     json: bool,
@@ -103,16 +108,20 @@ pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
     let desk = Arc::new(Desk::open(folder.root(), &config)?);
     let page = live_page(args, &config, &model, &folder, &view, &desk);
     let shown = page.as_ref().map(|page| (page, desk.as_ref()));
+    let logger = args.logger.map(|logger| (logger, view.clone()));
     let supervisor = Supervisor::start(&programs, &config, &folder, &process.stop, view, plan);
     if let Err(failure) = &supervisor
         && args.resume() == Resume::No
     {
         folder.disown(start::is_refusal(failure.code()));
     }
-    let watched = supervisor?.shown_on(shown).watch();
+    let supervisor = supervisor?.shown_on(shown);
+    let tracker = logger.and_then(|(logger, view)| Tracker::beside(&folder, logger, &view));
+    let watched = supervisor.watch();
     let mut outcome = watched.inspect_err(|failure| clear_if_refused(&folder, failure))?;
     if outcome.finished.reason != "completed" {
         outcome.stop_server();
+        drop(tracker);
         return stopped_early(args, &folder, &outcome);
     }
     let report = finish::evaluate(&config, &folder, model, &mut outcome, &process.stop)
@@ -120,6 +129,7 @@ pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
     outcome.stop_server();
     let text = serde_json::to_string_pretty(&report).or_exit(ExitCode::Internal)?;
     folder.write("report.json", text.as_bytes())?;
+    drop(tracker);
     if args.json {
         say::json(&report)?;
     } else {

@@ -472,4 +472,4 @@ impl Outcome {
 }
 
 #[cfg(test)]
-mod tests;
+pub mod tests;

@@ -16,6 +16,7 @@ const PLAIN_EVERY: Duration = Duration::from_secs(1);
 const OWNER_PAUSE: Duration = Duration::from_millis(100);
 
 /// Where progress goes.
+#[derive(Clone)]
 pub enum View {
     /// Standard error is a terminal.
     Bar(ProgressBar),

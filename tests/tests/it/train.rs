@@ -108,8 +108,14 @@ fn episodes_that_end_at_once_are_told_of() {
         "task.termination.com_height_m=[0.5, 1.0]",
         "--set",
         "evaluation.robot_run_s=1",
+        "--logger",
+        "wandb",
     ];
-    let done = finish(train(&folder.path().join("run"), &flags).unwrap()).unwrap();
+    let mut run = train(&folder.path().join("run"), &flags).unwrap();
+    run.env("CAUDATA_PYTHON", "/no/python");
+    let done = finish(run).unwrap();
+    // That its tracker is not there does not stop it.
+    assert!(done.stdout.contains("no tracker: cannot start /no/python"));
     let told = done.stdout.matches("robot check").count();
     assert_eq!(told, 1, "{}", done.stdout);
 }

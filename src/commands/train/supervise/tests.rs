@@ -22,7 +22,7 @@ fn finished(reason: &str) -> String {
 
 /// Makes `text` a program. A shell writes it: a file that this process writes may still be open in the child
 /// of another test that is just being started, and is then too busy to be run.
-fn write_program(path: &Path, text: &str) {
+pub fn write_program(path: &Path, text: &str) {
     let mut shell = Command::new("/bin/sh");
     shell.args([
         "-c",

@@ -1,0 +1,77 @@
+//! One episode of each scenario as a log folder, which `caudata log convert` makes an MCAP file of.
+
+use std::path::Path;
+
+use caudata_evaluation::{Frame, Outcome, RobotPose};
+use caudata_model::RobotModel;
+use caudata_runlog::{Axis, BaseHold, LogMeta, LogWriter, QuatPart, Signal};
+use caudata_studies::files;
+use caudata_telemetry::{ExitCode, Failure, FailureExt};
+
+/// Makes the folder; one that holds something is refused.
+pub fn check(root: &Path) -> Result<(), Failure> {
+    files::make_folder(root)?;
+    let mut inside = root.read_dir().or_exit(ExitCode::CannotCreate)?;
+    match inside.next() {
+        None => Ok(()),
+        Some(_) => {
+            let message = format!("{} is not empty; give another --log", root.display());
+            Err(Failure::message(ExitCode::CannotCreate, message))
+        }
+    }
+}
+
+/// Writes the filmed episodes below `root`, each called after its scenario.
+pub fn write(
+    root: &Path,
+    outcomes: &[Outcome],
+    robot: &Path,
+    model: &RobotModel,
+) -> Result<(), Failure> {
+    let joints = model.actuated_names();
+    let feet = model.feet().iter().map(|foot| foot.name.clone());
+    let mut signals = Signal::each(Signal::Position, &joints);
+    signals.extend(Signal::each(Signal::Velocity, &joints));
+    signals.extend(Signal::each(Signal::Torque, &joints));
+    signals.extend(Axis::ALL.map(Signal::BasePosition));
+    signals.extend(QuatPart::ALL.map(Signal::BaseQuaternion));
+    signals.extend(feet.map(Signal::Contact));
+    for outcome in outcomes {
+        let (name, period_s) = (&outcome.result.name, outcome.period_s);
+        let robot = robot.display().to_string();
+        let mut meta = LogMeta::new(robot, BaseHold::Free, 1.0 / period_s);
+        meta.notes = format!("caudata eval, {name}");
+        let folder = root.join(name.replace([' ', '/'], "_"));
+        let log = LogWriter::create(&folder, &signals, &meta);
+        let mut log = log.or_exit(ExitCode::CannotCreate)?;
+        let film = outcome.film.iter();
+        let frames = film.flat_map(|film| film.trace.frames.iter().zip(&film.poses));
+        for (k, (frame, pose)) in frames.enumerate() {
+            let row = log.row(k as f64 * period_s, &row(frame, pose));
+            row.or_exit(ExitCode::IoError)?;
+        }
+        log.finish().or_exit(ExitCode::IoError)?;
+    }
+    Ok(())
+}
+
+fn row(frame: &Frame, pose: &RobotPose) -> Vec<Option<f64>> {
+    let contact: Vec<f32> = frame
+        .foot_force_n
+        .iter()
+        .map(|force_n| f32::from(u8::from(*force_n > 0.0)))
+        .collect();
+    let parts = [
+        &frame.joint_pos_rad[..],
+        &frame.joint_vel_radps,
+        &frame.torque_nm,
+        &pose.base_pos_m,
+        &pose.base_quat_wxyz,
+        &contact,
+    ];
+    parts
+        .concat()
+        .into_iter()
+        .map(|x| Some(f64::from(x)))
+        .collect()
+}
