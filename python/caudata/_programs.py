@@ -111,7 +111,7 @@ def needs_libtorch(name: str, words: List[str]) -> bool:
         return False
     command, *more = [word for word in words if not word.startswith("-")] or [""]
     trains = command in ("train", "up", "adapt", "sweep", "explain")
-    trains |= command == "bench" and more[:1] in (["explain"], ["lag"], ["skill"], ["train"])
+    trains |= command == "bench" and more[:1] in (["explain"], ["skill"], ["train"])
     return name == "caudata-learner" or (name == "caudata" and trains)
 
 

@@ -6,23 +6,26 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use caudata_deploy::command_link::{Commander, DATAGRAM, LinkKey};
 use caudata_deploy::tap::Tick;
+use caudata_model::{Pose, RobotModel};
 use caudata_runlog::ros::messages::{
-    DiagnosticArray, DiagnosticStatus, Header, Imu, JointState, Twist,
+    BatteryState, DiagnosticArray, DiagnosticStatus, Header, Imu, JointState, Text, TfMessage,
+    TransformStamped, Twist,
 };
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::{Config, Session, Wait};
 
 use crate::wire::{
-    self, DIAGNOSTIC_ARRAY, IMU, JOINT_STATE, MessageType, Node, Role, TWIST, Topic,
+    self, BATTERY_STATE, DIAGNOSTIC_ARRAY, IMU, JOINT_STATE, MessageType, Node, Role, STRING,
+    TF_MESSAGE, TWIST, Topic,
 };
 
 /// A velocity older than this is no longer passed on; the robot then stops by itself.
 const COMMAND_MAX_AGE: Duration = Duration::from_millis(500);
 /// How often the present velocity is sent.
 const SEND_EVERY: Duration = Duration::from_millis(50);
-/// Diagnostics once in so many ticks (1 s).
-const DIAGNOSTICS_EVERY: u64 = 50;
+/// Diagnostics, battery and description once in so many ticks (1 s).
+const SELDOM: u64 = 50;
 
 /// Why the door does not open.
 #[derive(Debug, thiserror::Error)]
@@ -59,6 +62,8 @@ pub struct Appearance {
     pub joints: Vec<String>,
     /// A motor's torque per ampere by joint, N·m/A, for the effort of joint states.
     pub torque_nm_per_a: Vec<f64>,
+    /// For its description and the places of its links.
+    pub robot: Arc<RobotModel>,
 }
 
 /// The velocity that came last, and when.
@@ -72,7 +77,10 @@ pub struct Door {
     gid: [u8; 16],
     joints: Out,
     imu: Out,
+    frames: Out,
     diagnostics: Out,
+    battery: Out,
+    description: Out,
     ticks: u64,
     velocity: Arc<Mutex<Newest>>,
     _tokens: Vec<LivelinessToken>,
@@ -142,6 +150,9 @@ impl Door {
                 Role::Publisher,
             ),
             (topic("cmd_vel", TWIST), Role::Subscriber),
+            (topic("tf", TF_MESSAGE), Role::Publisher),
+            (topic("battery_state", BATTERY_STATE), Role::Publisher),
+            (topic("robot_description", STRING), Role::Publisher),
         ];
         let declare = |token: String| {
             let declared = session.liveliness().declare_token(token).wait();
@@ -177,6 +188,9 @@ impl Door {
             joints: out(&topics[0].0)?,
             imu: out(&topics[1].0)?,
             diagnostics: out(&topics[2].0)?,
+            frames: out(&topics[4].0)?,
+            battery: out(&topics[5].0)?,
+            description: out(&topics[6].0)?,
             ticks: 0,
             velocity,
             _tokens: tokens,
@@ -194,17 +208,25 @@ impl Door {
         let unix_ns = unix_ns();
         let gid = self.gid;
         let look = &self.appearance;
-        let joints = joint_state(tick, unix_ns, look).encode();
-        let imu = imu(tick, unix_ns, look).encode();
-        let diagnostics = (self.ticks.is_multiple_of(DIAGNOSTICS_EVERY))
-            .then(|| diagnostics(tick, unix_ns, look).encode());
-        self.ticks += 1;
-        self.joints.put(gid, unix_ns, joints)?;
-        self.imu.put(gid, unix_ns, imu)?;
-        match diagnostics {
-            Some(payload) => self.diagnostics.put(gid, unix_ns, payload),
-            None => Ok(()),
+        self.joints
+            .put(gid, unix_ns, joint_state(tick, unix_ns, look).encode())?;
+        self.imu
+            .put(gid, unix_ns, imu(tick, unix_ns, look).encode())?;
+        self.frames
+            .put(gid, unix_ns, frames(tick, unix_ns, look).encode())?;
+        if self.ticks.is_multiple_of(SELDOM) {
+            let diagnostics = diagnostics(tick, unix_ns, look).encode();
+            let battery = BatteryState {
+                header: header(unix_ns, ""),
+                voltage_v: tick.supply_v,
+            };
+            let data = look.robot.to_urdf();
+            self.diagnostics.put(gid, unix_ns, diagnostics)?;
+            self.battery.put(gid, unix_ns, battery.encode())?;
+            self.description.put(gid, unix_ns, Text { data }.encode())?;
         }
+        self.ticks += 1;
+        Ok(())
     }
 
     /// The newest velocity that ROS commands, vx, vy (m/s), yaw rate (rad/s); `None` where it is too old to
@@ -286,10 +308,7 @@ pub fn joint_state(tick: &Tick, unix_ns: i64, look: &Appearance) -> JointState {
     let wide = |values: &[f32]| values.iter().map(|v| f64::from(*v)).collect();
     let effort = tick.current_a.iter().zip(&look.torque_nm_per_a);
     JointState {
-        header: Header {
-            stamp_ns: unix_ns,
-            frame: String::new(),
-        },
+        header: header(unix_ns, ""),
         name: look.joints.clone(),
         position: wide(&tick.pos_rad),
         velocity: wide(&tick.vel_radps),
@@ -300,13 +319,50 @@ pub fn joint_state(tick: &Tick, unix_ns: i64, look: &Appearance) -> JointState {
 /// Rates and accelerations; the direction of gravity alone is no orientation, so that none is claimed.
 pub fn imu(tick: &Tick, unix_ns: i64, look: &Appearance) -> Imu {
     Imu {
-        header: Header {
-            stamp_ns: unix_ns,
-            frame: look.imu_frame.clone(),
-        },
+        header: header(unix_ns, &look.imu_frame),
         orientation_wxyz: None,
         gyro_radps: tick.gyro_radps.map(f64::from),
         acc_mps2: tick.acc_mps2.map(f64::from),
+    }
+}
+
+/// Where the links are, each in the one that carries it, and the IMU. Where the first one is in the world nobody
+/// measures.
+pub fn frames(tick: &Tick, unix_ns: i64, look: &Appearance) -> TfMessage {
+    let robot = &look.robot;
+    let measured: Vec<f64> = tick.pos_rad.iter().map(|x| f64::from(*x)).collect();
+    let joints = robot.full_pos_rad(&measured);
+    let places = joints.and_then(|joints| robot.kinematics(&Pose::IDENTITY, &joints));
+    let places = places.unwrap_or_default().links;
+    let links = robot.links();
+    let frame = |outer: usize, name: &str, pose: Pose| {
+        let [w, x, y, z] = pose.quat_wxyz;
+        TransformStamped {
+            header: header(unix_ns, &links[outer].name),
+            child: name.to_owned(),
+            position_m: pose.pos_m,
+            orientation_xyzw: [x, y, z, w],
+        }
+    };
+    let of_links = links.iter().zip(&places).filter_map(|(link, place)| {
+        let outer = link.parent?;
+        Some(frame(
+            outer,
+            &link.name,
+            places[outer].inverse().compose(place),
+        ))
+    });
+    let imu = robot.imu_site();
+    let imu = imu.map(|site| frame(site.link, &look.imu_frame, site.link_from_site));
+    TfMessage {
+        transforms: of_links.chain(imu).collect(),
+    }
+}
+
+fn header(stamp_ns: i64, frame: &str) -> Header {
+    Header {
+        stamp_ns,
+        frame: frame.to_owned(),
     }
 }
 
@@ -318,10 +374,7 @@ pub fn diagnostics(tick: &Tick, unix_ns: i64, look: &Appearance) -> DiagnosticAr
     };
     let value = |key: &str, value: String| (key.to_owned(), value);
     DiagnosticArray {
-        header: Header {
-            stamp_ns: unix_ns,
-            frame: String::new(),
-        },
+        header: header(unix_ns, ""),
         status: vec![DiagnosticStatus {
             level,
             name: format!("{}: control loop", look.node),

@@ -1,8 +1,9 @@
-//! `caudata-ros2`: joint states, IMU and diagnostics of a robot for ROS 2, and velocity commands from it.
+//! `caudata-ros2`: joint states, frames, IMU, battery and diagnostics of a robot for ROS 2, and velocity commands from it.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode as OsExitCode;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use caudata_deploy::boundary::RunFolder;
@@ -22,12 +23,12 @@ const SILENCE: Duration = Duration::from_secs(5);
 /// Shows a robot that runs with `caudata-robot run --tap` to ROS 2 nodes on rmw_zenoh_cpp, and passes their
 /// velocities on to it.
 ///
-/// Topics: /joint_states, /imu/data, /diagnostics out; /cmd_vel (geometry_msgs/Twist) in, with --link-addr
-/// only.
+/// Topics: /joint_states, /imu/data, /tf, /battery_state, /robot_description, /diagnostics out; /cmd_vel
+/// (geometry_msgs/Twist) in, with --link-addr only.
 #[derive(Debug, Parser)]
 #[command(name = "caudata-ros2", version, max_term_width = 100, after_help = EXIT_CODES)]
 struct Args {
-    /// Robot file, for the names of the joints
+    /// Robot file, for the names of the joints, its description and its frames
     #[arg(
         long,
         value_name = "FILE.robot.toml",
@@ -114,6 +115,7 @@ fn run(args: &Args, process: &Process) -> Result<(), Failure> {
         imu_frame: args.imu_frame.clone(),
         torque_nm_per_a: torque.collect(),
         joints: joints.iter().map(|name| (*name).to_owned()).collect(),
+        robot: Arc::new(model.clone()),
     };
     let mut commands = match (args.link_addr, &args.link_key) {
         (Some(address), Some(key)) => {

@@ -34,6 +34,21 @@ pub const TWIST: MessageType = MessageType {
     name: "geometry_msgs/msg/Twist",
     hash: "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a",
 };
+/// `tf2_msgs/msg/TFMessage`.
+pub const TF_MESSAGE: MessageType = MessageType {
+    name: "tf2_msgs/msg/TFMessage",
+    hash: "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087",
+};
+/// `sensor_msgs/msg/BatteryState`.
+pub const BATTERY_STATE: MessageType = MessageType {
+    name: "sensor_msgs/msg/BatteryState",
+    hash: "RIHS01_4bee5dfce981c98faa6828b868307a0a73f992ed0789f374ee96c8f840e69741",
+};
+/// `std_msgs/msg/String`.
+pub const STRING: MessageType = MessageType {
+    name: "std_msgs/msg/String",
+    hash: "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
+};
 
 impl MessageType {
     /// As DDS writes it: `package::msg::dds_::Name_`.
@@ -208,8 +223,8 @@ mod tests {
     }
 
     /// REP 2016: the SHA-256 of the definition as JSON, with everything it refers to, sorted by name.
-    /// `fields` are (name, type id, capacity, nested type): 1 nested, 6 int32, 7 uint32, 11 float64, 16 byte,
-    /// 17 string; +48 an array, +144 a sequence.
+    /// `fields` are (name, type id, capacity, nested type): 1 nested, 3 uint8, 6 int32, 7 uint32, 10 float32, 11
+    /// float64, 15 boolean, 16 byte, 17 string; +48 an array, +144 a sequence.
     fn definition(name: &str) -> Value {
         let fields: &[(&str, u32, u32, &str)] = match name {
             "std_msgs/msg/String" => &[("data", 17, 0, "")],
@@ -224,6 +239,39 @@ mod tests {
                 ("y", 11, 0, ""),
                 ("z", 11, 0, ""),
                 ("w", 11, 0, ""),
+            ],
+            "geometry_msgs/msg/Transform" => &[
+                ("translation", 1, 0, "geometry_msgs/msg/Vector3"),
+                ("rotation", 1, 0, "geometry_msgs/msg/Quaternion"),
+            ],
+            "geometry_msgs/msg/TransformStamped" => &[
+                ("header", 1, 0, "std_msgs/msg/Header"),
+                ("child_frame_id", 17, 0, ""),
+                ("transform", 1, 0, "geometry_msgs/msg/Transform"),
+            ],
+            "tf2_msgs/msg/TFMessage" => &[(
+                "transforms",
+                1 + 144,
+                0,
+                "geometry_msgs/msg/TransformStamped",
+            )],
+            "sensor_msgs/msg/BatteryState" => &[
+                ("header", 1, 0, "std_msgs/msg/Header"),
+                ("voltage", 10, 0, ""),
+                ("temperature", 10, 0, ""),
+                ("current", 10, 0, ""),
+                ("charge", 10, 0, ""),
+                ("capacity", 10, 0, ""),
+                ("design_capacity", 10, 0, ""),
+                ("percentage", 10, 0, ""),
+                ("power_supply_status", 3, 0, ""),
+                ("power_supply_health", 3, 0, ""),
+                ("power_supply_technology", 3, 0, ""),
+                ("present", 15, 0, ""),
+                ("cell_voltage", 10 + 144, 0, ""),
+                ("cell_temperature", 10 + 144, 0, ""),
+                ("location", 17, 0, ""),
+                ("serial_number", 17, 0, ""),
             ],
             "geometry_msgs/msg/Twist" => &[
                 ("linear", 1, 0, "geometry_msgs/msg/Vector3"),
@@ -308,7 +356,15 @@ mod tests {
             hash("std_msgs/msg/String"),
             "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
         );
-        for message in [JOINT_STATE, IMU, DIAGNOSTIC_ARRAY, TWIST] {
+        for message in [
+            JOINT_STATE,
+            IMU,
+            DIAGNOSTIC_ARRAY,
+            TWIST,
+            TF_MESSAGE,
+            BATTERY_STATE,
+            STRING,
+        ] {
             assert_eq!(hash(message.name), message.hash, "{}", message.name);
         }
     }

@@ -6,14 +6,21 @@ use std::time::Duration;
 use caudata_deploy::command_link::{CommandLink, LinkKey, UdpLink};
 use caudata_deploy::motion::Stage;
 use caudata_deploy::tap::Tick;
+use caudata_model::RobotModel;
 use caudata_ros2::door::{Appearance, Commands, Door, settings};
-use caudata_runlog::ros::messages::{DiagnosticArray, Imu, JointState, Twist};
+use caudata_runlog::ros::messages::{
+    BatteryState, DiagnosticArray, Imu, JointState, Text, TfMessage, Twist,
+};
 use zenoh::{Config, Wait};
 
 const JOINTS: &str = "3/robot1/joint_states/sensor_msgs::msg::dds_::JointState_/RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e";
 const IMU: &str = "3/robot1/imu/data/sensor_msgs::msg::dds_::Imu_/RIHS01_7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b";
 const DIAGNOSTICS: &str = "3/diagnostics/diagnostic_msgs::msg::dds_::DiagnosticArray_/RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e";
 const VELOCITY: &str = "3/robot1/cmd_vel/geometry_msgs::msg::dds_::Twist_/RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a";
+
+const FRAMES: &str = "3/robot1/tf/tf2_msgs::msg::dds_::TFMessage_/RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087";
+const BATTERY: &str = "3/robot1/battery_state/sensor_msgs::msg::dds_::BatteryState_/RIHS01_4bee5dfce981c98faa6828b868307a0a73f992ed0789f374ee96c8f840e69741";
+const DESCRIPTION: &str = "3/robot1/robot_description/std_msgs::msg::dds_::String_/RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
 
 pub(crate) fn tick() -> Tick {
     Tick {
@@ -53,6 +60,14 @@ pub(crate) fn node(mode: &str, listen: &str) -> zenoh::Session {
     zenoh::open(config).wait().unwrap()
 }
 
+fn robot() -> RobotModel {
+    let file = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../../robots/polymander.robot.toml"
+    );
+    RobotModel::load(file.as_ref()).unwrap()
+}
+
 /// The door of a robot called `robot1` in domain 3.
 pub(crate) fn door_to(endpoint: &str) -> Door {
     let appearance = Appearance {
@@ -62,6 +77,7 @@ pub(crate) fn door_to(endpoint: &str) -> Door {
         imu_frame: "imu".to_owned(),
         joints: (0..16).map(|i| format!("joint_{i}")).collect(),
         torque_nm_per_a: vec![2.0; 16],
+        robot: robot().into(),
     };
     Door::open(settings(&[endpoint.to_owned()], &[]).unwrap(), appearance).unwrap()
 }
@@ -83,7 +99,8 @@ pub(crate) fn command_link() -> (UdpLink, Commands) {
 fn a_node_sees_the_robot_and_drives_it() {
     let endpoint = endpoint();
     let ros = node("peer", &endpoint);
-    let heard = [JOINTS, IMU, DIAGNOSTICS].map(|key| ros.declare_subscriber(key).wait().unwrap());
+    let heard = [JOINTS, IMU, DIAGNOSTICS, FRAMES, BATTERY, DESCRIPTION]
+        .map(|key| ros.declare_subscriber(key).wait().unwrap());
     let mut door = door_to(&endpoint);
 
     // Until the subscriptions have found their way nothing arrives; a person would see the topic appear.
@@ -122,14 +139,30 @@ fn a_node_sees_the_robot_and_drives_it() {
         (0, "Walk")
     );
 
-    // The graph: a node, three publishers, one subscriber, as `ros2 topic list` finds them.
+    // One frame for each link but the first, and the IMU; 0.01·i rad turn each link about its joint's axis.
+    let frames = TfMessage::decode(&first(3).payload().to_bytes()).unwrap();
+    let robot = robot();
+    assert_eq!(frames.transforms.len(), robot.links().len());
+    for (i, joint) in robot.actuated_names().into_iter().enumerate() {
+        let joint = robot.joints().iter().find(|j| j.name == joint).unwrap();
+        let link = &robot.links()[joint.child_link].name;
+        let frame = frames.transforms.iter().find(|frame| frame.child == *link);
+        let turned = frame.unwrap().orientation_xyzw[3];
+        assert!((turned - (0.005 * i as f64).cos()).abs() < 1e-6, "{link}");
+    }
+    let battery = BatteryState::decode(&first(4).payload().to_bytes()).unwrap();
+    assert_eq!(battery.voltage_v, 12.0);
+    let description = Text::decode(&first(5).payload().to_bytes()).unwrap();
+    assert_eq!(description.data, robot.to_urdf());
+
+    // The graph: a node, six publishers, one subscriber, as `ros2 topic list` finds them.
     let tokens = ros.liveliness().get("@ros2_lv/3/**").wait().unwrap();
     let mut seen: Vec<String> = tokens
         .iter()
         .filter_map(|reply| Some(reply.result().ok()?.key_expr().to_string()))
         .collect();
     seen.sort();
-    assert_eq!(seen.len(), 5, "{seen:#?}");
+    assert_eq!(seen.len(), 8, "{seen:#?}");
     assert!(seen.iter().any(|t| t.contains("/NN/%/%/salamander")));
     assert!(
         seen.iter()

@@ -69,6 +69,9 @@ fn lists_the_robot(graph: &Value) {
     for (topic, kind) in [
         ("/robot1/joint_states", "sensor_msgs/msg/JointState"),
         ("/robot1/imu/data", "sensor_msgs/msg/Imu"),
+        ("/robot1/tf", "tf2_msgs/msg/TFMessage"),
+        ("/robot1/battery_state", "sensor_msgs/msg/BatteryState"),
+        ("/robot1/robot_description", "std_msgs/msg/String"),
         ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
         ("/robot1/cmd_vel", "geometry_msgs/msg/Twist"),
     ] {
@@ -103,6 +106,13 @@ fn reads_the_robot(heard: &Value) {
         imu["linear_acceleration"],
         json!({ "x": 0.0, "y": 0.0, "z": 9.75 })
     );
+    let frame = &heard["tf"]["transforms"][0];
+    let outer = frame["header"]["frame_id"].as_str().unwrap();
+    let place = frame["transform"]["translation"]["x"].as_f64();
+    assert!(!outer.is_empty() && place.is_some(), "{frame}");
+    assert_eq!(heard["battery_state"]["voltage"], json!(12.0));
+    let description = heard["robot_description"]["data"].as_str().unwrap();
+    assert!(description.contains("<robot name="), "{description}");
     let status = &heard["diagnostics"]["status"][0];
     assert_eq!(
         (&status["level"], &status["message"]),

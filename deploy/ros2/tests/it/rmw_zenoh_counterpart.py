@@ -2,7 +2,7 @@
 
     rmw_zenoh_counterpart.py ROUTER_PORT
 
-Publishes /robot1/cmd_vel until it is stopped; once it has heard the three other topics it says, as one line of
+Publishes /robot1/cmd_vel until it is stopped; once it has heard the other topics it says, as one line of
 JSON, what it sees of the graph and the fields of the last message of each.
 """
 
@@ -19,8 +19,13 @@ from zenoh_ros2_sdk.message_registry import get_registry
 TOPICS = {
     "joint_states": "sensor_msgs/msg/JointState",
     "imu/data": "sensor_msgs/msg/Imu",
+    "tf": "tf2_msgs/msg/TFMessage",
+    "battery_state": "sensor_msgs/msg/BatteryState",
+    "robot_description": "std_msgs/msg/String",
     "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
 }
+# No wheel has this file of ROS; it has one line.
+FILES = {"tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms"}
 ROUTER = {"router_ip": "127.0.0.1", "router_port": int(sys.argv[1])}
 
 
@@ -31,7 +36,8 @@ def plain(value):
         return {name: plain(getattr(value, name)) for name in names}
     if isinstance(value, (list, tuple, np.ndarray)):
         return [plain(item) for item in value]
-    return value.item() if isinstance(value, np.generic) else value
+    value = value.item() if isinstance(value, np.generic) else value
+    return None if value != value else value  # JSON knows no NaN
 
 
 def graph():
@@ -44,7 +50,7 @@ def graph():
 
 
 def main():
-    get_registry(str(Path(sys.prefix) / "share"))
+    registry = get_registry(str(Path(sys.prefix) / "share"))
     heard, every = {}, threading.Event()
 
     def listen(topic):
@@ -55,7 +61,10 @@ def main():
 
         # Diagnostics have no namespace in ROS.
         name = "/" + topic if topic == "diagnostics" else "/robot1/" + topic
-        return ROS2Subscriber(name, TOPICS[topic], on_message, **ROUTER)
+        if TOPICS[topic] in FILES:
+            # Not before there is a session: this would open one to another router.
+            registry.load_message_type("geometry_msgs/msg/TransformStamped")
+        return ROS2Subscriber(name, TOPICS[topic], on_message, FILES.get(TOPICS[topic]), **ROUTER)
 
     subscriptions = [listen(topic) for topic in TOPICS]
     velocity = ROS2Publisher("/robot1/cmd_vel", "geometry_msgs/msg/Twist", **ROUTER)

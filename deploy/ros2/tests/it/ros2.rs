@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-use caudata_ros2::wire::{DIAGNOSTIC_ARRAY, IMU, JOINT_STATE, TWIST};
+use caudata_ros2::wire::{BATTERY_STATE, DIAGNOSTIC_ARRAY, IMU, JOINT_STATE, TWIST};
 use caudata_runlog::ros::messages::{
     BatteryState, DiagnosticArray, DiagnosticStatus, Header, Imu, JointState, PoseStamped, Twist,
     TwistStamped,
@@ -153,7 +153,7 @@ fn rows() -> Vec<Row> {
         row!(
             BatteryState,
             BatteryState::TYPE,
-            None,
+            Some(BATTERY_STATE.hash),
             BatteryState {
                 header: header(),
                 voltage_v: 12.5,
