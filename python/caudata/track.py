@@ -61,10 +61,29 @@ def mlflow(name: str, settings: Dict[str, Any]) -> Tracker:
 TRACKERS = {"wandb": wandb, "mlflow": mlflow}
 
 
-def events(run: Path, patience_s: float) -> Iterator[Dict[str, Any]]:
+class TrackerFault(Exception):
+    """Something that the tracker's own package said."""
+
+
+def _theirs(call: Callable[..., Any]) -> Callable[..., Any]:
+    """The same call of the tracker's package, whose faults are told from those of the run folder."""
+
+    def guarded(*args: Any) -> Any:
+        try:
+            return call(*args)
+        except ModuleNotFoundError:
+            raise
+        except Exception as error:
+            raise TrackerFault("%s: %s" % (type(error).__name__, " ".join(str(error).split()))) from error
+
+    return guarded
+
+
+def events(run: Path, patience_s: float, until_told: bool = False) -> Iterator[Dict[str, Any]]:
     """The events of a training, those still to come too, until it is over or was silent for too long.
 
-    One that went on has finished several times. After the last time there is an evaluation to come.
+    One that goes on has finished before: only who started it knows when it is over, and says so by SIGTERM
+    (``until_told``). Left alone it is over once it has finished; after that there is an evaluation to come.
     """
     end = time.monotonic() + patience_s
     finished = None
@@ -75,7 +94,7 @@ def events(run: Path, patience_s: float) -> Iterator[Dict[str, Any]]:
             line += file.readline()
             if not line.endswith("\n"):  # the rest is still being written, or comes later
                 late = time.monotonic() >= end
-                if last_look or (finished and (late or finished["reason"] != "completed" or _evaluated(run, finished))):
+                if last_look or (finished and (late or (not until_told and _is_over(run, finished)))):
                     return
                 if late:
                     raise TimeoutError("nothing came for %g s, and the training has not finished" % patience_s)
@@ -88,9 +107,10 @@ def events(run: Path, patience_s: float) -> Iterator[Dict[str, Any]]:
             finished = event if event["event"] == "finished" else None
 
 
-def _evaluated(run: Path, finished: Dict[str, Any]) -> bool:
-    """Whether the report is there, and not the one of before the training went on."""
-    return _report(run).get("finished", {}).get("policy_sha256") == finished["policy_sha256"]
+def _is_over(run: Path, finished: Dict[str, Any]) -> bool:
+    """Whether nothing comes after this end: the report is there, and not the one of before the training went on."""
+    evaluated = _report(run).get("finished", {}).get("policy_sha256") == finished["policy_sha256"]
+    return evaluated or finished["reason"] != "completed"
 
 
 def _report(run: Path) -> Dict[str, Any]:
@@ -130,19 +150,23 @@ def settings(text: str) -> Dict[str, Any]:
     return dict(flat(tomllib.loads(text), ""))
 
 
-def track(run: Path, to: str, patience_s: float) -> int:
+def track(run: Path, to: str, patience_s: float, until_told: bool = False) -> int:
     """Hands a training over.
 
     :param to: ``wandb`` or ``mlflow``, whose package is installed
-    :param patience_s: the longest wait for the next iteration, s
+    :param patience_s: the longest wait for the next iteration or the evaluation, s
+    :param until_told: only SIGTERM ends it, or patience
     :returns: how many iterations
     :raises TimeoutError: nothing came for that long, and the training had not finished
     :raises ValueError: ``progress.jsonl`` is not of a training
+    :raises TrackerFault: what the tracker's package raised
     """
-    tracker = TRACKERS[to](run.resolve().name, settings((run / "config.toml").read_text(encoding="utf-8")))
+    begin = _theirs(TRACKERS[to])
+    begun = begin(run.resolve().name, settings((run / "config.toml").read_text(encoding="utf-8")))
+    tracker = Tracker(*map(_theirs, begun))
     count = last = 0
     try:
-        for event in events(run, patience_s):
+        for event in events(run, patience_s, until_told):
             if event["event"] == "iteration":
                 count, last = count + 1, event["iteration"]
                 tracker.curves(curves(event), last)
@@ -160,13 +184,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m caudata.track", description=__doc__)
     parser.add_argument("run", type=Path, help="run folder")
     parser.add_argument("--to", choices=sorted(TRACKERS), required=True, help="the tracker; its package is installed")
-    parser.add_argument("--patience", type=float, default=300.0, help="longest wait for the next iteration, s")
+    parser.add_argument("--patience", type=float, default=300.0,
+                        help="longest wait for the next iteration or the evaluation, s")  # fmt: skip
+    parser.add_argument("--until-told", action="store_true", help="go on after an end until SIGTERM: it may be resumed")
     options = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: _OVER.set())
     # Trackers write folders called like their packages, which hide these, or seem to be them.
     sys.path = [folder for folder in sys.path if Path(folder).resolve() != Path.cwd()]
     try:
-        count = track(options.run, options.to, options.patience)
+        count = track(options.run, options.to, options.patience, options.until_told)
         # It may be told so while Python ends, which takes no more signals.
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
         print("%d iterations are in %s" % (count, options.to))
@@ -179,9 +205,8 @@ def main() -> int:
     except (OSError, ValueError) as error:
         print("error: %s: %s" % (options.run, error), file=sys.stderr)
         return 66
-    except Exception as error:  # whatever the tracker's package has
-        said = " ".join(str(error).split())
-        print("error: %s: %s: %s" % (options.to, type(error).__name__, said), file=sys.stderr)
+    except TrackerFault as fault:
+        print("error: %s: %s" % (options.to, fault), file=sys.stderr)
         return 69
     return 0
 

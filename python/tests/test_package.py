@@ -194,6 +194,14 @@ class Package(unittest.TestCase):
 
             with mock.patch("caudata.track._OVER.wait", go_on):
                 self.assertEqual(track.track(run, "wandb", 60), 2)
+            # Beside a run that goes on, an old end with its report is none.
+            (run / "progress.jsonl").write_text(lines)
+            for until_told, looks in ((True, 2), (False, 0)):
+                waits = []
+                over = mock.Mock(is_set=lambda waits=waits: len(waits) == 2, wait=waits.append)
+                with mock.patch("caudata.track._OVER", over):
+                    self.assertEqual(list(track.events(run, 60, until_told)), events)
+                self.assertEqual(len(waits), looks)
         values = {"Train/mean_reward": 2.5, "Caudata/kl": 0.01, "Episode/slip": -1.0}
         self.assertEqual(got["curves"], [(values, 7), ({"Caudata/kl": 0.02}, 8), ({"Evaluation/vx_mps": 0.3}, 8)])
         files = [path.name for path in got["files"]]

@@ -8,7 +8,7 @@ use caudata_config::{Config, ConfigArgs};
 use caudata_env::StartShift;
 use caudata_model::{Pose, RobotModel};
 use caudata_render::{Camera, Image, Quality, Scene, View, encode, render, robot_items};
-use caudata_runlog::{Axis, QuatPart, RunLog, Setting, Signal, Table};
+use caudata_runlog::{Axis, QuatPart, RunLog, Setting, Signal, Table, meta_file, rows_file};
 use caudata_sim::{InitialState, Terrain, TerrainConfig, TerrainKind};
 use caudata_studies::failures::stopped;
 use caudata_studies::{files, flags};
@@ -56,8 +56,8 @@ pub struct ShowArgs {
     /// How long a scene's robot settles before the picture, s
     #[arg(long, default_value_t = 1.0)]
     settle_s: f64,
-    /// Folder of a log to show, with its log.csv and log.toml
-    #[arg(long, value_name = "DIR")]
+    /// A log to show: a folder with its log.csv and log.toml, or NAME.csv with NAME.toml beside it
+    #[arg(long, value_name = "LOG")]
     log: Option<PathBuf>,
     /// A policy whose walk is drawn
     #[arg(long, value_name = "P.onnx", conflicts_with = "log")]
@@ -170,13 +170,12 @@ pub fn run(args: &ShowArgs, stop: &StopFlag) -> Result<(), Failure> {
     })
 }
 
-fn read_log(dir: &Path) -> Result<RunLog, Failure> {
-    let code = if dir.join("log.csv").exists() && dir.join("log.toml").exists() {
-        ExitCode::BadInput
-    } else {
-        ExitCode::NoInput
+fn read_log(log: &Path) -> Result<RunLog, Failure> {
+    let code = match rows_file(log).exists() && meta_file(log).exists() {
+        true => ExitCode::BadInput,
+        false => ExitCode::NoInput,
     };
-    RunLog::read(dir).or_exit_with(code, || format!("log {}", dir.display()))
+    RunLog::read(log).or_exit_with(code, || format!("log {}", log.display()))
 }
 
 /// Puts the flags' or the log's terrain into `config`; returns the seed.

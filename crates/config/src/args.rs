@@ -38,6 +38,21 @@ impl ConfigArgs {
         self.overrides.extend(robot.map(robot_assignment));
     }
 
+    /// Whether the file or an override has this key of a section.
+    pub fn sets(&self, section: &str, key: &str) -> bool {
+        let assigned = format!("{section}.{key}=");
+        let text = self.config.as_ref().map(std::fs::read_to_string);
+        let file = text
+            .and_then(Result::ok)
+            .and_then(|text| text.parse::<toml::Table>().ok());
+        let of_file = file.as_ref().and_then(|table| table.get(section)?.get(key));
+        of_file.is_some()
+            || self
+                .overrides
+                .iter()
+                .any(|o| o.replace(' ', "").starts_with(&assigned))
+    }
+
     /// Reads and checks the configuration that the flags describe.
     ///
     /// # Errors

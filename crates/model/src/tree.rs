@@ -16,6 +16,8 @@ const FILE_LIMIT_BYTES: u64 = 16 * 1024 * 1024;
 const DEPTH_LIMIT: usize = 68;
 /// Deepest chain of includes.
 const INCLUDE_LIMIT: usize = 16;
+/// Most files that are included in all: one that includes itself twice would be 2¹⁶.
+const INCLUDED_LIMIT: usize = 256;
 /// Largest magnitude of any number.
 const NUMBER_LIMIT: f64 = 1e9;
 
@@ -202,7 +204,7 @@ pub(crate) fn bytes(path: &Path) -> Result<Vec<u8>, ModelError> {
 /// Reads a file and everything that it includes.
 pub(crate) fn read(file: &Path, remarks: &mut Remarks) -> Result<Element, ModelError> {
     let mut root = parse(file)?;
-    include(&mut root, file, remarks, 0);
+    include(&mut root, file, remarks, (0, &mut 0));
     Ok(root)
 }
 
@@ -249,12 +251,17 @@ fn own(document: &Document<'_>, node: Node<'_, '_>, file: &str, depth: usize) ->
     })
 }
 
-/// Puts the children of included files in the place of `<include>`.
-fn include(element: &mut Element, file: &Path, remarks: &mut Remarks, depth: usize) {
+/// Puts the children of included files in the place of `<include>`. `depth` of the chain, and `count` of all files.
+fn include(
+    element: &mut Element,
+    file: &Path,
+    remarks: &mut Remarks,
+    (depth, count): (usize, &mut usize),
+) {
     let mut children = Vec::with_capacity(element.children.len());
     for mut child in std::mem::take(&mut element.children) {
         if child.tag != "include" || child.of_xacro {
-            include(&mut child, file, remarks, depth);
+            include(&mut child, file, remarks, (depth, count));
             children.push(child);
             continue;
         }
@@ -269,10 +276,18 @@ fn include(element: &mut Element, file: &Path, remarks: &mut Remarks, depth: usi
             );
             continue;
         }
+        *count += 1;
+        if *count > INCLUDED_LIMIT {
+            if *count == INCLUDED_LIMIT + 1 {
+                let message = format!("more than {INCLUDED_LIMIT} files are included in all");
+                remarks.refuse(&child, message);
+            }
+            continue;
+        }
         let path = file.with_file_name("").join(name);
         match parse(&path) {
             Ok(mut included) => {
-                include(&mut included, &path, remarks, depth + 1);
+                include(&mut included, &path, remarks, (depth + 1, count));
                 children.append(&mut included.children);
             }
             Err(error) => remarks.refuse(&child, format!("<include>: {error}")),

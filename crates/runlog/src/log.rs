@@ -57,6 +57,13 @@ pub fn read_rows(path: &Path) -> Result<Table, LogError> {
     }
 }
 
+/// Whether a file of circumstances says of which robot it is, as that of every log does.
+pub fn names_a_robot(meta: &Path) -> bool {
+    let text = read_text_at_most(meta, MAX_META_BYTES).unwrap_or_default();
+    text.lines()
+        .any(|line| line.trim_start().starts_with("robot"))
+}
+
 /// The file of a log's circumstances: `log.toml` of a folder; `NAME.toml` beside a file of rows, `NAME.csv`.
 pub fn meta_file(log: &Path) -> PathBuf {
     match log.is_file() {

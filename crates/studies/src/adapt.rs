@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use caudata_config::{Config, ConfigArgs};
 use caudata_evaluation::{Suite, SuiteResult};
 use caudata_gap::Report;
-use caudata_gap::check::run_name;
+use caudata_gap::check::run_names;
 use caudata_gap::report::{Cause, Parameter, Verdict};
 use caudata_runlog::{meta_file, rows_file};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
@@ -292,13 +292,11 @@ fn asked(plan: &Plan, config: &Config, policy: &str) -> Result<Asked, Failure> {
     ];
     let mut asked = out_folder::asked(config, &OWN_KEYS, flags);
     for (flag, dirs) in [("--log", &plan.logs), ("--holdout", &plan.holdouts)] {
-        for (number, dir) in (1..).zip(diagnosis::logs_at(dirs)?) {
-            let rows = files::sha256(&rows_file(&dir))?;
-            let about = files::sha256(&meta_file(&dir))?;
-            asked.insert(
-                format!("{flag} {number}"),
-                format!("{} {rows} {about}", run_name(&dir)),
-            );
+        let logs = diagnosis::logs_at(dirs)?;
+        for ((number, dir), name) in (1..).zip(&logs).zip(run_names(&logs)) {
+            let rows = files::sha256(&rows_file(dir))?;
+            let about = files::sha256(&meta_file(dir))?;
+            asked.insert(format!("{flag} {number}"), format!("{name} {rows} {about}"));
         }
     }
     Ok(asked)

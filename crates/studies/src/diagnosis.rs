@@ -1,17 +1,18 @@
 //! A diagnosis from logs into an output folder.
 
+use std::collections::BTreeSet;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use caudata_gap::check::{check_dirs, run_name};
+use caudata_gap::check::{check_dirs, run_names};
 use caudata_gap::report::{DataFault, Verdict};
 use caudata_gap::{
     Diagnosis, GapError, GoOn, Options, Progress, Report, Request, Role, Run, diagnose as find,
     excite, extension, page,
 };
 use caudata_model::RobotModel;
-use caudata_runlog::{CSV_NAME, ROWS, meta_file, rows_file};
+use caudata_runlog::{ROWS, meta_file, names_a_robot, rows_file};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
 use clap::Args;
 
@@ -123,15 +124,17 @@ pub fn diagnose(
     Ok(found.report)
 }
 
-/// The runs to use, and what a check says of them. A log that cannot be read is a fault; with none left, an
-/// error.
+/// The runs to use, and what a check says of them. What is held out is not fitted, also where it lies in a folder
+/// of logs to fit. A log that cannot be read is a fault; with none left, an error.
 fn runs(plan: &Plan, robot: &RobotModel) -> Result<(Vec<Run>, Vec<DataFault>), Failure> {
-    let mut dirs = Vec::new();
-    for (given, role) in [(&plan.logs, Role::Fit), (&plan.holdouts, Role::Holdout)] {
-        dirs.extend(logs_at(given)?.into_iter().map(|d| (d, role)));
-    }
-    let folders: Vec<&PathBuf> = dirs.iter().map(|(d, _)| d).collect();
-    let (logs, checked) = check_dirs(&folders, robot);
+    let held_out = logs_at(&plan.holdouts)?;
+    let kept: BTreeSet<PathBuf> = held_out.iter().map(|log| place(log)).collect();
+    let mut fitted = logs_at(&plan.logs)?;
+    fitted.retain(|log| !kept.contains(&place(log)));
+    let first_held_out = fitted.len();
+    let dirs = [fitted, held_out].concat();
+    let names = run_names(&dirs);
+    let (logs, checked) = check_dirs(&dirs, robot);
     if logs.is_empty() {
         let why = checked
             .faults
@@ -141,18 +144,36 @@ fn runs(plan: &Plan, robot: &RobotModel) -> Result<(Vec<Run>, Vec<DataFault>), F
     }
     // Logs come in the order of their folders, those that could not be read left out.
     let mut logs = logs.into_iter().peekable();
-    let mut runs = Vec::new();
-    for (dir, role) in dirs {
-        if let Some((name, log)) = logs.next_if(|(name, _)| *name == run_name(&dir)) {
-            runs.push(Run {
-                name,
-                log,
-                role,
-                sha256: files::sha256(&rows_file(&dir))?,
-            });
+    let mut runs: Vec<Run> = Vec::new();
+    for (number, (dir, name)) in dirs.iter().zip(&names).enumerate() {
+        let Some((name, log)) = logs.next_if(|(read, _)| read == name) else {
+            continue;
+        };
+        let sha256 = files::sha256(&rows_file(dir))?;
+        if let Some(same) = runs.iter().find(|run| run.sha256 == sha256) {
+            let message = format!(
+                "logs {} and {name} are the same rows, and no repeat; leave one out",
+                same.name
+            );
+            return Err(Failure::message(ExitCode::BadInput, message));
         }
+        let role = match number < first_held_out {
+            true => Role::Fit,
+            false => Role::Holdout,
+        };
+        runs.push(Run {
+            name,
+            log,
+            role,
+            sha256,
+        });
     }
     Ok((runs, checked.faults))
+}
+
+/// Where a log lies, however it was named.
+fn place(log: &Path) -> PathBuf {
+    log.canonicalize().unwrap_or_else(|_| log.to_owned())
 }
 
 /// The catalogue names kinds of trials; the report names one of the battery.
@@ -216,55 +237,96 @@ fn refused(error: GapError, stop: &StopFlag) -> Failure {
 
 const OTHER_RECORDINGS: &str = "`caudata gap import` makes log folders from other recordings";
 
-/// The logs that were named: each is one (a folder of `log.csv` and `log.toml`, or a file of rows that has its
-/// circumstances beside it, as `caudata sim rollout` writes them), or a folder that holds some.
+/// The logs that were named, each once: each is one (a folder of `log.csv` and `log.toml`, or a file of rows that
+/// has its circumstances beside it, as `caudata sim rollout` writes them), or a folder that holds some.
 ///
 /// # Errors
 /// When one is missing, has no circumstances, or holds no log.
 pub fn logs_at(given: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
     let mut out = Vec::new();
     for path in given {
-        if is_log(path) {
-            out.push(whole(path));
-            continue;
+        match log_of(path) {
+            Some(log) => out.push(log),
+            None if path.is_dir() => out.extend(logs_in(path)?),
+            // of a pair, whose rows are named too
+            None if ROWS.iter().any(|x| path.with_extension(x).is_file()) && !is_of_rows(path) => {}
+            None => return Err(no_log(path)),
         }
-        let shown = path.display();
-        if path.is_file() {
-            let beside = path.with_extension("toml");
-            let message = format!("log {shown}: {} is not beside it", beside.display());
-            return Err(Failure::message(ExitCode::BadInput, message).hint(OTHER_RECORDINGS));
-        }
-        let entries = std::fs::read_dir(path).map_err(|e| {
-            Failure::new(ExitCode::of_io(&e, false), e).context(format!("log {shown}"))
-        })?;
-        let entries = entries.filter_map(|e| Some(e.ok()?.path()));
-        let mut inside: Vec<PathBuf> = entries.filter(|p| is_log(p)).collect();
-        inside.sort();
-        // the same run as several kinds of files is one
-        inside.dedup_by_key(|p| meta_file(p));
-        if inside.is_empty() {
-            let message = format!(
-                "{shown} is no log and holds none (folders of log.csv and log.toml, or NAME.csv with NAME.toml)"
-            );
-            return Err(Failure::message(ExitCode::NoInput, message).hint(OTHER_RECORDINGS));
-        }
-        out.extend(inside);
     }
+    if let (Some(first), true) = (given.first(), out.is_empty()) {
+        return Err(no_log(first));
+    }
+    let mut seen = BTreeSet::new();
+    out.retain(|log| seen.insert(place(log)));
     Ok(out)
 }
 
-fn is_log(path: &Path) -> bool {
-    let rows = |x: &OsStr| ROWS.iter().any(|r| x == *r);
-    (path.is_dir() || path.extension().is_some_and(rows)) && meta_file(path).is_file()
+/// The logs in a folder. Files whose circumstances name no robot are passed over: a recording lies beside its map.
+fn logs_in(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
+    let shown = folder.display();
+    let entries = folder
+        .read_dir()
+        .or_exit_with(ExitCode::NoInput, || format!("log {shown}"))?;
+    let entries = entries.filter_map(|e| Some(e.ok()?.path()));
+    let known = |log: &PathBuf| log.is_dir() || names_a_robot(&meta_file(log));
+    let mut logs: Vec<PathBuf> = entries.filter_map(|p| log_of(&p).filter(known)).collect();
+    logs.sort();
+    // the same run as several kinds of files is one
+    logs.dedup_by_key(|log| meta_file(log));
+    if logs.is_empty() {
+        let message = format!(
+            "{shown} is no log and holds none (folders of log.csv and log.toml, or NAME.csv with NAME.toml)"
+        );
+        return Err(Failure::message(ExitCode::NoInput, message).hint(OTHER_RECORDINGS));
+    }
+    Ok(logs)
 }
 
-/// The folder whose rows were named, or `log` itself.
-fn whole(log: &Path) -> PathBuf {
-    let folder = log.parent().filter(|dir| !dir.as_os_str().is_empty());
-    match log.file_name() == Some(OsStr::new(CSV_NAME)) {
-        true => folder.unwrap_or(log).to_owned(),
-        false => log.to_owned(),
+/// Why a path that is no folder is no log.
+fn no_log(path: &Path) -> Failure {
+    let (code, why) = if !path.exists() {
+        (
+            ExitCode::NoInput,
+            "there is no such file or folder".to_owned(),
+        )
+    } else if is_of_rows(path) {
+        let beside = path.with_extension("toml");
+        (
+            ExitCode::BadInput,
+            format!("{} is not beside it", beside.display()),
+        )
+    } else {
+        (
+            ExitCode::BadInput,
+            format!("is no file of rows (.{})", ROWS.join(", .")),
+        )
+    };
+    let message = format!("log {}: {why}", path.display());
+    Failure::message(code, message).hint(OTHER_RECORDINGS)
+}
+
+/// The log that a path names: itself, or the folder whose rows it is.
+fn log_of(path: &Path) -> Option<PathBuf> {
+    if path.is_dir() {
+        return meta_file(path).is_file().then(|| path.to_owned());
     }
+    if !is_of_rows(path) {
+        return None;
+    }
+    let folder = match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    let is_whole = meta_file(folder).is_file() && rows_file(folder).file_name() == path.file_name();
+    match is_whole {
+        true => Some(folder.to_owned()),
+        false => meta_file(path).is_file().then(|| path.to_owned()),
+    }
+}
+
+fn is_of_rows(path: &Path) -> bool {
+    let is = |x: &OsStr| ROWS.iter().any(|rows| x == *rows);
+    path.extension().is_some_and(is)
 }
 
 /// The bytes of a robot file, and name and bytes of the MJCF beside it.
@@ -282,9 +344,73 @@ pub fn robot_files(path: &Path) -> Result<(Vec<u8>, String, Vec<u8>), Failure> {
 
 #[cfg(test)]
 mod tests {
-    use std::path::PathBuf;
+    use std::path::{Path, PathBuf};
 
-    use super::{logs_at, seconds};
+    use caudata_gap::Role;
+    use caudata_model::RobotModel;
+    use clap::Parser;
+
+    use super::{Plan, logs_at, runs, seconds};
+
+    #[derive(Parser)]
+    struct Command {
+        #[command(flatten)]
+        plan: Plan,
+    }
+
+    #[test]
+    fn what_is_held_out_is_not_fitted_and_the_same_rows_are_no_repeat() {
+        let dir = tempfile::tempdir().unwrap();
+        let robot =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join("../../robots/xl330_pendulum.robot.toml");
+        let model = RobotModel::load(&robot).unwrap();
+        let put = |name: &str, angle_rad: f64| {
+            let rows: String = (0..200)
+                .map(|k| format!("{:.2},0,{angle_rad}\n", 0.01 * f64::from(k)))
+                .collect();
+            let path = dir.path().join(name);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(&path, format!("t,cmd.swing,pos.swing\n{rows}")).unwrap();
+            let about = "robot = \"xl330_pendulum\"\nbase = \"fixed\"\nterrain = \"flat\"\nrate_hz = 100.0\n";
+            std::fs::write(path.with_extension("toml"), about).unwrap();
+        };
+        let of = |line: &str| {
+            let at = |word: &str| match word.strip_prefix("--") {
+                Some(_) => word.to_owned(),
+                None => dir.path().join(word).display().to_string(),
+            };
+            let mut words = vec![
+                "diagnose".to_owned(),
+                "--robot".to_owned(),
+                robot.display().to_string(),
+            ];
+            words.extend(line.split(' ').chain(["--out", "out"]).map(at));
+            runs(&Command::parse_from(words).plan, &model)
+        };
+        put("day1/s.csv", 0.01);
+        put("day1/t.csv", 0.02);
+        put("day2/s.csv", 0.03);
+        let (found, _) = of("--log day1 day2 --holdout day1/t.csv").unwrap();
+        let named: Vec<(&str, bool)> = (found.iter())
+            .map(|run| (run.name.as_str(), run.role == Role::Holdout))
+            .collect();
+        let path = |name: &str| dir.path().join(name).display().to_string();
+        let (first, second) = (path("day1/s.csv"), path("day2/s.csv"));
+        assert_eq!(
+            named,
+            [
+                (first.as_str(), false),
+                (second.as_str(), false),
+                ("t", true)
+            ]
+        );
+        put("day2/u.csv", 0.02);
+        let failure = of("--log day1 day2").map(|_| ()).unwrap_err().to_string();
+        assert!(
+            failure.contains("logs t and u are the same rows"),
+            "{failure}"
+        );
+    }
 
     #[test]
     fn a_log_is_a_folder_or_rows_with_their_circumstances_beside_them() {
@@ -301,10 +427,12 @@ mod tests {
         ] {
             std::fs::write(at(file), "").unwrap();
         }
-        // a rollout, the same as a bag, and rows of which nothing is known
-        for file in ["trot.csv", "trot.mcap", "trot.toml", "bare.csv"] {
+        // a rollout, the same as a bag, rows of which nothing is known, and a recording beside its map
+        for file in ["trot.csv", "trot.mcap", "bare.csv", "bench.csv", "notes"] {
             std::fs::write(at(file), "").unwrap();
         }
+        std::fs::write(at("trot.toml"), "robot = \"r.robot.toml\"").unwrap();
+        std::fs::write(at("bench.toml"), "[[signal]]").unwrap();
         let logs = |names: &[&str]| {
             let given: Vec<PathBuf> = names.iter().map(|name| at(name)).collect();
             logs_at(&given).map_err(|failure| failure.to_string())
@@ -312,12 +440,20 @@ mod tests {
         let all = vec![at("rest"), at("trot.csv"), at("walk")];
         assert_eq!(logs(&[""]).unwrap(), all);
         let named = vec![at("walk"), at("trot.mcap"), at("rest")];
-        assert_eq!(logs(&["walk/log.csv", "trot.mcap", "rest"]).unwrap(), named);
-        let failure = logs(&["bare.csv"]).unwrap_err();
-        assert!(failure.contains("bare.toml is not beside it"), "{failure}");
-        let failure = logs(&["empty"]).unwrap_err();
-        assert!(failure.contains("is no log and holds none"), "{failure}");
-        assert!(logs(&["nowhere"]).is_err());
+        assert_eq!(
+            logs(&["walk/log.csv", "trot.mcap", "trot.toml", "rest", "walk"]).unwrap(),
+            named
+        );
+        for (name, why) in [
+            ("bare.csv", "bare.toml is not beside it"),
+            ("notes", "is no file of rows (.csv, .mcap, .parquet)"),
+            ("trot.toml", "is no file of rows"),
+            ("empty", "is no log and holds none"),
+            ("nowhere", "there is no such file"),
+        ] {
+            let failure = logs(&[name]).unwrap_err();
+            assert!(failure.contains(why), "{failure}");
+        }
     }
 
     #[test]

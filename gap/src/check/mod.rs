@@ -82,10 +82,8 @@ pub fn check_dirs(
 ) -> (Vec<(String, RunLog)>, Checked) {
     let mut logs = Vec::new();
     let mut unread = Vec::new();
-    for dir in dirs {
-        let dir = dir.as_ref();
-        let name = run_name(dir);
-        match RunLog::read(dir) {
+    for (dir, name) in dirs.iter().zip(run_names(dirs)) {
+        match RunLog::read(dir.as_ref()) {
             Ok(log) => logs.push((name, log)),
             Err(e) => unread.push(unreadable(&name, &e)),
         }
@@ -100,14 +98,24 @@ pub fn check_dirs(
     (logs, checked)
 }
 
-/// The name that reports give to the run of a log: its folder's, or its file's without what that ends with.
-pub fn run_name(log: &Path) -> String {
-    let name = match log.is_file() {
-        true => log.file_stem(),
-        false => log.file_name(),
+/// The names that reports give to the runs of logs: a folder's, or a file's without what that ends with; where
+/// several would have the same, their paths.
+pub fn run_names(logs: &[impl AsRef<Path>]) -> Vec<String> {
+    let short = |log: &Path| {
+        let name = match log.is_file() {
+            true => log.file_stem(),
+            false => log.file_name(),
+        };
+        let name = name.unwrap_or(log.as_os_str());
+        name.to_string_lossy().into_owned()
     };
-    let name = name.unwrap_or(log.as_os_str());
-    name.to_string_lossy().into_owned()
+    let names: Vec<String> = logs.iter().map(|log| short(log.as_ref())).collect();
+    let alone = |name: &String| names.iter().filter(|n| *n == name).count() == 1;
+    let name = |(name, log): (&String, &_)| match alone(name) {
+        true => name.clone(),
+        false => AsRef::<Path>::as_ref(log).display().to_string(),
+    };
+    names.iter().zip(logs).map(name).collect()
 }
 
 fn unreadable(name: &str, error: &LogError) -> DataFault {

@@ -41,7 +41,7 @@ pub fn write(
         let robot = robot.display().to_string();
         let mut meta = LogMeta::new(robot, BaseHold::Free, 1.0 / period_s);
         meta.notes = format!("caudata eval, {name}");
-        let folder = root.join(name.replace([' ', '/'], "_"));
+        let folder = root.join(file_name(name));
         let log = LogWriter::create(&folder, &signals, &meta);
         let mut log = log.or_exit(ExitCode::CannotCreate)?;
         let film = outcome.film.iter();
@@ -53,6 +53,15 @@ pub fn write(
         log.finish().or_exit(ExitCode::IoError)?;
     }
     Ok(())
+}
+
+/// A scenario's name as every file system and shell takes it.
+fn file_name(scenario: &str) -> String {
+    let plain = |c: char| match c {
+        'a'..='z' | 'A'..='Z' | '0'..='9' | '.' | '-' => c,
+        _ => '_',
+    };
+    scenario.chars().map(plain).collect()
 }
 
 fn row(frame: &Frame, pose: &RobotPose) -> Vec<Option<f64>> {

@@ -116,9 +116,12 @@ pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
         folder.disown(start::is_refusal(failure.code()));
     }
     let supervisor = supervisor?.shown_on(shown);
-    let tracker = logger.and_then(|(logger, view)| Tracker::beside(&folder, logger, &view));
-    let watched = supervisor.watch();
-    let mut outcome = watched.inspect_err(|failure| clear_if_refused(&folder, failure))?;
+    let mut tracker = logger.and_then(|(logger, view)| Tracker::beside(&folder, logger, &view));
+    let mut outcome = supervisor.watch().inspect_err(|failure| {
+        // its log is in the folder
+        drop(tracker.take());
+        clear_if_refused(&folder, failure);
+    })?;
     if outcome.finished.reason != "completed" {
         outcome.stop_server();
         drop(tracker);

@@ -93,7 +93,7 @@ fn process(python: &OsStr, folder: &RunFolder, to: &str, view: &View) -> Result<
         "--patience",
         TRACKER_PATIENCE_S,
     ]);
-    command.arg(folder.root());
+    command.arg(folder.root()).arg("--until-told");
     let view = view.clone();
     let sink: LineSink = Box::new(move |line| view.note(&line));
     let log = folder.logs().join("tracker.log");
@@ -121,7 +121,7 @@ fn watch(mut process: Process, python: &OsStr, is_over: &Receiver<()>) -> Option
     Some(match process.last_error() {
         Some(words) => format!("the tracker: {}", words.error),
         None => format!(
-            "the tracker, {} -m caudata.track, {}: {PYTHON} names the Python that has the wheel of caudata; its log is {}",
+            "the tracker, {} -m caudata.track, {}: `pip install caudata` there, or let {PYTHON} name a Python that has it; its log is {}",
             python.display(),
             describe(status),
             process.log().display()
@@ -173,7 +173,7 @@ mod tests {
             ),
             (
                 "echo 'no module caudata' >&2; exit 1",
-                "exit code 1: CAUDATA_PYTHON names",
+                "exit code 1: `pip install caudata` there",
             ),
         ] {
             let (_dir, folder, python) = stage(script);
