@@ -81,7 +81,8 @@ def _fill(policy: Path, folder: Path, robot: "str | None") -> None:
         moved = {"robot": "robot/" + model.name, "map": "ground" + ground.suffix}
         if ground.name:
             shutil.copy(ground, folder / moved["map"])
-        settings = re.sub('^(robot|map) = ".+"', lambda key: '%s = "%s"' % (key[1], moved[key[1]]), settings, flags=re.M)
+        path = re.compile("^(robot|map) *= *[\"'].+[\"']", re.M)
+        settings = path.sub(lambda key: '%s = "%s"' % (key[1], moved[key[1]]), settings)
         (folder / "config.toml").write_text(settings, encoding="utf-8")
     evaluation: Dict[str, Any] = {}
     if manifest["evaluation"] is not None:

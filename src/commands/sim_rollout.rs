@@ -32,6 +32,7 @@ const ROUNDING: f64 = 1e-6;
 
 /// What is simulated stands beside logs of robots, in which no step is to be seen.
 const CENTRED: &str = "engine.centred=true";
+
 /// Share of the commands of a log that may be lost to the next one in the same control period.
 const LOST: f64 = 0.01;
 /// How much longer than a control period the intervals of a log are on average, at most: it misses rows.
@@ -72,8 +73,9 @@ pub struct RolloutArgs {
     /// One JSON object on the last line
     #[arg(long)]
     json: bool,
-    /// Step sizes and solver come from `[engine]`, `centred` is true unless it is set; `--set lane.KEY=VALUE` changes
-    /// the robot's physical parameters, for instance lane.foot_friction=0.5, lane.kp_nm_per_rad=12, lane.kp_nm_per_rad.FL_hip=9
+    /// Step sizes and solver come from `[engine]`, `centred` is true unless it is set; `--set lane.KEY=VALUE`
+    /// changes the robot's physical parameters, for instance lane.foot_friction=0.5, lane.kp_nm_per_rad=12,
+    /// lane.kp_nm_per_rad.FL_hip=9
     #[command(flatten)]
     config: ConfigArgs,
 }
@@ -88,7 +90,10 @@ enum Base {
 
 pub fn run(args: &RolloutArgs, stop: &StopFlag) -> Result<(), Failure> {
     let (mut flags, changes) = lane_params::split(&args.config);
-    if !flags.sets("engine", "centred") {
+    if !flags
+        .sets("engine", "centred")
+        .or_exit(ExitCode::BadConfig)?
+    {
         flags.overrides.push(CENTRED.to_owned());
     }
     let mut config = flags.load().or_exit(ExitCode::BadConfig)?;
@@ -557,6 +562,18 @@ mod tests {
             mean = mean.max((steps.iter().sum::<f64>() / 10.0 - told).abs());
         }
         assert!(law < 0.01 && mean > 0.03, "{law} and {mean} N·m off");
+    }
+
+    #[test]
+    fn steps_are_of_the_second_order_unless_a_file_or_a_flag_says_otherwise() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("e.toml");
+        std::fs::write(&file, "[engine]\ncentred = false\n").unwrap();
+        let swing = |flags: &str| jump(0.1, 0.5, flags);
+        let as_trained = swing(&format!("--config {}", file.display()));
+        assert_eq!(as_trained, swing("--set engine.centred=false"));
+        assert_ne!(as_trained, swing(""));
+        assert_eq!(swing(""), swing("--set engine.centred=true"));
     }
 
     /// A frame that is lost is lost for its control period: what is asked for later comes whole periods late.

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::layers::layers;
 use crate::{Config, ConfigError, Source};
 
 /// The override that names a robot file.
@@ -38,19 +39,14 @@ impl ConfigArgs {
         self.overrides.extend(robot.map(robot_assignment));
     }
 
-    /// Whether the file or an override has this key of a section.
-    pub fn sets(&self, section: &str, key: &str) -> bool {
-        let assigned = format!("{section}.{key}=");
-        let text = self.config.as_ref().map(std::fs::read_to_string);
-        let file = text
-            .and_then(Result::ok)
-            .and_then(|text| text.parse::<toml::Table>().ok());
-        let of_file = file.as_ref().and_then(|table| table.get(section)?.get(key));
-        of_file.is_some()
-            || self
-                .overrides
-                .iter()
-                .any(|o| o.replace(' ', "").starts_with(&assigned))
+    /// Whether preset, file or overrides have this key of a section.
+    ///
+    /// # Errors
+    /// As [`Config::load`], of what cannot be read.
+    pub fn sets(&self, section: &str, key: &str) -> Result<bool, ConfigError> {
+        let layers = layers(&self.source())?;
+        let has = |table: &toml::Table| table.get(section).is_some_and(|s| s.get(key).is_some());
+        Ok(layers.iter().any(|(_, layer)| has(layer)))
     }
 
     /// Reads and checks the configuration that the flags describe.

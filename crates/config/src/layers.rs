@@ -93,7 +93,8 @@ impl Config {
     }
 }
 
-fn layers(source: &Source) -> Result<Vec<(String, Table)>, ConfigError> {
+/// What was given, the strongest last, each with where it comes from.
+pub(crate) fn layers(source: &Source) -> Result<Vec<(String, Table)>, ConfigError> {
     let mut layers = Vec::new();
     if let Some(name) = &source.preset {
         let preset = Preset::find(name).ok_or_else(|| ConfigError::UnknownPreset {

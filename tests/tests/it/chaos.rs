@@ -96,7 +96,7 @@ struct Cluster {
 /// small networks and batches learn to walk by leaps, and now and then forget it again with nobody disturbing
 /// them (ten seeds: 0.015 to 0.054). To keep still is learnt evenly, from −0.088 a step to −0.008 ± 0.003
 /// (eight seeds, 1,288 iterations): only restlessness costs, and what falls down or slides pays nothing for
-/// it. Even so, about one run in hundreds forgets for a while (−0.03).
+/// it. Even so a run may forget for a while: one was seen that ended at about −0.03.
 const TASK: [&str; 16] = [
     "task.reward.costs_at_start=1.0",
     "task.reward.weights.tracking_lin_vel=0.0",
