@@ -48,9 +48,6 @@ struct Args {
     /// How to reach the learner, as its `started` event has it (JSON); otherwise `[transport]` says
     #[arg(long, value_name = "JSON")]
     transport: Option<String>,
-    /// Robot file, instead of the configuration's
-    #[arg(long, value_name = "FILE.robot.toml")]
-    robot: Option<PathBuf>,
     /// File in which the count of sent chunks is kept
     #[arg(long, value_name = "FILE")]
     ledger: Option<PathBuf>,
@@ -70,10 +67,7 @@ fn main() -> std::process::ExitCode {
 }
 
 fn act(args: &Args, process: &Process) -> Result<(), Failure> {
-    let mut config = args.config.load().or_exit(ExitCode::BadConfig)?;
-    if let Some(robot) = &args.robot {
-        config.robot.clone_from(robot);
-    }
+    let config = args.config.load().or_exit(ExitCode::BadConfig)?;
     let transport = match &args.transport {
         None => transport_of(&config, ROLE),
         Some(text) => {

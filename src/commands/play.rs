@@ -24,9 +24,6 @@ pub struct PlayArgs {
     /// The policy; without one the robot holds its nominal pose
     #[arg(value_name = "P.onnx")]
     policy: Option<PathBuf>,
-    /// Robot file, instead of the configuration's
-    #[arg(long, value_name = "FILE.robot.toml")]
-    robot: Option<PathBuf>,
     /// Shape of the ground at first; default: `[terrain]`
     #[arg(long, value_parser = terrain_parser())]
     terrain: Option<TerrainKind>,
@@ -41,13 +38,12 @@ pub fn run(args: &PlayArgs, process: &Process) -> Result<(), Failure> {
     let (mut config, model, policy) = match &args.policy {
         Some(path) => {
             let policy = files::policy(path)?;
-            let (config, model) =
-                eval::task_of(path, &policy, &args.config, args.robot.as_deref())?;
+            let (config, model) = eval::task_of(path, &policy, &args.config)?;
             (config, model, Policy::Fixed(Box::new(policy)))
         }
         None => {
             let flags = flags::or_preset(&args.config, "quick");
-            let (config, model) = robot::configured(&flags, args.robot.as_ref())?;
+            let (config, model) = robot::configured(&flags)?;
             (config, model, Policy::None)
         }
     };

@@ -138,9 +138,40 @@ fn shake(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, 
         .iter()
         .position(held)
         .filter(|_| model.base() == BaseKind::Fixed);
-    Ok(stuck.map(|a| {
+    if let Some(a) = stuck {
         let name = model.actuated_names()[a];
-        format!("`{name}` does not move when it is told to: does what it carries touch the ground (z = 0)?")
+        return Ok(Some(format!(
+            "`{name}` does not move when it is told to: does what it carries touch the ground (z = 0)?"
+        )));
+    }
+    rings(model, engine)
+}
+
+/// Holds the nominal pose after it was shaken; which drive lets its joint swing on.
+fn rings(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, SimError> {
+    let targets: Vec<f32> = model.nominal_pos_rad().iter().map(|&a| a as f32).collect();
+    let steps = (SHAKING_S / engine.config().control_period_s()).round() as usize;
+    let mut seen = Vec::new();
+    for _ in 0..steps {
+        engine.step(&targets, &[0.0; 6])?;
+        seen.push(engine.state().joint_pos_rad.to_vec());
+    }
+    let late = &seen[steps / 2..];
+    let span = |joint: usize| {
+        let angles = late.iter().map(|angles| angles[joint]);
+        let (low, high) = angles.fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), angle| {
+            (low.min(angle), high.max(angle))
+        });
+        f64::from(high - low)
+    };
+    let swings = model.actuated().iter().map(|&joint| span(joint));
+    let worst = (model.actuated_names().into_iter().zip(swings))
+        .max_by(|a, b| a.1.total_cmp(&b.1))
+        .filter(|(_, swing_rad)| *swing_rad > RINGING_SHARE * SWING_RAD);
+    Ok(worst.map(|(name, swing_rad)| {
+        let deg = swing_rad.to_degrees();
+        format!("`{name}` still swings by {deg:.0}° when its target has been still for a quarter of a second: \
+                 its drive hardly damps it (kd_nm_s_per_rad)")
     }))
 }
 
@@ -150,6 +181,9 @@ const SWING_RAD: f64 = 0.05;
 const SWING_HZ: f64 = 4.0;
 /// A joint that moves by less of the swing is stuck.
 const STUCK_SHARE: f64 = 0.01;
+/// A joint that goes on by more than this share of the swing rings. A drive with a tenth of critical damping
+/// at 5 Hz keeps less.
+const RINGING_SHARE: f64 = 1.0;
 
 /// Holds the nominal pose on flat ground for a while; what is wrong with how the robot stands then.
 fn stand(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, SimError> {
@@ -235,11 +269,16 @@ fn import(args: &ImportArgs) -> Result<(), Failure> {
     for (path, _) in &written {
         not_there(path, args)?;
     }
+    let written_robot = written[1].0.clone();
     files::make_folder(&args.out)?;
     for (path, text) in written {
         files::write(&path, text)?;
         say::line(format!("wrote {}", path.display()));
     }
+    let robot = written_robot.display();
+    say::line(format!(
+        "next: caudata robot check {robot}, caudata train --robot {robot}"
+    ));
     Ok(())
 }
 
@@ -262,13 +301,8 @@ fn not_there(path: &Path, args: &ImportArgs) -> Result<(), Failure> {
 /// Reads a robot file; the failure says whether it is missing or wrong.
 pub use caudata_studies::files::robot as load;
 
-/// What the flags say, and the robot: that of `--robot`, else the configuration's.
-pub fn configured(
-    flags: &ConfigArgs,
-    robot: Option<&PathBuf>,
-) -> Result<(Config, Arc<RobotModel>), Failure> {
-    let mut flags = flags.clone();
-    flags.set_robot(robot.map(PathBuf::as_path));
+/// What the flags say, and the robot of it.
+pub fn configured(flags: &ConfigArgs) -> Result<(Config, Arc<RobotModel>), Failure> {
     let config = flags.load().or_exit(ExitCode::BadConfig)?;
     let model = Arc::new(load(&config.robot_path())?);
     Ok((config, model))
@@ -400,5 +434,20 @@ mod tests {
         let model = RobotModel::from_bytes("eared", toml.as_bytes(), xml.as_bytes()).unwrap();
         assert!(model.actuated()[0] > 0, "the ear is first");
         assert_eq!(check(&model).unwrap(), None);
+    }
+
+    /// 40 N·m/rad that nothing damps: the legs go on swinging.
+    #[test]
+    fn a_drive_without_damping_rings() {
+        let robots = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots");
+        let read = |name: &str| std::fs::read_to_string(robots.join(name)).unwrap();
+        let toml = read("quadruped.robot.toml")
+            .replace("kd_nm_s_per_rad = 1.0 ", "kd_nm_s_per_rad = 0.0 ")
+            .replace("kd_nm_s_per_rad = 1.5 ", "kd_nm_s_per_rad = 0.0 ")
+            .replace("friction_loss_nm = 0.2", "friction_loss_nm = 0.0");
+        let xml = read("quadruped.xml");
+        let model = RobotModel::from_bytes("rings", toml.as_bytes(), xml.as_bytes()).unwrap();
+        let why = check(&model).unwrap().unwrap();
+        assert!(why.contains("still swings by"), "{why}");
     }
 }

@@ -7,7 +7,6 @@
 use std::f32::consts::PI;
 use std::io::ErrorKind;
 use std::net::{SocketAddr, TcpListener, TcpStream};
-use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use caudata_config::ConfigArgs;
@@ -35,9 +34,6 @@ const WRITE_MAX: Duration = Duration::from_secs(5);
 
 #[derive(Debug, clap::Args)]
 pub struct SimRobotArgs {
-    /// Robot file; default: the configuration's
-    #[arg(long, value_name = "FILE.robot.toml")]
-    robot: Option<PathBuf>,
     /// How the robot is reached: `tcp`, or `pty` for emulated servos and IMU on pseudo-terminals
     #[arg(long, value_enum, default_value_t = LinkKind::Tcp)]
     bus: LinkKind,
@@ -71,7 +67,7 @@ pub enum LinkKind {
 
 /// Serves one client after the other until asked to stop.
 pub fn run(args: &SimRobotArgs, stop: &StopFlag) -> Result<(), Failure> {
-    let (config, model) = robot::configured(&args.config, args.robot.as_ref())?;
+    let (config, model) = robot::configured(&args.config)?;
     JointTable::from_model(&model).or_exit(ExitCode::BadInput)?;
     let mut start = InitialState::nominal(&model);
     if args.on_its_back {

@@ -1,7 +1,7 @@
 //! `caudata sim robot --bus pty`: the simulated robot behind emulated servos and an emulated IMU on
 //! pseudo-terminals.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use caudata_config::Config;
@@ -18,13 +18,9 @@ use std::io::Write;
 /// Flags of the emulated robot.
 #[derive(Debug, clap::Args)]
 pub struct PtyArgs {
-    /// Wiring file of the emulated robot (`--bus pty`)
-    #[arg(
-        long,
-        value_name = "FILE.wiring.toml",
-        default_value = "robots/polymander.wiring.toml"
-    )]
-    wiring: PathBuf,
+    /// Wiring file of the emulated robot (`--bus pty`); default: beside the robot file, NAME.wiring.toml
+    #[arg(long, value_name = "FILE.wiring.toml")]
+    wiring: Option<PathBuf>,
     /// Folder for the links `servos` and `imu` to the pseudo-terminals, and for the file `water`, which a
     /// wiring file may name as the line of its water sensor (`--bus pty`)
     #[arg(long, value_name = "DIR", default_value = "emulated-robot")]
@@ -68,6 +64,11 @@ fn tell(event: &Event) {
     }
 }
 
+/// NAME.wiring.toml for NAME.robot.toml.
+fn beside(robot: &Path) -> PathBuf {
+    robot.with_extension("").with_extension("wiring.toml")
+}
+
 /// Serves until asked to stop.
 pub fn run(
     args: &PtyArgs,
@@ -77,7 +78,9 @@ pub fn run(
     seed: u64,
     stop: &StopFlag,
 ) -> Result<(), Failure> {
-    let wiring = Wiring::read(&args.wiring).or_exit(ExitCode::BadInput)?;
+    let path = args.wiring.clone();
+    let path = path.unwrap_or_else(|| beside(&config.robot_path()));
+    let wiring = Wiring::read(&path).or_exit(ExitCode::BadInput)?;
     let engine_config = EngineConfig {
         substeps: SUBSTEPS,
         ..config.engine.clone()
@@ -85,7 +88,8 @@ pub fn run(
     let water = WaterSensor::new(&model, &config.task).or_exit(ExitCode::BadInput)?;
     let engine = caudata_sim::build(model, 1, &engine_config, &config.terrain, seed, 1)
         .or_exit(ExitCode::BadConfig)?;
-    let mut robot = EmulatedRobot::new(engine, &wiring, seed).or_exit(ExitCode::BadInput)?;
+    let mut robot = EmulatedRobot::new(engine, &wiring, seed)
+        .or_exit_with(ExitCode::BadInput, || path.display().to_string())?;
     robot.place(start).or_exit(ExitCode::BadInput)?;
     robot.set_water_sensor(water);
     let p = args.wire_faults;

@@ -40,9 +40,6 @@ const MISSED: f64 = 0.25;
 
 #[derive(Debug, Args)]
 pub struct RolloutArgs {
-    /// Robot file
-    #[arg(long, value_name = "R.robot.toml")]
-    robot: PathBuf,
     /// Columns `t` (s) and `cmd.<joint>` (rad); a joint without a column holds its nominal position
     #[arg(long, value_name = "C.csv")]
     commands: PathBuf,
@@ -108,7 +105,7 @@ pub fn run(args: &RolloutArgs, stop: &StopFlag) -> Result<(), Failure> {
     if let Some(rate_hz) = args.rate_hz {
         (config.engine.substeps, config.engine.dt_s) = steps(config.engine.dt_s, rate_hz)?;
     }
-    let model = Arc::new(robot::load(&args.robot)?);
+    let model = Arc::new(robot::load(&config.robot_path())?);
     let params = lane_params::changed(&model, &changes)?;
     let code = match args.commands.try_exists() {
         Ok(true) => ExitCode::BadInput,
@@ -222,7 +219,7 @@ fn circumstances(
         Base::Free => BaseHold::Free,
     };
     let rate_hz = 1.0 / row_s;
-    let mut meta = LogMeta::new(args.robot.display().to_string(), base, rate_hz);
+    let mut meta = LogMeta::new(config.robot_path().display().to_string(), base, rate_hz);
     meta.terrain = config.terrain.kind.name().to_owned();
     meta.notes = "caudata sim rollout".to_owned();
     let path = |path: &Path| Setting::Text(path.display().to_string());

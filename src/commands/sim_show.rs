@@ -35,9 +35,6 @@ pub struct ShowArgs {
     /// otherwise one turn around)
     #[arg(long, value_name = "FRAME.png|CLIP.gif")]
     out: PathBuf,
-    /// Robot file; default: the configuration's
-    #[arg(long, value_name = "R.robot.toml")]
-    robot: Option<PathBuf>,
     /// Joint angles of a model or scene
     #[arg(long, value_enum, default_value_t = PoseName::Nominal)]
     pose: PoseName,
@@ -120,10 +117,8 @@ pub fn run(args: &ShowArgs, stop: &StopFlag) -> Result<(), Failure> {
     }
     let policy = args.policy.as_deref().map(files::policy).transpose()?;
     let (mut config, model) = match (&args.policy, &policy) {
-        (Some(path), Some(policy)) => {
-            eval::task_of(path, policy, &args.config, args.robot.as_deref())?
-        }
-        _ => robot::configured(&args.config, args.robot.as_ref())?,
+        (Some(path), Some(policy)) => eval::task_of(path, policy, &args.config)?,
+        _ => robot::configured(&args.config)?,
     };
     let log = args.log.as_deref().map(read_log).transpose()?;
     let seed = choose_terrain(args, log.as_ref(), &mut config)?;

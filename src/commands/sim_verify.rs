@@ -1,8 +1,6 @@
 //! `caudata sim verify`: the engines against MuJoCo, closed forms, conservation laws and each other, as one
 //! table.
 
-use std::path::PathBuf;
-
 use caudata_bench::verify::{CHECKS, Settings, Subject, VerifyError, run as verify};
 use caudata_config::ConfigArgs;
 use caudata_sim::{EngineConfig, EngineKind};
@@ -15,9 +13,6 @@ use crate::say;
 
 #[derive(Debug, Args)]
 pub struct VerifyArgs {
-    /// Robot file; default: the configuration's
-    #[arg(long, value_name = "R.robot.toml")]
-    robot: Option<PathBuf>,
     /// Engines to check; default: all. May be given several times
     #[arg(long, value_enum)]
     engine: Vec<EngineName>,
@@ -46,10 +41,7 @@ pub struct VerifyArgs {
 }
 
 pub fn run(args: &VerifyArgs) -> Result<(), Failure> {
-    let mut config = args.config.load().or_exit(ExitCode::BadConfig)?;
-    if let Some(robot) = &args.robot {
-        config.robot.clone_from(robot);
-    }
+    let config = args.config.load().or_exit(ExitCode::BadConfig)?;
     if !(1.0..=600.0).contains(&args.gait_s) {
         let message = "--gait-s must be 1 to 600";
         return Err(Failure::message(ExitCode::BadConfig, message));

@@ -19,6 +19,9 @@ pub struct ConfigArgs {
     /// A TOML file; keys it does not have come from the preset and the defaults
     #[arg(long, value_name = "FILE.toml", help_heading = "Configuration")]
     pub config: Option<PathBuf>,
+    /// Robot file, instead of the configuration's
+    #[arg(long, value_name = "FILE.robot.toml", help_heading = "Configuration")]
+    pub robot: Option<PathBuf>,
     /// Set one key, for instance learner.ppo.gamma=0.98; may be given several times
     #[arg(long = "set", value_name = "KEY=VALUE", help_heading = "Configuration")]
     pub overrides: Vec<String>,
@@ -30,13 +33,14 @@ impl ConfigArgs {
         Source {
             preset: self.preset.clone(),
             file: self.config.clone(),
-            overrides: self.overrides.clone(),
+            overrides: self.assignments(),
         }
     }
 
-    /// As if `--set robot=FILE` were given last, where there is a file.
-    pub fn set_robot(&mut self, robot: Option<&Path>) {
-        self.overrides.extend(robot.map(robot_assignment));
+    /// Every `--set` in order, and `--robot FILE` as one more.
+    pub fn assignments(&self) -> Vec<String> {
+        let robot = self.robot.as_deref().map(robot_assignment);
+        self.overrides.iter().cloned().chain(robot).collect()
     }
 
     /// Whether preset, file or overrides have this key of a section.

@@ -85,7 +85,7 @@ pub const PRESETS: [Preset; 10] = [
     },
     Preset {
         name: "snake",
-        about: "a snake of twelve servos, forward on flat ground: nobody has seen it crawl yet",
+        about: "a snake of twelve servos, forward on flat ground",
         robot: Some("snake"),
         derived: true,
         text: include_str!("../presets/snake.toml"),

@@ -103,7 +103,7 @@ pub fn as_words(flags: &ConfigArgs) -> Vec<OsString> {
     if let Some(file) = &flags.config {
         words.extend(["--config".into(), file.into()]);
     }
-    for change in &flags.overrides {
+    for change in flags.assignments() {
         words.extend(["--set".into(), change.into()]);
     }
     words

@@ -364,8 +364,8 @@ mod tests {
     fn a_training_begins_with_a_policy_or_with_nothing() {
         let flags = ConfigArgs {
             preset: Some("flat".into()),
-            config: None,
             overrides: vec!["actors.lanes=3".into()],
+            ..ConfigArgs::default()
         };
         let mut training = Training {
             flags: &flags,

@@ -56,9 +56,6 @@ pub struct EvalArgs {
     /// Seed of the episodes
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Robot file, instead of the configuration's
-    #[arg(long, value_name = "FILE.robot.toml")]
-    robot: Option<PathBuf>,
     /// Writes a page with tables, curves and a replay in three dimensions; it needs nothing but a browser
     #[arg(long, value_name = "OUT.html")]
     report: Option<PathBuf>,
@@ -116,7 +113,7 @@ impl Engines {
 
 pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
     let policy = files::policy(args.policy())?;
-    let (mut config, model) = task_of(args.policy(), &policy, &args.config, args.robot.as_deref())?;
+    let (mut config, model) = task_of(args.policy(), &policy, &args.config)?;
     if args.engine.is_some() {
         config.engine.kind = EngineKind::Batch;
     }
@@ -232,13 +229,10 @@ pub fn task_of(
     path: &Path,
     policy: &PolicyFile,
     flags: &ConfigArgs,
-    robot: Option<&Path>,
 ) -> Result<(Config, Arc<RobotModel>), Failure> {
     let fitting = flags::presets_for(&policy.metadata().contract);
     let preset = fitting.first().copied().unwrap_or("quick");
-    let mut flags = flags.clone();
-    flags.set_robot(robot);
-    let flags = flags::or_beside(&flags, path, preset);
+    let flags = flags::or_beside(flags, path, preset);
     let config = flags.load().or_exit(ExitCode::BadConfig)?;
     let model = Arc::new(files::robot(&config.robot_path())?);
     warn_of_differences(&config, &model, policy, &fitting)?;

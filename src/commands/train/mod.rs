@@ -260,7 +260,7 @@ fn record(path: &Path, config: &Config) -> Result<String, Failure> {
 fn source(args: &TrainArgs, resumed: Option<&Path>) -> Source {
     let mut source = match resumed {
         Some(path) => Source {
-            overrides: args.config.overrides.clone(),
+            overrides: args.config.assignments(),
             ..Source::file(path)
         },
         None => args.config.source(),

@@ -131,6 +131,9 @@ reward_terms! {
     /// exp(−Σ (z_j − z_ref(φ_j))²/`phase_sigma`): lift the feet with the gait clock, those that can reach the
     /// ground; 1 afloat. Default 1.0 (paper); too small: the policy shuffles or vibrates.
     phase: Reward, "1", 1.0;
+    /// 1 in every step: a robot that lives earns it. Default 0 (not in the paper). Where costs outweigh what an
+    /// untrained policy earns, to fall at once is best, and training finds that out; with this it is not.
+    alive: Reward, "1", 0.0;
     /// Σ|q̇τ|, mechanical power of all motors in either direction. Default −1e-3 (paper); −3e-3 curbs
     /// vibration; too strong: standing still pays more than walking.
     power: Cost, "W", -1e-3;

@@ -33,6 +33,11 @@ pub fn phase(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     (-error / config.phase_sigma).exp()
 }
 
+/// 1: what ends early earns less.
+pub fn alive(_: &RewardConfig, _: &RewardInput<'_>) -> f32 {
+    1.0
+}
+
 /// Σ|q̇τ|, W. Paper. Braking counts as much as driving: a servo cannot feed energy back.
 pub fn power(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     input.mech_power_w.iter().map(|p| p.abs()).sum()

@@ -134,6 +134,11 @@ fn tracking_of_yaw_rate() {
 }
 
 #[test]
+fn a_robot_that_lives_earns_one() {
+    check(terms::alive, &rest(), 1.0);
+}
+
+#[test]
 fn phase_of_the_feet() {
     check(terms::phase, &rest(), 1.0);
     // φ = 0 asks FL and HR for 5 cm; they are at 2 and 5 cm; FR and HL asked for 0, at 0 and 1 cm:

@@ -52,8 +52,8 @@ mod tests {
     fn loaded(preset: &str, overrides: &[String]) -> Config {
         let flags = ConfigArgs {
             preset: Some(preset.into()),
-            config: None,
             overrides: overrides.to_vec(),
+            ..ConfigArgs::default()
         };
         flags.load().unwrap()
     }
