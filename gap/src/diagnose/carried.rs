@@ -7,6 +7,7 @@ use super::fits::{penalised, single};
 use super::folds::jackknife;
 use super::gates::{self, Worth};
 use super::joints::{Angles, mean_abs};
+use super::levels::BUILT;
 use super::naming::{self, Named};
 use super::refine::refine;
 use super::search::{Found, MOST_TERMS};
@@ -21,8 +22,6 @@ use crate::report::{Carried, Cause};
 
 /// What the model before names were sought must leave of the misfit that is left without what got no name.
 const SUPPORTED: f64 = 0.95;
-/// What a model that was built joint by joint must leave of the error of angles that the others leave.
-pub const BUILT: f64 = 0.95;
 
 /// Why a model is refused at last.
 pub const NO_NEARER: &str = "held-out runs are no nearer with it than as given";

@@ -114,8 +114,7 @@ impl Noise {
             })
             .collect();
         self.left[range.clone()].fill(rough(values) as f32);
-        let m = members.len() as f64;
-        let mut sum = 0.0;
+        let (m, mut sum) = (members.len() as f64, 0.0);
         let mut differences = vec![0.0; values.len()];
         if members.len() > 1 {
             for (k, difference) in differences.iter_mut().enumerate() {

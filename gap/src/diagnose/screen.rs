@@ -276,14 +276,16 @@ fn weigh(
     let model = context.replayer.model();
     let Tried { effect, k, .. } = *tried;
     let n = trace.len().max(1) as f64;
-    let ranges: Vec<Range<usize>> = match shown_at(context, place) {
-        Some(joints) => (look.judge.data.segments.iter().flat_map(|s| &s.pieces))
+    let ranges = shown_at(context, place).map(|joints| -> Vec<Range<usize>> {
+        (look.judge.data.segments.iter().flat_map(|s| &s.pieces))
             .filter(|p| p.kind.of_joint() && joints.contains(&p.index))
             .map(|p| p.range.clone())
-            .collect(),
-        None => vec![0..trace.len()],
+            .collect()
+    });
+    let on_trace = |x: &[f32]| match &ranges {
+        Some(ranges) => dot_in(ranges, x, trace),
+        None => dot(x, trace),
     };
-    let on_trace = |x: &[f32]| dot_in(&ranges, x, trace);
     let residual = &look.residual;
     let (rd, dd) = (on_trace(residual), on_trace(trace));
     if dd < 1e-6 * n {

@@ -14,9 +14,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use caudata_runlog::BaseHold;
 
 use super::alike::look_alike;
-use super::carried::BUILT;
 use super::doubt::{meet, sizes};
 use super::joints::{Angles, Joints, Linear, mean_abs, place_of, scale, values, weights};
+use super::levels::BUILT;
 use super::product::dot;
 use super::request::{Progress, Stage};
 use super::state::{Context, builds_up};
