@@ -4,8 +4,10 @@
 use std::collections::BTreeSet;
 
 use super::fits::{penalised, single};
+use super::folds::jackknife;
 use super::gates::{self, Worth};
 use super::joints::{Angles, mean_abs};
+use super::levels::BUILT;
 use super::naming::{self, Named};
 use super::refine::refine;
 use super::search::{Found, MOST_TERMS};
@@ -20,8 +22,6 @@ use crate::report::{Carried, Cause};
 
 /// What the model before names were sought must leave of the misfit that is left without what got no name.
 const SUPPORTED: f64 = 0.95;
-/// What a model that was built joint by joint must leave of the error of angles that the others leave.
-pub const BUILT: f64 = 0.95;
 
 /// Why a model is refused at last.
 pub const NO_NEARER: &str = "held-out runs are no nearer with it than as given";
@@ -72,11 +72,7 @@ fn supported_most(
     let off = angles
         .residuals(std::slice::from_ref(&of_search.state.terms))?
         .swap_remove(0);
-    let own: Vec<f64> = (0..off.len())
-        .filter(|&a| angles.measured(a))
-        .map(|a| mean_abs(&off[a]))
-        .collect();
-    let mean_rad = own.iter().sum::<f64>() / own.len().max(1) as f64;
+    let mean_rad = angles.mean(|a| mean_abs(&off[a]));
     if built.cross_rad >= BUILT * mean_rad {
         return Ok(of_search);
     }
@@ -214,13 +210,7 @@ fn deviations(context: &Context, state: &State) -> Result<Vec<f64>, GapError> {
     let (columns, steps) = context.jacobian(&context.fit, &state.terms)?;
     let free = super::state::frees(&context.replayer, &state.terms, &steps);
     let (_, shifts) = (context.folds).left_out_with(&columns, &state.fit.residual, &free);
-    let folds = shifts.len().max(1) as f64;
-    let deviation = |(p, step): (usize, &f64)| {
-        let mean = shifts.iter().map(|s| s[p]).sum::<f64>() / folds;
-        let square: f64 = shifts.iter().map(|s| (s[p] - mean).powi(2)).sum();
-        step * (square * (folds - 1.0) / folds).sqrt()
-    };
-    Ok(steps.iter().enumerate().map(deviation).collect())
+    Ok(jackknife(&shifts, &steps))
 }
 
 impl Model {

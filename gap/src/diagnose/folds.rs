@@ -147,6 +147,19 @@ impl Folds {
     }
 }
 
+/// Standard deviations of parameters by the jackknife over folds, SI, from their `shifts` without each fold, in
+/// `steps`.
+#[must_use]
+pub fn jackknife(shifts: &[DVector<f64>], steps: &[f64]) -> Vec<f64> {
+    let folds = shifts.len().max(1) as f64;
+    let deviation = |(p, step): (usize, &f64)| {
+        let mean = shifts.iter().map(|s| s[p]).sum::<f64>() / folds;
+        let square: f64 = shifts.iter().map(|s| (s[p] - mean).powi(2)).sum();
+        step * (square * (folds - 1.0) / folds).sqrt()
+    };
+    steps.iter().enumerate().map(deviation).collect()
+}
+
 /// By how much the parameters change where `gram` and `slope` are all that is known.
 fn without(gram: &DMatrix<f64>, slope: &DVector<f64>, free: &[Free]) -> DVector<f64> {
     let mut gram = gram.clone();

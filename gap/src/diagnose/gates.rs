@@ -222,14 +222,18 @@ fn masked(joints: usize, judge: &Judge, from: &On, place: Option<&Place>) -> Vec
     mask
 }
 
-/// Sums of squares and samples of each joint's channels, and, in the last place, of those of the body.
+/// Sums of squares, beyond those of white noise, and samples of each joint's channels, and, in the last place, of
+/// those of the body. No model foretells white noise: where a sensor has little else, what is left of it is no gap.
 fn groups(joints: usize, parts: &[(&Judge, &On)]) -> Vec<(f64, f64)> {
     let mut sums = vec![(0.0, 0.0); joints + 1];
     for (judge, on) in parts {
         for piece in judge.data.segments.iter().flat_map(|s| &s.pieces) {
             let group = group(joints, piece);
             let part = &on.residual[piece.range.clone()];
-            sums[group].0 += dot(part, part);
+            let noise = &judge.noise;
+            let white = |k| f64::from(noise.left[k] / noise.sigma[k]).powi(2);
+            let beyond = dot(part, part) - piece.range.clone().map(white).sum::<f64>();
+            sums[group].0 += beyond.max(0.0);
             sums[group].1 += part.len() as f64;
         }
     }

@@ -11,16 +11,15 @@ use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
 
-use super::folds::{Folds, Free};
+use super::folds::{Folds, jackknife};
 use super::product::dot;
-use super::state::{Context, up_and_down};
+use super::refine::{TRIES, moved};
+use super::state::{Context, frees, up_and_down};
 use crate::effects::{Domain, Place};
 use crate::error::GapError;
 use crate::replay::{Data, Term, Variant};
 use crate::trial::Kind;
 
-/// Dampings that are tried at once, relative to the present one (as in [`super::refine`]).
-const TRIES: [f64; 3] = [0.1, 1.0, 12.0];
 /// Residuals from so many times the median on count linearly.
 const LINEAR_FROM: f64 = 2.0;
 /// Smallest residual that counts linearly, rad: an encoder's count.
@@ -55,13 +54,10 @@ impl Joints {
         let first = self.fixed.iter().chain(&self.shared);
         first.chain(self.own.iter().flatten()).cloned().collect()
     }
-
-    fn slots(&self) -> usize {
-        self.own.iter().map(|v| values(v)).max().unwrap_or(0)
-    }
 }
 
-fn values(terms: &[Term]) -> usize {
+/// Numbers of terms.
+pub fn values(terms: &[Term]) -> usize {
     terms.iter().map(|t| t.values.len()).sum()
 }
 
@@ -108,6 +104,7 @@ impl OfJoint {
 }
 
 /// A model with what it leaves and what its parameters can do.
+#[derive(Clone)]
 pub struct Linear {
     /// Measured less predicted, rad. `[A][N]`
     pub residual: Vec<Vec<f32>>,
@@ -118,6 +115,22 @@ pub struct Linear {
     /// Derivatives of the shared ones at each joint, rad per step. `[A][S][N]`
     shared: Vec<Vec<Vec<f32>>>,
     shared_steps: Vec<f64>,
+}
+
+impl Linear {
+    /// Takes what `other` says of joint `a`.
+    pub fn take(&mut self, other: &Self, a: usize) {
+        self.residual[a].clone_from(&other.residual[a]);
+        self.columns[a].clone_from(&other.columns[a]);
+        self.steps[a].clone_from(&other.steps[a]);
+        self.shared[a].clone_from(&other.shared[a]);
+    }
+
+    /// Forgets the parameters `range` of joint `a`.
+    pub fn forget(&mut self, a: usize, range: Range<usize>) {
+        self.columns[a].drain(range.clone());
+        self.steps[a].drain(range);
+    }
 }
 
 impl<'a> Angles<'a> {
@@ -145,6 +158,14 @@ impl<'a> Angles<'a> {
     #[must_use]
     pub fn measured(&self, a: usize) -> bool {
         self.of[a].count > 0
+    }
+
+    /// Mean over all joints that have an angle.
+    #[must_use]
+    pub fn mean(&self, of: impl Fn(usize) -> f64) -> f64 {
+        let own = (0..self.of.len()).filter(|&a| self.measured(a));
+        let (sum, n) = own.fold((0.0, 0.0), |(sum, n), a| (sum + of(a), n + 1.0));
+        sum / f64::max(n, 1.0)
     }
 
     /// What each joint's angle is off by, rad. `[V][A][N]`
@@ -193,19 +214,23 @@ impl<'a> Angles<'a> {
         Ok(out)
     }
 
-    /// `model` with its derivatives.
+    /// `model` with its derivatives. Those that are `known` are taken as they are: a joint's first parameters and
+    /// the shared ones.
     ///
     /// # Errors
     /// As [`crate::replay::Replayer::predict`].
-    pub fn linear(&self, model: &Joints) -> Result<Linear, GapError> {
+    pub fn linear(&self, model: &Joints, known: Option<&Linear>) -> Result<Linear, GapError> {
         let replayer = &self.context.replayer;
         let joints = self.of.len();
         let mut variants = vec![model.variant()];
-        let mut steps = vec![Vec::new(); joints];
-        for k in 0..model.slots() {
+        let mut steps = known.map_or(vec![Vec::new(); joints], |k| k.steps.clone());
+        let first: Vec<usize> = steps.iter().map(Vec::len).collect();
+        let new = |a: usize| values(&model.own[a]).saturating_sub(first[a]);
+        let slots = (0..joints).map(new).max().unwrap_or(0);
+        for k in 0..slots {
             let (mut up, mut down) = (model.clone(), model.clone());
             for a in 0..joints {
-                let Some((i, p)) = slot(&model.own[a], k) else {
+                let Some((i, p)) = slot(&model.own[a], first[a] + k) else {
                     continue;
                 };
                 let (high, low) = up_and_down(replayer, &model.own[a][i], p);
@@ -215,8 +240,9 @@ impl<'a> Angles<'a> {
             }
             variants.extend([up.variant(), down.variant()]);
         }
-        let mut shared_steps = Vec::new();
-        for (i, term) in model.shared.iter().enumerate() {
+        let mut shared_steps = known.map_or(Vec::new(), |k| k.shared_steps.clone());
+        let shared_terms = model.shared.iter().enumerate();
+        for (i, term) in shared_terms.filter(|_| known.is_none()) {
             for p in 0..term.values.len() {
                 let (high, low) = up_and_down(replayer, term, p);
                 for value in [high, low] {
@@ -228,13 +254,13 @@ impl<'a> Angles<'a> {
             }
         }
         let predictions = replayer.predict(self.data, &variants)?;
-        let mut columns = vec![Vec::new(); joints];
-        let mut shared = vec![Vec::new(); joints];
+        let mut columns = known.map_or(vec![Vec::new(); joints], |k| k.columns.clone());
+        let mut shared = known.map_or(vec![Vec::new(); joints], |k| k.shared.clone());
         for (k, pair) in predictions[1..].chunks(2).enumerate() {
             for (a, column) in self.change(&pair[0], &pair[1]).into_iter().enumerate() {
-                if k >= model.slots() {
+                if k >= slots {
                     shared[a].push(column);
-                } else if k < steps[a].len() {
+                } else if k < new(a) {
                     columns[a].push(column);
                 }
             }
@@ -248,59 +274,57 @@ impl<'a> Angles<'a> {
         })
     }
 
-    /// Fits `model`, in at most `rounds` steps. Gives what it is off by, rad. `[A][N]`
+    /// Fits `model`, in at most `rounds` steps, with derivatives that are `known` as they are. Gives the fitted
+    /// one's: each joint's where it was best, since joints hardly move each other.
     ///
     /// # Errors
     /// As [`crate::replay::Replayer::predict`].
-    pub fn fit(&self, model: &mut Joints, rounds: usize) -> Result<Vec<Vec<f32>>, GapError> {
+    pub fn fit(
+        &self,
+        model: &mut Joints,
+        rounds: usize,
+        known: Option<&Linear>,
+    ) -> Result<Linear, GapError> {
         let joints = self.of.len();
         let mut damping = vec![0.1_f64; joints];
-        let mut scales: Vec<f64> = Vec::new();
-        let mut best: Option<(Joints, Vec<f64>, Vec<Vec<f32>>)> = None;
-        for _ in 0..=rounds {
-            let linear = self.linear(model)?;
-            if scales.is_empty() {
-                scales = linear.residual.iter().map(|r| scale(r)).collect();
-            }
-            let costs = losses(&linear.residual, &scales);
-            let before = best.as_ref().map(|b| b.1.clone());
-            // joints do move each other a little: what got worse together goes back
-            if let Some((kept, were, residual)) = &mut best {
-                let all = costs.iter().sum::<f64>() < were.iter().sum::<f64>();
-                for a in 0..joints {
-                    let better = if model.shared.is_empty() {
-                        costs[a] <= were[a]
-                    } else {
-                        all
-                    };
-                    if better {
-                        kept.own[a].clone_from(&model.own[a]);
-                        were[a] = costs[a];
-                        residual[a].clone_from(&linear.residual[a]);
-                    } else {
-                        damping[a] *= 30.0;
-                    }
-                }
-                if all {
-                    kept.shared.clone_from(&model.shared);
-                }
-            } else {
-                best = Some((model.clone(), costs.clone(), linear.residual.clone()));
-            }
-            let settled = before.is_some_and(|b| {
-                let fell = |(was, is): (&f64, &f64)| (was - is) / was.max(1e-12) < SETTLED;
-                b.iter().zip(&costs).all(fell)
-            });
-            if settled || values(&model.variant()) == values(&model.fixed) {
+        let mut linear = self.linear(model, known)?;
+        let scales: Vec<f64> = linear.residual.iter().map(|r| scale(r)).collect();
+        let mut were = losses(&linear.residual, &scales);
+        let (mut kept, mut best) = (model.clone(), linear.clone());
+        for _ in 0..rounds {
+            if values(&model.variant()) == values(&model.fixed) {
                 break;
             }
             self.step(model, &linear, &scales, &mut damping)?;
+            linear = self.linear(model, known)?;
+            let costs = losses(&linear.residual, &scales);
+            let fell = |(was, is): (&f64, &f64)| (was - is) / was.max(1e-12) < SETTLED;
+            let settled = were.iter().zip(&costs).all(fell);
+            // joints do move each other a little: what got worse together goes back
+            let all = costs.iter().sum::<f64>() < were.iter().sum::<f64>();
+            for a in 0..joints {
+                let better = match model.shared.is_empty() {
+                    true => costs[a] <= were[a],
+                    false => all,
+                };
+                if better {
+                    kept.own[a].clone_from(&model.own[a]);
+                    were[a] = costs[a];
+                    best.take(&linear, a);
+                } else {
+                    damping[a] *= 30.0;
+                }
+            }
+            if all {
+                kept.shared.clone_from(&model.shared);
+                best.shared_steps.clone_from(&linear.shared_steps);
+            }
+            if settled {
+                break;
+            }
         }
-        let Some((kept, _, residual)) = best else {
-            return Ok(Vec::new());
-        };
         *model = kept;
-        Ok(residual)
+        Ok(best)
     }
 
     /// Takes the best of a few damped steps, joint by joint, or for all together where they share a term.
@@ -386,56 +410,29 @@ impl<'a> Angles<'a> {
             .cholesky()
             .map_or_else(|| DVector::zeros(shared), |c| c.solve(&right));
         let mut out = model.clone();
-        self.apply(&mut out.shared, of_all.as_slice(), &linear.shared_steps);
+        let robot = self.context.replayer.model();
+        moved(
+            robot,
+            &mut out.shared,
+            of_all.as_slice(),
+            &linear.shared_steps,
+        );
         for (a, part) in parts.iter().enumerate() {
             if let Some((inverse, slope, cross)) = part {
                 let by = inverse * (slope - cross * &of_all);
-                self.apply(&mut out.own[a], by.as_slice(), &linear.steps[a]);
+                moved(robot, &mut out.own[a], by.as_slice(), &linear.steps[a]);
             }
         }
         out
     }
 
-    /// Moves parameters by so many steps, within bounds and by at most a tenth of a range, or half of a
-    /// value, at once.
-    fn apply(&self, terms: &mut [Term], by: &[f64], steps: &[f64]) {
-        let model = self.context.replayer.model();
-        let mut change = by.iter().zip(steps).map(|(b, s)| b * s);
-        for term in terms {
-            for p in 0..term.values.len() {
-                let (low, high) = term.effect.bounds(model, &term.place, p);
-                let value = term.values[p];
-                let most = (0.1 * (high - low)).max(0.5 * value.abs());
-                let by = change.next().unwrap_or(0.0).clamp(-most, most);
-                term.values[p] = (value + by).clamp(low, high);
-            }
-        }
-    }
-
     /// Mean absolute error of each joint in cross-validation, rad, and the standard deviation of each of its
     /// parameters by the jackknife over the folds, SI. `[A]`, `[A][P]`
-    ///
-    /// # Errors
-    /// As [`crate::replay::Replayer::predict`].
-    pub fn cross(&self, model: &Joints) -> Result<(Vec<f64>, Vec<Vec<f64>>), GapError> {
-        let linear = self.linear(model)?;
-        let robot = self.context.replayer.model();
-        let mut errors = Vec::new();
-        let mut deviations = Vec::new();
+    #[must_use]
+    pub fn cross(&self, model: &Joints, linear: &Linear) -> (Vec<f64>, Vec<Vec<f64>>) {
+        let (mut errors, mut deviations) = (Vec::new(), Vec::new());
         for (a, of) in self.of.iter().enumerate() {
-            let mut steps = linear.steps[a].iter();
-            let mut free = Vec::new();
-            for t in &model.own[a] {
-                let neutral = t.effect.neutral(robot, &t.place);
-                for p in 0..t.values.len() {
-                    let step = steps.next().copied().unwrap_or(1.0);
-                    let (low, high) = t.effect.bounds(robot, &t.place, p);
-                    free.push(Free {
-                        from_neutral: (t.values[p] - neutral[p]) / step,
-                        room: ((low - t.values[p]) / step, (high - t.values[p]) / step),
-                    });
-                }
-            }
+            let free = frees(&self.context.replayer, &model.own[a], &linear.steps[a]);
             // in units of about the noise, so that the prior weighs what it should
             let noise = scale(&linear.residual[a]) as f32;
             let scaled = |x: &[f32]| -> Vec<f32> { x.iter().map(|v| v / noise).collect() };
@@ -443,15 +440,9 @@ impl<'a> Angles<'a> {
             let (left, shifts) =
                 (of.folds).left_out_with(&columns, &scaled(&linear.residual[a]), &free);
             errors.push(f64::from(noise) * mean_abs(&left));
-            let folds = shifts.len().max(1) as f64;
-            let deviation = |(p, step): (usize, &f64)| {
-                let mean = shifts.iter().map(|s| s[p]).sum::<f64>() / folds;
-                let square: f64 = shifts.iter().map(|s| (s[p] - mean).powi(2)).sum();
-                step * (square * (folds - 1.0) / folds).sqrt()
-            };
-            deviations.push(linear.steps[a].iter().enumerate().map(deviation).collect());
+            deviations.push(jackknife(&shifts, &linear.steps[a]));
         }
-        Ok((errors, deviations))
+        (errors, deviations)
     }
 }
 

@@ -20,10 +20,8 @@ use super::noise::Noise;
 use super::nuisances::nuisances;
 use super::pipeline::add_own_misses;
 use super::product::dot;
-use crate::effects::{Domain, Place};
 use crate::error::GapError;
 use crate::replay::{Data, Piece, Replayer, SegmentOptions, Term};
-use crate::trial::Kind;
 
 /// Mean square error of one channel in one run, in squared noises, that counts at most.
 const MOST_MISFIT: f64 = 80.0;
@@ -126,6 +124,7 @@ impl Judge {
             white: whole.noise.white.clone(),
             repeat: whole.noise.repeat.clone(),
             repeated: false,
+            left: vec![0.0; data.len()],
         };
         for segment in &data.segments {
             let middle_s = 0.5 * (segment.start_s + segment.end_s);
@@ -141,6 +140,7 @@ impl Judge {
                     let at = times.partition_point(|&t| t < data.time_s[k]);
                     let at = same.range.start + at.min(times.len() - 1);
                     noise.sigma[k] = whole.noise.sigma[at];
+                    noise.left[k] = whole.noise.left[at];
                 }
             }
         }
@@ -384,10 +384,4 @@ pub fn group(joints: usize, piece: &Piece) -> usize {
     } else {
         joints
     }
-}
-
-/// Whether a sample's channel belongs to a place: its joints' channels for joints, everything else otherwise.
-#[must_use]
-pub fn concerns(place: &Place, kind: Kind, index: usize) -> bool {
-    place.domain != Domain::Joints || !kind.of_joint() || place.items.contains(&index)
 }

@@ -8,3 +8,5 @@ pub const MANY_JOINTS: usize = 5;
 /// Misfit below which nothing is left to explain. 1 is what the tolerances allow; careful labs stay below 0.3
 /// (nulls of the benchmark).
 pub const NOTHING_LEFT: f64 = 0.8;
+/// What a model that was built joint by joint must leave of the error of angles that the others leave.
+pub const BUILT: f64 = 0.95;

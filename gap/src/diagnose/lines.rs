@@ -49,23 +49,24 @@ pub fn promising(children: &[(State, Worth, usize)], firsts: usize) -> Option<Li
 /// As [`crate::replay::Replayer::predict`].
 pub fn look_alikes(
     context: &Context,
-    base: &State,
     first: &[Screened],
     best: &State,
 ) -> Result<Vec<Line>, GapError> {
-    let mut all: Vec<Line> = Vec::new();
-    for (index, term) in best.terms.iter().enumerate() {
+    let mut withouts: Vec<State> = Vec::new();
+    for index in 0..best.terms.len() {
         let mut terms = best.terms.clone();
         terms.remove(index);
-        let screened;
-        let (screened, without) = if terms.is_empty() {
-            (first, base.clone())
-        } else {
-            let mut without = single(context, terms)?;
-            context.find_basis(&mut without)?;
-            screened = screen(context, &without)?;
-            (screened.as_slice(), without)
-        };
+        let mut without = single(context, terms)?;
+        context.find_basis(&mut without)?;
+        withouts.push(without);
+    }
+    let screened = match &withouts[..] {
+        [_] => vec![first.to_vec()],
+        several => screen(context, best, &several.iter().collect::<Vec<_>>())?,
+    };
+    let mut all: Vec<Line> = Vec::new();
+    for (index, (without, screened)) in withouts.iter().zip(&screened).enumerate() {
+        let term = &best.terms[index];
         let alike = |s: &&Screened| look_alike(term.effect, s.effect);
         let here =
             |s: &Screened| s.place.domain == term.place.domain && s.place.items == term.place.items;
@@ -78,7 +79,7 @@ pub fn look_alikes(
                 None => rivals.push(s),
             }
         }
-        let states = swapped(context, best, index, &rivals, &without)?;
+        let states = swapped(context, best, index, &rivals, without)?;
         for (state, rival) in states.into_iter().zip(&rivals) {
             let mut without = vec![term.effect];
             let others = rivals.iter().map(|r| r.effect);

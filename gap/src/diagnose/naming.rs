@@ -101,9 +101,17 @@ pub fn name(context: &Context, found: &mut Found, out: &mut Vec<Named>) -> Resul
     'again: loop {
         seen.insert(found.best.key());
         out.clear();
+        let causes = found.best.terms.len();
+        let without = |index| without(context, &found.best, index);
+        let withouts = (0..causes).map(without).collect::<Result<Vec<_>, _>>()?;
+        let mut screened = match causes {
+            1 if !found.first.is_empty() => vec![found.first.clone()],
+            _ => screen(context, &found.best, &withouts.iter().collect::<Vec<_>>())?,
+        };
         // what was added last leans on what was there before
-        for index in (0..found.best.terms.len()).rev() {
-            let named = rivals_of(context, found, index)?;
+        for (index, without) in withouts.into_iter().enumerate().rev() {
+            let screened = screened.pop().unwrap_or_default();
+            let named = rivals_of(context, &found.best, index, without, &screened)?;
             let mut better = None;
             if steps < MOST_STEPS {
                 better = simpler(context, &found.best, &named, &seen)
@@ -205,7 +213,9 @@ fn without(context: &Context, best: &State, index: usize) -> Result<State, GapEr
     let mut terms = best.terms.clone();
     terms.remove(index);
     let fitted = refine(context, &context.fit, vec![terms], None, None)?;
-    single(context, fitted.into_iter().flat_map(|f| f.0).collect())
+    let mut state = single(context, fitted.into_iter().flat_map(|f| f.0).collect())?;
+    context.find_basis(&mut state)?;
+    Ok(state)
 }
 
 /// How many joints have the size of another one by chance: places of effects of joints that are several
@@ -317,17 +327,15 @@ pub fn leads(context: &Context, best: &State, order: &[&Named]) -> Vec<bool> {
 }
 
 /// Everything that could stand in the place of term `index` of the best model, fitted.
-fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, GapError> {
-    let best = &found.best;
+fn rivals_of(
+    context: &Context,
+    best: &State,
+    index: usize,
+    without: State,
+    screened: &[Screened],
+) -> Result<Named, GapError> {
     let term = &best.terms[index];
-    let mut without = without(context, best, index)?;
-    context.find_basis(&mut without)?;
-    let screened = if without.terms.is_empty() && !found.first.is_empty() {
-        found.first.clone()
-    } else {
-        screen(context, &without)?
-    };
-    let chosen = rivals(term, &screened);
+    let chosen = rivals(term, screened);
     let states = swapped(context, best, index, &chosen, &without)?;
     let gain = penalised(context, &without) - penalised(context, best);
     let mut rivals: Vec<Rival> = states

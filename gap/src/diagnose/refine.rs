@@ -1,18 +1,19 @@
 //! Refinement: least squares (Levenberg–Marquardt with bounds) of many candidates in step with each other, so
 //! that their simulations share lanes.
 
+use caudata_model::RobotModel;
 use nalgebra::{DMatrix, DVector};
 
 use super::judge::Judge;
 use super::product::{dot, gram};
 use super::state::{Context, differences};
 use crate::error::GapError;
-use crate::replay::Variant;
+use crate::replay::{Term, Variant};
 
 /// Most iterations.
 const ITERATIONS: usize = 8;
 /// Dampings that are tried at once, relative to the present one.
-const TRIES: [f64; 3] = [0.1, 1.0, 12.0];
+pub const TRIES: [f64; 3] = [0.1, 1.0, 12.0];
 /// A fall of the misfit by less than this share ends a fit.
 const ENOUGH: f64 = 1e-3;
 
@@ -175,17 +176,20 @@ fn step(
     }
     let change = matrix.cholesky()?.solve(slope);
     let mut variant = terms.clone();
-    let mut k = 0;
-    for term in &mut variant {
+    moved(model, &mut variant, change.as_slice(), steps);
+    Some(variant)
+}
+
+/// Moves parameters by so many steps, within bounds and by at most a tenth of a range, or half of a value, at once.
+pub fn moved(model: &RobotModel, terms: &mut [Term], by: &[f64], steps: &[f64]) {
+    let mut change = by.iter().zip(steps).map(|(by, step)| by * step);
+    for term in terms {
         for p in 0..term.values.len() {
             let (low, high) = term.effect.bounds(model, &term.place, p);
-            // at most a tenth of the range, or half of the value, at once
             let value = term.values[p];
             let most = (0.1 * (high - low)).max(0.5 * value.abs());
-            let by = (change[k] * steps[k]).clamp(-most, most);
+            let by = change.next().unwrap_or(0.0).clamp(-most, most);
             term.values[p] = (value + by).clamp(low, high);
-            k += 1;
         }
     }
-    Some(variant)
 }

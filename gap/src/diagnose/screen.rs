@@ -2,13 +2,16 @@
 //!
 //! One trace per size serves for all places of a joint effect at once: all joints get it together, and each
 //! joint's channels are judged on their own. (Joints of a held robot hardly move each other; whoever passes
-//! is fitted in earnest afterwards.)
+//! is fitted in earnest afterwards.) So do links of different branches of a held robot, and it serves for all
+//! models that go on side by side.
 
-use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::ops::Range;
 
 use caudata_model::RobotModel;
+use caudata_runlog::BaseHold;
 
-use super::judge::{Judge, concerns};
+use super::judge::Judge;
 use super::product::dot;
 use super::state::{Context, On, State, builds_up};
 use super::tracking::scaling;
@@ -36,75 +39,168 @@ pub struct Screened {
     pub traces: Vec<(Vec<f64>, f64)>,
 }
 
-/// Screens every effect that the context allows, at every place, on top of `state`.
+/// What is simulated once for several places.
+struct Tried {
+    effect: &'static Effect,
+    /// Where the effect is, …
+    at: Vec<Place>,
+    /// … and the places that its trace speaks for.
+    judged: Vec<Place>,
+    /// Which of the effect's sizes.
+    k: usize,
+    variant: Variant,
+}
+
+/// Screens every effect that the context allows, at every place, on top of each of `parents`. What it does is
+/// simulated once for all of them, on top of `around`: they explain about the same motions.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
-pub fn screen(context: &Context, state: &State) -> Result<Vec<Screened>, GapError> {
-    let model = context.replayer.model();
-    let mut plan: Vec<(&'static Effect, Place, usize, Variant)> = Vec::new();
-    for &effect in &context.effects {
-        let all = effect.places(model);
-        let simulated: Vec<Place> = match effect.domain {
-            Domain::Joints => all.into_iter().take(1).collect(),
-            _ => all,
-        };
-        for place in simulated {
-            if !open(context, state, effect, &place) {
-                continue;
-            }
-            for k in 0..effect.grid.len() {
-                let values = effect.sizes(model, &place, k);
-                let mut variant = state.terms.clone();
-                variant.push(Term {
-                    effect,
-                    place: place.clone(),
-                    values,
-                });
-                plan.push((effect, place.clone(), k, variant));
-            }
-        }
-    }
-    let mut out: Vec<Screened> = Vec::new();
-    let (slow, quick): (Vec<_>, Vec<_>) = plan
+pub fn screen(
+    context: &Context,
+    around: &State,
+    parents: &[&State],
+) -> Result<Vec<Vec<Screened>>, GapError> {
+    let mut out: Vec<Vec<Screened>> = vec![Vec::new(); parents.len()];
+    let (slow, quick): (Vec<_>, Vec<_>) = plan(context, around, parents)
         .into_iter()
-        .partition(|p| context.scout.is_some() && builds_up(p.0));
-    let scout = Look {
-        judge: context.first_look(),
-        on: state.on_scout(),
-        basis: &state.basis,
-        dilution: context.scout.as_ref().map_or(1.0, |s| s.dilution),
-    };
+        .partition(|t| context.scout.is_some() && builds_up(t.effect));
+    type Where = fn(&State) -> &On;
+    let dilution = context.scout.as_ref().map_or(1.0, |s| s.dilution);
     // what takes long to build up shows in whole runs only (what other parameters can do there is not known,
     // and not asked)
-    let whole = Look {
-        judge: &context.fit,
-        on: &state.fit,
-        basis: &[],
-        dilution: 1.0,
-    };
-    for (look, plan) in [(&scout, quick), (&whole, slow)] {
-        let data = &look.judge.data;
-        let at_once = (MEMORY_BYTES / (8 * data.len().max(1))).max(16);
+    let first = (context.first_look(), quick, State::on_scout as Where);
+    let whole = (&context.fit, slow, (|s| &s.fit) as Where);
+    for ((judge, plan, on), asks, dilution) in [(first, true, dilution), (whole, false, 1.0)] {
+        let look = |state: &&'_ State| Look {
+            judge,
+            residual: on(state).residual.clone(),
+            basis: if asks {
+                state.basis.clone()
+            } else {
+                Vec::new()
+            },
+            dilution,
+        };
+        let looks: Vec<Look<'_>> = parents.iter().map(look).collect();
+        let at_once = (MEMORY_BYTES / (8 * judge.data.len().max(1))).max(16);
         for batch in plan.chunks(at_once) {
-            let variants: Vec<Variant> = batch.iter().map(|p| p.3.clone()).collect();
-            let predictions = context.replayer.predict(data, &variants)?;
-            for ((effect, place, k, _), prediction) in batch.iter().zip(&predictions) {
+            let variants: Vec<Variant> = batch.iter().map(|t| t.variant.clone()).collect();
+            let predictions = context.replayer.predict(&judge.data, &variants)?;
+            for (tried, prediction) in batch.iter().zip(&predictions) {
                 if !Judge::sound(prediction) {
                     continue;
                 }
-                let change = look.judge.change(prediction, &look.on.prediction);
-                for place in judged_places(context, effect, place) {
-                    judge(context, look, state, effect, &place, *k, &change, &mut out);
+                let change = judge.change(prediction, &on(around).prediction);
+                for ((look, state), out) in looks.iter().zip(parents).zip(&mut out) {
+                    let here = |p: &Place| open(context, state, tried.effect, p);
+                    if tried.at.iter().any(here) {
+                        for place in tried.judged.iter().filter(|p| here(p)) {
+                            weigh(context, look, tried, place, &change, out);
+                        }
+                    }
                 }
             }
         }
     }
-    for s in &mut out {
-        s.traces.sort_by(|a, b| a.1.total_cmp(&b.1));
+    for screened in &mut out {
+        for s in screened.iter_mut() {
+            s.traces.sort_by(|a, b| a.1.total_cmp(&b.1));
+        }
+        screened.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     }
-    out.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     Ok(out)
+}
+
+/// What to simulate: all joints at once, and links of different branches.
+fn plan(context: &Context, around: &State, parents: &[&State]) -> Vec<Tried> {
+    let model = context.replayer.model();
+    let mut plan = Vec::new();
+    for &effect in &context.effects {
+        let all = effect.places(model);
+        let wanted = |p: &Place| parents.iter().any(|s| open(context, s, effect, p));
+        let together: Vec<Vec<Place>> = match effect.domain {
+            Domain::Joints => vec![all[..1].to_vec()],
+            Domain::Links => side_by_side(context, all.iter().filter(|p| wanted(p))),
+            _ => all.iter().map(|p| vec![p.clone()]).collect(),
+        };
+        for at in together.into_iter().filter(|at| at.iter().any(wanted)) {
+            for k in 0..effect.grid.len() {
+                let terms = at.iter().map(|place| Term {
+                    effect,
+                    place: place.clone(),
+                    values: effect.sizes(model, place, k),
+                });
+                plan.push(Tried {
+                    effect,
+                    variant: around.terms.iter().cloned().chain(terms).collect(),
+                    judged: match effect.domain {
+                        Domain::Joints => all.clone(),
+                        _ => at.clone(),
+                    },
+                    at: at.clone(),
+                    k,
+                });
+            }
+        }
+    }
+    plan
+}
+
+/// Links in sets whose members do not move each other: each in another branch of a held robot.
+fn side_by_side<'a>(context: &Context, places: impl Iterator<Item = &'a Place>) -> Vec<Vec<Place>> {
+    let mut sets: Vec<Vec<Place>> = Vec::new();
+    let mut of_branch: BTreeMap<usize, usize> = BTreeMap::new();
+    for place in places {
+        let set = match branch(context, place) {
+            Some(branch) => {
+                let next = of_branch.entry(branch).or_default();
+                *next += 1;
+                *next - 1
+            }
+            None => sets.len(),
+        };
+        match sets.get_mut(set) {
+            Some(set) => set.push(place.clone()),
+            None => sets.push(vec![place.clone()]),
+        }
+    }
+    sets
+}
+
+/// The link with which the branch of a held robot begins that a link is in; none where other joints than those of
+/// the branch, or more than joints, show what the link does.
+fn branch(context: &Context, place: &Place) -> Option<usize> {
+    let data = &context.fit.data;
+    let mut pieces = data.segments.iter().flat_map(|s| &s.pieces);
+    let held = data.trials.iter().all(|t| t.base == BaseHold::Fixed);
+    let (Domain::Links, [link]) = (place.domain, &place.items[..]) else {
+        return None;
+    };
+    if !held || !pieces.all(|p| p.kind.of_joint()) {
+        return None;
+    }
+    begins(context.replayer.model(), *link)
+}
+
+/// The link of its branch that the base carries; none for the base.
+fn begins(model: &RobotModel, link: usize) -> Option<usize> {
+    let up = |l: &usize| model.links()[*l].parent;
+    let carried = std::iter::successors(Some(link), up).filter(|l| up(l).is_some());
+    carried.last()
+}
+
+/// Joints whose channels alone show what an effect at a place does; none: all channels.
+fn shown_at(context: &Context, place: &Place) -> Option<Vec<usize>> {
+    let model = context.replayer.model();
+    if place.domain == Domain::Joints {
+        let some = !place.names.is_empty() && model.actuated().len() > 1;
+        return some.then(|| place.items.clone());
+    }
+    let own = branch(context, place)?;
+    let joints = model.actuated().iter().enumerate();
+    let here = joints.filter(|(_, j)| begins(model, model.joints()[**j].child_link) == Some(own));
+    Some(here.map(|(a, _)| a).collect())
 }
 
 /// Whether the runs can show an effect at a place, and the model does not have it.
@@ -114,34 +210,19 @@ fn open(context: &Context, state: &State, effect: &Effect, place: &Place) -> boo
         && !had.any(|t| t.effect == effect && t.place == *place)
 }
 
-/// Places that a simulated trace speaks for.
-fn judged_places(context: &Context, effect: &'static Effect, simulated: &Place) -> Vec<Place> {
-    if effect.domain == Domain::Joints {
-        effect.places(context.replayer.model())
-    } else {
-        vec![simulated.clone()]
-    }
-}
-
-/// Where candidates are looked at: runs, how the present model does on them, and what its parameters can do
-/// there.
+/// Where candidates are looked at: runs, how a model does on them, and what its parameters can do there.
 struct Look<'a> {
     judge: &'a Judge,
-    on: &'a On,
-    basis: &'a [Vec<f32>],
+    residual: Vec<f32>,
+    basis: Vec<Vec<f32>>,
     /// What a sample of all runs shows over what one of these shows.
     dilution: f64,
 }
 
-/// `change` in the channels of a place's joints, and nothing elsewhere.
-fn in_joints_of(place: &Place, judge: &Judge, change: &[f32]) -> Vec<f32> {
-    let mut trace = change.to_vec();
-    for piece in judge.data.segments.iter().flat_map(|s| &s.pieces) {
-        if !concerns(place, piece.kind, piece.index) || !piece.kind.of_joint() {
-            trace[piece.range.clone()].fill(0.0);
-        }
-    }
-    trace
+/// Σ x·y over `ranges`.
+fn dot_in(ranges: &[Range<usize>], x: &[f32], y: &[f32]) -> f64 {
+    let own = ranges.iter().cloned();
+    own.map(|r| dot(&x[r.clone()], &y[r])).sum()
 }
 
 impl Screened {
@@ -183,37 +264,37 @@ fn shares(
     (if low < 0.0 { low } else { 0.05 }, 3.0)
 }
 
-fn judge(
+/// What `tried` at a place promises to explain of what a model leaves.
+fn weigh(
     context: &Context,
     look: &Look<'_>,
-    state: &State,
-    effect: &'static Effect,
+    tried: &Tried,
     place: &Place,
-    k: usize,
-    change: &[f32],
+    trace: &[f32],
     out: &mut Vec<Screened>,
 ) {
     let model = context.replayer.model();
-    if !open(context, state, effect, place) {
-        return;
-    }
-    let n = change.len().max(1) as f64;
-    let whole =
-        place.domain != Domain::Joints || place.names.is_empty() || model.actuated().len() == 1;
-    let trace: Cow<'_, [f32]> = match whole {
-        true => change.into(),
-        false => in_joints_of(place, look.judge, change).into(),
+    let Tried { effect, k, .. } = *tried;
+    let n = trace.len().max(1) as f64;
+    let ranges = shown_at(context, place).map(|joints| -> Vec<Range<usize>> {
+        (look.judge.data.segments.iter().flat_map(|s| &s.pieces))
+            .filter(|p| p.kind.of_joint() && joints.contains(&p.index))
+            .map(|p| p.range.clone())
+            .collect()
+    });
+    let on_trace = |x: &[f32]| match &ranges {
+        Some(ranges) => dot_in(ranges, x, trace),
+        None => dot(x, trace),
     };
-    let trace: &[f32] = &trace;
-    let residual = &look.on.residual;
-    let (rd, dd) = (dot(residual, trace), dot(trace, trace));
+    let residual = &look.residual;
+    let (rd, dd) = (on_trace(residual), on_trace(trace));
     if dd < 1e-6 * n {
         return;
     }
     // less what parameters that are free already can do
     let (mut prd, mut pdd) = (rd, dd);
-    for q in look.basis {
-        let (qd, qr) = (dot(q, trace), dot(q, residual));
+    for q in &look.basis {
+        let (qd, qr) = (on_trace(q), dot(q, residual));
         prd -= qd * qr;
         pdd -= qd * qd;
     }

@@ -172,10 +172,12 @@ impl Search<'_> {
         let mut children: Vec<Child> = Vec::new();
         let mut seen: BTreeSet<Vec<String>> = BTreeSet::new();
         let firsts = self.beam.len();
-        let parents = self.beam.iter().chain(self.lines.iter().map(|l| &l.state));
-        for (number, parent) in parents.enumerate() {
-            progress(Progress::new(Stage::Screening, depth, &parent.label()));
-            let mut screened = screen(context, parent)?;
+        let best = &self.found.best;
+        let of_lines = self.lines.iter().map(|l| &l.state);
+        let parents: Vec<&State> = self.beam.iter().chain(of_lines).collect();
+        progress(Progress::new(Stage::Screening, depth, &best.label()));
+        let of_parents = screen(context, best, &parents)?;
+        for (number, (parent, mut screened)) in parents.into_iter().zip(of_parents).enumerate() {
             if number >= firsts {
                 screened.retain(|s| !self.lines[number - firsts].without.contains(&s.effect));
             }
@@ -279,7 +281,7 @@ impl Search<'_> {
         }
         self.lines.clear();
         if !little_left && depth < MOST_TERMS {
-            let others = look_alikes(context, base, first, &best)?;
+            let others = look_alikes(context, first, &best)?;
             if let Some(other) = others.first()
                 && !other.says_more
                 && penalised(context, &other.state) < penalised(context, &best)
@@ -359,18 +361,16 @@ fn rebase(
 
 /// Judges states again by the present metric.
 fn reread(context: &Context, states: &mut [&mut State]) -> Result<(), GapError> {
-    for state in states {
-        let had_basis = !state.basis.is_empty();
+    for state in states.iter_mut() {
         state.fit = On::new(&context.fit, std::mem::take(&mut state.fit.prediction));
-        context.cross_validate(state)?;
         if let (Some(scout), Some(on)) = (&context.scout, &mut state.scout) {
             *on = On::new(&scout.judge, std::mem::take(&mut on.prediction));
         }
-        if had_basis {
+        if !state.basis.is_empty() {
             context.find_basis(state)?;
         }
     }
-    Ok(())
+    context.cross_validate(states)
 }
 
 /// The most promising, not more than a few places of one effect.

@@ -185,9 +185,7 @@ impl Context {
                 ..State::default()
             })
             .collect();
-        for state in &mut states {
-            self.cross_validate(state)?;
-        }
+        self.cross_validate(&mut states.iter_mut().collect::<Vec<_>>())?;
         if let Some(scout) = &self.scout {
             let predictions = self.replayer.predict(&scout.judge.data, variants)?;
             for (state, prediction) in states.iter_mut().zip(predictions) {
@@ -197,19 +195,22 @@ impl Context {
         Ok(states)
     }
 
-    /// Fills in `state.cross`.
+    /// Fills in `cross` of `states`.
     ///
     /// # Errors
     /// As [`Replayer::predict`].
-    pub fn cross_validate(&self, state: &mut State) -> Result<(), GapError> {
-        let (columns, steps) = self.jacobian(&self.fit, &state.terms)?;
-        let free = frees(&self.replayer, &state.terms, &steps);
-        let residual = self.folds.left_out(&columns, &state.fit.residual, &free);
-        state.cross = On {
-            prediction: Vec::new(),
-            misfit: self.fit.misfit(&residual),
-            residual,
-        };
+    pub fn cross_validate(&self, states: &mut [&mut State]) -> Result<(), GapError> {
+        let terms: Vec<&[Term]> = states.iter().map(|s| &s.terms[..]).collect();
+        let jacobians = self.jacobians(&self.fit, &terms)?;
+        for (state, (columns, steps)) in states.iter_mut().zip(jacobians) {
+            let free = frees(&self.replayer, &state.terms, &steps);
+            let residual = self.folds.left_out(&columns, &state.fit.residual, &free);
+            state.cross = On {
+                prediction: Vec::new(),
+                misfit: self.fit.misfit(&residual),
+                residual,
+            };
+        }
         Ok(())
     }
 
@@ -279,26 +280,31 @@ impl Context {
     ///
     /// # Errors
     /// As [`Replayer::predict`].
-    pub fn jacobian(
-        &self,
-        judge: &Judge,
-        terms: &[Term],
-    ) -> Result<(Vec<Vec<f32>>, Vec<f64>), GapError> {
-        let (variants, steps) = differences(&self.replayer, terms);
-        let predictions = self.replayer.predict(&judge.data, &variants)?;
-        let columns = predictions
-            .chunks(2)
-            .map(|pair| {
-                let mut d = judge.change(&pair[0], &pair[1]);
-                for d in &mut d {
-                    *d *= 0.5;
-                }
-                d
-            })
-            .collect();
-        Ok((columns, steps))
+    pub fn jacobian(&self, judge: &Judge, terms: &[Term]) -> Result<Derived, GapError> {
+        Ok(self.jacobians(judge, &[terms])?.swap_remove(0))
+    }
+
+    /// The same of several models, which share lanes.
+    fn jacobians(&self, judge: &Judge, of: &[&[Term]]) -> Result<Vec<Derived>, GapError> {
+        let each = of.iter().map(|terms| differences(&self.replayer, terms));
+        let (variants, steps): (Vec<Vec<Variant>>, Vec<Vec<f64>>) = each.unzip();
+        let predictions = self.replayer.predict(&judge.data, &variants.concat())?;
+        let mut pairs = predictions.chunks(2);
+        let derivative = |pair: &[Vec<f32>]| {
+            let mut d = judge.change(&pair[0], &pair[1]);
+            d.iter_mut().for_each(|d| *d *= 0.5);
+            d
+        };
+        let of_one = |steps: Vec<f64>| {
+            let own = pairs.by_ref().take(steps.len());
+            (own.map(derivative).collect(), steps)
+        };
+        Ok(steps.into_iter().map(of_one).collect())
     }
 }
+
+/// Whitened derivatives by each parameter, per step, and the steps, SI. `([P][N], [P])`
+pub type Derived = (Vec<Vec<f32>>, Vec<f64>);
 
 /// How far each parameter of `terms` is from no effect and may go, in `steps` (SI).
 #[must_use]

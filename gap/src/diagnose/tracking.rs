@@ -15,7 +15,8 @@ use caudata_runlog::BaseHold;
 
 use super::alike::look_alike;
 use super::doubt::{meet, sizes};
-use super::joints::{Angles, Joints, mean_abs, place_of, scale, weights};
+use super::joints::{Angles, Joints, Linear, mean_abs, place_of, scale, values, weights};
+use super::levels::BUILT;
 use super::product::dot;
 use super::request::{Progress, Stage};
 use super::state::{Context, builds_up};
@@ -117,8 +118,8 @@ impl Model {
             }
         }
         joints.fixed = fixed;
-        angles.fit(&mut joints, ROUNDS)?;
-        judged(angles, &self.name, joints)
+        let linear = angles.fit(&mut joints, ROUNDS, None)?;
+        Ok(judged(angles, &self.name, joints, &linear))
     }
 }
 
@@ -163,21 +164,22 @@ impl Tracking {
                     values,
                 });
             }
-            angles.fit(&mut model, ROUNDS)?;
-            let fitted = judged(&angles, standard.name, model)?;
+            let linear = angles.fit(&mut model, ROUNDS, None)?;
+            let fitted = judged(&angles, standard.name, model, &linear);
             self.standard.push(fitted);
         }
         Ok(())
     }
 
-    /// Builds the model that each joint's runs support. Nothing where the robot is not held: there joints
-    /// move each other through its body.
+    /// Builds the model that each joint's runs support, if the robot as given has a `gap` or a standard model is
+    /// nearer to the angles. Nothing where the robot is not held: there joints move each other through its body.
     ///
     /// # Errors
     /// As [`crate::replay::Replayer::predict`].
     pub fn build(
         &mut self,
         context: &Context,
+        gap: bool,
         progress: &mut dyn FnMut(Progress),
     ) -> Result<(), GapError> {
         let mut runs = context.fit.data.trials.iter();
@@ -189,9 +191,14 @@ impl Tracking {
             return Ok(());
         };
         let angles = Angles::of(context, &context.first_look().data);
+        let off = angles.residuals(&[Variant::new()])?.swap_remove(0);
+        if !gap && first.cross_rad >= BUILT * angles.mean(|a| mean_abs(&off[a])) {
+            return Ok(());
+        }
         let mut model = first.joints;
-        let (mut errors, _) = angles.cross(&model)?;
-        self.keep(&angles, &model)?;
+        let mut linear = angles.linear(&model, None)?;
+        let (mut errors, _) = angles.cross(&model, &linear);
+        self.keep(&angles, &model, &linear);
         let robot = context.replayer.model();
         let standard: Vec<usize> = model.own.iter().map(Vec::len).collect();
         let explained = |a: usize, error: f64| error < COUNTS * robot.servo(a).encoder_lsb_rad();
@@ -201,7 +208,7 @@ impl Tracking {
         let mut pool: Option<Vec<BTreeSet<&str>>> = None;
         for depth in 1..=MOST_ADDED {
             progress(Progress::new(Stage::Tracking, depth, "joint by joint"));
-            let ranked = ranked(context, &angles, &model, &open, pool.as_deref())?;
+            let ranked = ranked(context, &angles, (&model, &linear), &open, pool.as_deref())?;
             if pool.is_none() {
                 let ids = |r: &Vec<Term>| r.iter().take(POOL).map(|t| t.effect.id).collect();
                 pool = Some(ranked.iter().map(ids).collect());
@@ -212,8 +219,10 @@ impl Tracking {
                 for a in (0..errors.len()).filter(|&a| open[a]) {
                     with.own[a].extend(ranked[a].get(t).cloned());
                 }
-                angles.fit(&mut with, ROUNDS_MORE)?;
-                let (after, _) = angles.cross(&with)?;
+                // what the others can do hardly changes with one more, and is worked out once more for the
+                // one that stays
+                let fitted = angles.fit(&mut with, ROUNDS_MORE, Some(&linear))?;
+                let (after, _) = angles.cross(&with, &fitted);
                 for a in 0..errors.len() {
                     if best[a].as_ref().is_none_or(|b| after[a] < b.0) {
                         best[a] = Some((after[a], with.own[a].clone()));
@@ -231,23 +240,23 @@ impl Tracking {
             if !open.contains(&true) {
                 break;
             }
-            angles.fit(&mut model, 1)?;
-            errors = angles.cross(&model)?.0;
+            linear = angles.fit(&mut model, 1, None)?;
+            errors = angles.cross(&model, &linear).0;
             for a in 0..errors.len() {
                 open[a] &= !explained(a, errors[a]);
             }
-            self.keep(&angles, &model)?;
+            self.keep(&angles, &model, &linear);
         }
-        prune(&angles, &mut model, &mut errors, &standard)?;
+        prune(&angles, &mut model, linear, &mut errors, &standard)?;
         let whole = Angles::of(context, &context.fit.data);
-        whole.fit(&mut model, ROUNDS_MORE)?;
-        self.keep(&whole, &model)
+        let linear = whole.fit(&mut model, ROUNDS_MORE, None)?;
+        self.keep(&whole, &model, &linear);
+        Ok(())
     }
 
     /// Takes `model` for the one that was built.
-    fn keep(&mut self, angles: &Angles<'_>, model: &Joints) -> Result<(), GapError> {
-        self.built = Some(judged(angles, "", model.clone())?);
-        Ok(())
+    fn keep(&mut self, angles: &Angles<'_>, model: &Joints, linear: &Linear) {
+        self.built = Some(judged(angles, "", model.clone(), linear));
     }
 
     /// Errors of the robot as given, the standard models and `extended` on held-out runs, and on the runs
@@ -268,13 +277,6 @@ impl Tracking {
         let fitted = Angles::of(context, &context.fit.data);
         let held_out = held.residuals(&variants)?;
         let on_fitted = fitted.residuals(&variants)?;
-        let mean = |angles: &Angles<'_>, of: &[Vec<f32>]| {
-            let own: Vec<f64> = (0..names.len())
-                .filter(|&a| angles.measured(a))
-                .map(|a| mean_abs(&of[a]))
-                .collect();
-            own.iter().sum::<f64>() / own.len().max(1) as f64
-        };
         let labels = ["as given"]
             .into_iter()
             .chain(self.standard.iter().map(|m| m.name.as_str()))
@@ -283,8 +285,8 @@ impl Tracking {
             .zip(held_out.iter().zip(&on_fitted))
             .map(|(name, (held_out, on_fitted))| PositionError {
                 model: name.to_owned(),
-                mean_rad: mean(&held, held_out),
-                fitted_mean_rad: mean(&fitted, on_fitted),
+                mean_rad: held.mean(|a| mean_abs(&held_out[a])),
+                fitted_mean_rad: fitted.mean(|a| mean_abs(&on_fitted[a])),
                 joints_rad: (0..names.len())
                     .filter(|&a| held.measured(a))
                     .map(|a| (names[a].to_owned(), mean_abs(&held_out[a])))
@@ -305,18 +307,14 @@ fn without_effect(context: &Context, effect: &'static Effect, a: usize) -> Term 
     }
 }
 
-fn judged(angles: &Angles<'_>, name: &str, joints: Joints) -> Result<Model, GapError> {
-    let (errors, deviations) = angles.cross(&joints)?;
-    let own: Vec<f64> = (0..errors.len())
-        .filter(|&a| angles.measured(a))
-        .map(|a| errors[a])
-        .collect();
-    Ok(Model {
+fn judged(angles: &Angles<'_>, name: &str, joints: Joints, linear: &Linear) -> Model {
+    let (errors, deviations) = angles.cross(&joints, linear);
+    Model {
         name: name.to_owned(),
         joints,
-        cross_rad: own.iter().sum::<f64>() / own.len().max(1) as f64,
+        cross_rad: angles.mean(|a| errors[a]),
         deviations,
-    })
+    }
 }
 
 /// For each joint that is `open` the effects that its angle asks for, each with the size that promises most,
@@ -324,7 +322,7 @@ fn judged(angles: &Angles<'_>, name: &str, joints: Joints) -> Result<Model, GapE
 fn ranked(
     context: &Context,
     angles: &Angles<'_>,
-    model: &Joints,
+    (model, linear): (&Joints, &Linear),
     open: &[bool],
     pool: Option<&[BTreeSet<&str>]>,
 ) -> Result<Vec<Vec<Term>>, GapError> {
@@ -336,15 +334,19 @@ fn ranked(
             && (effect.unseen)(&context.excitation, &place_of(context, a)).is_none()
             && pool.is_none_or(|p| p[a].contains(effect.id))
     };
-    let mut plan: Vec<(&'static Effect, usize)> = Vec::new();
     // what builds up over a session says nothing of the next one
-    let of_joints =
-        (context.effects.iter()).filter(|e| e.domain == Domain::Joints && !builds_up(e));
-    for &effect in of_joints {
-        if (0..joints).any(|a| may(effect, a)) {
-            plan.extend((0..effect.grid.len()).map(|k| (effect, k)));
-        }
-    }
+    let of_joints = || {
+        let all = context.effects.iter().copied();
+        all.filter(|e| e.domain == Domain::Joints && !builds_up(e))
+    };
+    // each joint tries its own effects: joints hardly move each other
+    let plan = |a: usize| -> Vec<(&'static Effect, usize)> {
+        let own = of_joints().filter(|e| may(e, a));
+        own.flat_map(|e| (0..e.grid.len()).map(move |k| (e, k)))
+            .collect()
+    };
+    let plans: Vec<_> = (0..joints).map(plan).collect();
+    let most = plans.iter().map(Vec::len).max().unwrap_or(0);
     let at = |effect: &'static Effect, k: usize, a: usize| {
         let place = place_of(context, a);
         let values = effect.sizes(robot, &place, k);
@@ -354,25 +356,20 @@ fn ranked(
             values,
         }
     };
-    let variants: Vec<Variant> = (plan.iter())
-        .map(|&(effect, k)| {
-            let mut with = model.clone();
-            for a in (0..joints).filter(|&a| may(effect, a)) {
-                with.own[a].push(at(effect, k, a));
-            }
-            with.variant()
-        })
-        .collect();
-    let linear = angles.linear(model)?;
+    let tried = |n: usize| -> Variant {
+        let mut with = model.clone();
+        for (a, plan) in plans.iter().enumerate() {
+            with.own[a].extend(plan.get(n).map(|&(effect, k)| at(effect, k, a)));
+        }
+        with.variant()
+    };
+    let variants: Vec<Variant> = (0..most).map(tried).collect();
     let changes = angles.changes(model, &variants)?;
     Ok((0..joints)
         .map(|a| {
             let rest = Rest::new(&linear.residual[a], &linear.columns[a]);
             let mut best: BTreeMap<&str, (f64, Term)> = BTreeMap::new();
-            for (&(effect, k), change) in plan.iter().zip(&changes) {
-                if !may(effect, a) {
-                    continue;
-                }
+            for (&(effect, k), change) in plans[a].iter().zip(&changes) {
                 let mut term = at(effect, k, a);
                 let neutral = effect.neutral(robot, &term.place);
                 let (gain, share) = rest.promises(&change[a], effect.hinge);
@@ -468,28 +465,33 @@ impl Rest {
     }
 }
 
-/// Drops effects that nobody misses, one at each joint at a time, but none of the first `standard` ones.
+/// Drops effects that nobody misses, one at each joint at a time, but none of the first `standard` ones. `linear`:
+/// what the parameters of `model` can do.
 fn prune(
     angles: &Angles<'_>,
     model: &mut Joints,
+    mut linear: Linear,
     errors: &mut [f64],
     standard: &[usize],
 ) -> Result<(), GapError> {
     let most = model.own.iter().map(Vec::len).max().unwrap_or(0);
     let least = standard.iter().copied().min().unwrap_or(0);
     for i in (least..most).rev() {
-        let mut with = model.clone();
-        for (own, standard) in with.own.iter_mut().zip(standard) {
-            if i >= *standard && own.len() > i {
-                own.remove(i);
+        let (mut with, mut known) = (model.clone(), linear.clone());
+        for (a, own) in with.own.iter_mut().enumerate() {
+            if i >= standard[a] && own.len() > i {
+                let from = values(&own[..i]);
+                let gone = own.remove(i);
+                known.forget(a, from..from + gone.values.len());
             }
         }
-        angles.fit(&mut with, 1)?;
-        let (after, _) = angles.cross(&with)?;
+        let fitted = angles.fit(&mut with, 1, Some(&known))?;
+        let (after, _) = angles.cross(&with, &fitted);
         for a in 0..errors.len() {
             if with.own[a].len() < model.own[a].len() && after[a] < MISSED * errors[a] {
                 model.own[a].clone_from(&with.own[a]);
                 errors[a] = after[a];
+                linear.take(&fitted, a);
             }
         }
     }

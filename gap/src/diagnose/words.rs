@@ -1,8 +1,8 @@
 //! A verdict in words.
 
-use super::carried::{BUILT, NO_NEARER};
+use super::carried::NO_NEARER;
 use super::doubt::Doubts;
-use super::levels::{CAREFUL_LAB, NOTHING_LEFT};
+use super::levels::{BUILT, CAREFUL_LAB, NOTHING_LEFT};
 use super::naming::{Named, Rival};
 use super::request::Split;
 use super::search::Found;
@@ -29,26 +29,23 @@ pub fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {
         format!("and {:.2} off that of the runs as they are fitted", w.fit),
         format!("its mark: {}", term.effect.signature),
     ];
-    if let Some(first) = named
-        .rivals
-        .iter()
-        .find(|r| r.state.terms[r.index].effect != term.effect)
-    {
-        let other = &first.state.terms[first.index];
-        lines.push(format!(
-            "the next best name, {}, leaves {:.0} % of it",
-            other.place.label(other.effect.id),
-            100.0 * first.short
-        ));
-    }
-    let elsewhere = |r: &&Rival| r.state.terms[r.index].effect == term.effect;
-    if let Some(other) = named.rivals.iter().find(elsewhere) {
-        lines.push(format!(
-            "as {} it leaves {:.0} % of it",
-            other.state.terms[other.index].place.label(term.effect.id),
-            100.0 * other.short
-        ));
-    }
+    let mut tell = |same: bool, as_what: &str| {
+        let of = |r: &&Rival| (r.state.terms[r.index].effect == term.effect) == same;
+        let Some(rival) = named.rivals.iter().find(of) else {
+            return;
+        };
+        let other = &rival.state.terms[rival.index];
+        let label = other.place.label(other.effect.id);
+        lines.push(match rival.short > 0.0 {
+            true => format!(
+                "{as_what} {label} leaves {:.0} % of it",
+                100.0 * rival.short
+            ),
+            false => format!("{as_what} {label} takes as much off, or more"),
+        });
+    };
+    tell(false, "the next best name");
+    tell(true, "the same at another place,");
     if !named.untried.is_empty() {
         lines.push(
             "time ended before its look-alikes were tried: whether they are as good nobody knows"

@@ -48,11 +48,9 @@ impl<'a> Readers<'a> {
 
     /// As [`Reader::mean`], of each joint. `[A]`
     pub fn means(&mut self, from_s: f64, to_s: f64, means_rad: &mut [f32]) {
-        let length_s = to_s - from_s;
-        if self.faultless && self.next_s >= to_s && length_s > 0.0 {
+        if self.faultless && self.next_s >= to_s {
             for (mean, heard) in means_rad.iter_mut().zip(&self.heard_rad) {
-                // as in `Reader::mean`, to the bit: a product and a quotient are not the number itself
-                *mean = ((0.0 + heard * length_s) / length_s) as f32;
+                *mean = *heard as f32;
             }
             return;
         }

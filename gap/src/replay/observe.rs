@@ -74,8 +74,9 @@ struct Stamps<'a> {
     /// How much later than joints this was measured, s.
     late_s: f64,
     places: Vec<Place>,
-    /// Signals of joints, the base and the feet at them, each once asked for, as [`Trace::at`] gives them.
-    joints: OnceCell<Vec<f64>>,
+    /// Signals of joints (positions, velocities, torques), the base and the feet at them, each once asked for, as
+    /// [`Trace::at`] gives them.
+    joints: [OnceCell<Vec<f64>>; 3],
     base: OnceCell<Vec<f64>>,
     feet: OnceCell<Vec<f64>>,
 }
@@ -83,8 +84,9 @@ struct Stamps<'a> {
 impl Stamps<'_> {
     /// Position (0), velocity (1) or torque (2) of a joint.
     fn joint(&self, trace: &Trace, signal: usize, joint: usize) -> &[f64] {
-        let all = || trace.at(0..3 * trace.joints, &self.places);
-        self.column(self.joints.get_or_init(all), signal * trace.joints + joint)
+        let first = signal * trace.joints;
+        let all = || trace.at(first..first + trace.joints, &self.places);
+        self.column(self.joints[signal].get_or_init(all), joint)
     }
 
     /// A component of the base's position or velocity, SI.
@@ -124,7 +126,7 @@ impl<'a> Seen<'a> {
             times_s,
             late_s,
             places: times_s.iter().map(place).collect(),
-            joints: OnceCell::new(),
+            joints: Default::default(),
             base: OnceCell::new(),
             feet: OnceCell::new(),
         });
