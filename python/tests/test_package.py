@@ -1,5 +1,8 @@
 """The programs, policies and logs of the package."""
 
+import contextlib
+import fcntl
+import io
 import json
 import os
 import pathlib
@@ -194,14 +197,23 @@ class Package(unittest.TestCase):
 
             with mock.patch("caudata.track._OVER.wait", go_on):
                 self.assertEqual(track.track(run, "wandb", 60), 2)
-            # Beside a run that goes on, an old end with its report is none.
+            # Beside a run that goes on, an old end with its report is none; without report, what is waited for is said.
             (run / "progress.jsonl").write_text(lines)
-            for until_told, looks in ((True, 2), (False, 0)):
-                waits = []
+            lock = open(run / "supervisor.lock", "w")
+            self.addCleanup(lock.close)
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            for until_told, at_work, report, looks in (
+                (True, True, True, 2), (False, True, True, 0), (False, True, False, 2), (True, False, False, 0),
+            ):  # fmt: skip
+                if not report:
+                    (run / "report.json").unlink(missing_ok=True)
+                fcntl.flock(lock, fcntl.LOCK_EX if at_work else fcntl.LOCK_UN)
+                waits, said = [], io.StringIO()
                 over = mock.Mock(is_set=lambda waits=waits: len(waits) == 2, wait=waits.append)
-                with mock.patch("caudata.track._OVER", over):
+                with mock.patch("caudata.track._OVER", over), contextlib.redirect_stdout(said):
                     self.assertEqual(list(track.events(run, 60, until_told)), events)
                 self.assertEqual(len(waits), looks)
+                self.assertEqual("evaluation, is waited for 60 s" in said.getvalue(), not until_told and bool(looks))
         values = {"Train/mean_reward": 2.5, "Caudata/kl": 0.01, "Episode/slip": -1.0}
         self.assertEqual(got["curves"], [(values, 7), ({"Caudata/kl": 0.02}, 8), ({"Evaluation/vx_mps": 0.3}, 8)])
         files = [path.name for path in got["files"]]
