@@ -342,6 +342,31 @@ class Package(unittest.TestCase):
             self.assertGreater(np.hypot(end.x - begin.x, end.y - begin.y), 1.0)  # 5 s at 0.3 m/s, with a start
             self.assertIn("<robot", summary["/robot_description"][1][0].data)
 
+    @needs("tensorboard")
+    def test_tensorboard_reads_an_evaluation(self):
+        from caudata._programs import finish
+        from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+        with tempfile.TemporaryDirectory() as board:
+            words = ["--suite", "acceptance", "--episodes", "1", "--seconds", "4", "--json", "--tensorboard", board]
+            result = json.loads(finish("eval", caudata.policy_path("flat"), *words, quiet=True).stdout.splitlines()[-1])
+            rows = result["acceptance"]
+            events = EventAccumulator(board)
+            events.Reload()
+            speed = events.Scalars("Evaluation/%s/vx_mps" % result["scenarios"][0]["name"])[0]
+            self.assertAlmostEqual(speed.value, result["scenarios"][0]["vx_mps"]["mean"], places=6)
+            self.assertEqual(speed.step, result["policy_version"])
+            tags = [tag for tag in events.Tags()["scalars"] if tag.startswith("Acceptance/")]
+            measured = {"Acceptance/" + row["name"]: row["measured"] for row in rows if row["measured"] is not None}
+            self.assertEqual(set(tags), {"Acceptance/met", *measured})
+            for tag, value in measured.items():
+                self.assertAlmostEqual(events.Scalars(tag)[0].value, value, delta=1e-5 * max(1.0, abs(value)))
+            (verdict,) = events.Tensors("Evaluation/verdict/text_summary")
+            text = verdict.tensor_proto.string_val[0].decode()
+            for row in rows:
+                self.assertIn("| %s |" % row["name"], text)
+            self.assertEqual(text.count(" | missed | "), sum(not row["met"] for row in rows))
+
     def test_an_own_reward(self):
         self.assertIn("mean reward", example("own_reward.py"))
 
