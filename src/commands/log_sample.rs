@@ -1,0 +1,135 @@
+//! `caudata log sample`: what the environments of a training do now, as rows of a log.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use caudata_actor::{build_env, gaussian};
+use caudata_config::{Changes, Config, Source};
+use caudata_env::VecEnv;
+use caudata_evaluation::{Frame, RobotPose};
+use caudata_model::RobotModel;
+use caudata_policy::Inference;
+use caudata_random::{Key, Purpose, Stream};
+use caudata_runlog::{BaseHold, CSV_NAME, LogMeta, RunLog, Setting, Table, TableWriter};
+use caudata_studies::files;
+use caudata_telemetry::{ExitCode, Failure, FailureExt};
+use clap::Args;
+
+use crate::commands::eval::log;
+use crate::commands::ground;
+use crate::commands::log::Destination;
+
+/// Key of its random streams: no actor of the training and no page has it.
+const SAMPLE_KEY: u64 = u64::MAX / 3;
+/// Ends of episodes that are told.
+const ENDS_TOLD: usize = 20;
+
+#[derive(Debug, Args)]
+pub struct SampleArgs {
+    /// The folder of the training, which may go on meanwhile
+    #[arg(value_name = "RUN")]
+    pub run: PathBuf,
+    /// How long, s of the robot's time
+    #[arg(long, value_name = "S", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=600))]
+    seconds: u32,
+    #[command(flatten)]
+    pub to: Destination,
+}
+
+/// One environment as an actor's: its ground, starts, commands, pushes, noise and randomised parameters, and a policy
+/// that explores. The log, the robot, and when episodes ended.
+pub fn sample(args: &SampleArgs) -> Result<(RunLog, RobotModel, Vec<String>), Failure> {
+    files::run_folder(&args.run)?;
+    let first = Config::load(&Source::file(&args.run.join("config.toml")));
+    let first = first.or_exit(ExitCode::BadInput)?;
+    let record = Changes::of_run(&args.run, &first).or_exit(ExitCode::BadInput)?;
+    let mut config = record.at(&first, u64::MAX).or_exit(ExitCode::BadInput)?;
+    (config.actors.lanes, config.actors.threads) = (1, 1);
+    let robot = files::robot(&config.robot_path())?;
+    let model = Arc::new(robot.clone());
+    let policy = files::policy(&args.run.join("policy.onnx"))?;
+    let mut env =
+        build_env(&config, Arc::clone(&model), SAMPLE_KEY).or_exit(ExitCode::BadConfig)?;
+    policy
+        .check_runs_on(env.contract())
+        .or_exit(ExitCode::BadInput)?;
+    let inference = Inference::new(&policy, 1).or_exit(ExitCode::BadInput)?;
+    let metadata = policy.metadata();
+    let period_s = config.task.control_period_s;
+    let explorer = Explorer {
+        inference,
+        std: metadata.log_std.iter().map(|x| x.exp()).collect(),
+        // the same policy does the same again
+        noise: Stream::new(
+            Key {
+                actor: SAMPLE_KEY,
+                env: metadata.version,
+                ..Key::for_run(config.run.seed)
+            },
+            Purpose::Action,
+        ),
+    };
+    let steps = (f64::from(args.seconds) / period_s).round() as usize;
+    let (table, notes) = explorer.rows(&mut env, &model, (steps, period_s))?;
+    let wet = env.engine().terrain().water_level_m().is_some();
+    let base = if wet { BaseHold::Water } else { BaseHold::Free };
+    let mut meta = LogMeta::new(
+        config.robot_path().display().to_string(),
+        base,
+        1.0 / period_s,
+    );
+    ground::note(&mut meta, &config.terrain, config.run.seed);
+    meta.notes = format!(
+        "caudata log sample, an environment of {}",
+        args.run.display()
+    );
+    let version = Setting::Number(metadata.version as f64);
+    meta.settings.insert("policy_version".to_owned(), version);
+    Ok((RunLog::new(meta, table), robot, notes))
+}
+
+/// A policy that acts as it does for the learner.
+struct Explorer {
+    inference: Inference,
+    std: Vec<f32>,
+    noise: Stream,
+}
+
+impl Explorer {
+    fn rows(
+        mut self,
+        env: &mut VecEnv,
+        model: &RobotModel,
+        (steps, period_s): (usize, f64),
+    ) -> Result<(Table, Vec<String>), Failure> {
+        let (mut means, mut actions) = (vec![0.0; env.act_dim()], vec![0.0; env.act_dim()]);
+        let signals = log::signals(model);
+        let mut rows =
+            TableWriter::new(Vec::new(), &signals, f64::INFINITY).or_exit(ExitCode::Internal)?;
+        let (mut notes, mut ends) = (Vec::new(), 0);
+        for step in 0..=steps {
+            let t_s = step as f64 * period_s;
+            let row = log::row(&Frame::read(env, 0), &RobotPose::read(env, 0));
+            rows.row(t_s, &row).or_exit(ExitCode::Internal)?;
+            let observed = env.observations();
+            self.inference
+                .run(observed, 1, &mut means)
+                .or_exit(ExitCode::Internal)?;
+            gaussian::sample(&means, &self.std, &mut self.noise, &mut actions);
+            let output = env.step(&actions).or_exit(ExitCode::Internal)?;
+            for episode in &output.episodes {
+                ends += 1;
+                let why = episode.reason.map_or("time", |reason| reason.name());
+                if ends <= ENDS_TOLD {
+                    notes.push(format!("an episode ends at {:.2} s: {why}", t_s + period_s));
+                }
+            }
+        }
+        if ends > ENDS_TOLD {
+            notes.push(format!("{} more episodes end", ends - ENDS_TOLD));
+        }
+        let csv = rows.finish().or_exit(ExitCode::Internal)?;
+        let table = Table::parse(CSV_NAME, csv.as_slice()).or_exit(ExitCode::Internal)?;
+        Ok((table, notes))
+    }
+}
