@@ -21,7 +21,7 @@ use crate::commands::log::Destination;
 
 /// Key of its random streams: no actor of the training and no page has it.
 const SAMPLE_KEY: u64 = u64::MAX / 3;
-/// Ends of episodes that are told.
+/// Ends of episodes that are told, the first.
 const ENDS_TOLD: usize = 20;
 
 #[derive(Debug, Args)]
@@ -53,83 +53,61 @@ pub fn sample(args: &SampleArgs) -> Result<(RunLog, RobotModel, Vec<String>), Fa
     policy
         .check_runs_on(env.contract())
         .or_exit(ExitCode::BadInput)?;
-    let inference = Inference::new(&policy, 1).or_exit(ExitCode::BadInput)?;
-    let metadata = policy.metadata();
-    let period_s = config.task.control_period_s;
-    let explorer = Explorer {
-        inference,
-        std: metadata.log_std.iter().map(|x| x.exp()).collect(),
-        // the same policy does the same again
-        noise: Stream::new(
-            Key {
-                actor: SAMPLE_KEY,
-                env: metadata.version,
-                ..Key::for_run(config.run.seed)
-            },
-            Purpose::Action,
-        ),
+    let mut inference = Inference::new(&policy, 1).or_exit(ExitCode::BadInput)?;
+    let (metadata, seed) = (policy.metadata(), config.run.seed);
+    let std: Vec<f32> = metadata.log_std.iter().map(|x| x.exp()).collect();
+    // the same policy does the same again
+    let (actor, lane) = (SAMPLE_KEY, metadata.version);
+    let key = Key { actor, env: lane, ..Key::for_run(seed) };
+    let mut noise = Stream::new(key, Purpose::Action);
+    let mut act = |observed: &[f32], means: &mut [f32], actions: &mut [f32]| {
+        inference.run(observed, 1, means).or_exit(ExitCode::Internal)?;
+        gaussian::sample(means, &std, &mut noise, actions);
+        Ok(())
     };
+    let period_s = config.task.control_period_s;
     let steps = (f64::from(args.seconds) / period_s).round() as usize;
-    let (table, notes) = explorer.rows(&mut env, &model, (steps, period_s))?;
-    let wet = env.engine().terrain().water_level_m().is_some();
-    let base = if wet { BaseHold::Water } else { BaseHold::Free };
-    let mut meta = LogMeta::new(
-        config.robot_path().display().to_string(),
-        base,
-        1.0 / period_s,
-    );
-    ground::note(&mut meta, &config.terrain, config.run.seed);
-    meta.notes = format!(
-        "caudata log sample, an environment of {}",
-        args.run.display()
-    );
+    let (table, notes) = rows(&mut env, &model, (steps, period_s), &mut act)?;
+    let base = match env.engine().terrain().water_level_m() {
+        Some(_) => BaseHold::Water,
+        None => BaseHold::Free,
+    };
+    let named = config.robot_path().display().to_string();
+    let mut meta = LogMeta::new(named, base, 1.0 / period_s);
+    ground::note(&mut meta, &config.terrain, seed);
+    meta.notes = format!("caudata log sample {}", args.run.display());
     let version = Setting::Number(metadata.version as f64);
     meta.settings.insert("policy_version".to_owned(), version);
     Ok((RunLog::new(meta, table), robot, notes))
 }
 
-/// A policy that acts as it does for the learner.
-struct Explorer {
-    inference: Inference,
-    std: Vec<f32>,
-    noise: Stream,
-}
+/// Answers with actions to what is observed; the means before the noise go to the second.
+type Act<'a> = &'a mut dyn FnMut(&[f32], &mut [f32], &mut [f32]) -> Result<(), Failure>;
 
-impl Explorer {
-    fn rows(
-        mut self,
-        env: &mut VecEnv,
-        model: &RobotModel,
-        (steps, period_s): (usize, f64),
-    ) -> Result<(Table, Vec<String>), Failure> {
-        let (mut means, mut actions) = (vec![0.0; env.act_dim()], vec![0.0; env.act_dim()]);
-        let signals = log::signals(model);
-        let mut rows =
-            TableWriter::new(Vec::new(), &signals, f64::INFINITY).or_exit(ExitCode::Internal)?;
-        let (mut notes, mut ends) = (Vec::new(), 0);
-        for step in 0..=steps {
-            let t_s = step as f64 * period_s;
-            let row = log::row(&Frame::read(env, 0), &RobotPose::read(env, 0));
-            rows.row(t_s, &row).or_exit(ExitCode::Internal)?;
-            let observed = env.observations();
-            self.inference
-                .run(observed, 1, &mut means)
-                .or_exit(ExitCode::Internal)?;
-            gaussian::sample(&means, &self.std, &mut self.noise, &mut actions);
-            let output = env.step(&actions).or_exit(ExitCode::Internal)?;
-            for episode in &output.episodes {
-                ends += 1;
-                let why = episode.reason.map_or("time", |reason| reason.name());
-                if ends <= ENDS_TOLD {
-                    notes.push(format!("an episode ends at {:.2} s: {why}", t_s + period_s));
-                }
-            }
+/// Rows of so many steps, and when episodes end.
+fn rows(
+    env: &mut VecEnv,
+    model: &RobotModel,
+    (steps, period_s): (usize, f64),
+    act: Act<'_>,
+) -> Result<(Table, Vec<String>), Failure> {
+    let (mut means, mut actions) = (vec![0.0; env.act_dim()], vec![0.0; env.act_dim()]);
+    let signals = log::signals(model);
+    let rows = TableWriter::new(Vec::new(), &signals, f64::INFINITY);
+    let mut rows = rows.or_exit(ExitCode::Internal)?;
+    let mut notes = Vec::new();
+    for step in 0..=steps {
+        let t_s = step as f64 * period_s;
+        let row = log::row(&Frame::read(env, 0), &RobotPose::read(env, 0));
+        rows.row(t_s, &row).or_exit(ExitCode::Internal)?;
+        act(env.observations(), &mut means, &mut actions)?;
+        let output = env.step(&actions).or_exit(ExitCode::Internal)?;
+        for episode in output.episodes.iter().filter(|_| notes.len() < ENDS_TOLD) {
+            let why = episode.reason.map_or("time", |reason| reason.name());
+            notes.push(format!("an episode ends at {:.2} s: {why}", t_s + period_s));
         }
-        if ends > ENDS_TOLD {
-            notes.push(format!("{} more episodes end", ends - ENDS_TOLD));
-        }
-        let csv = rows.finish().or_exit(ExitCode::Internal)?;
-        let table = Table::parse(CSV_NAME, csv.as_slice()).or_exit(ExitCode::Internal)?;
-        Ok((table, notes))
     }
+    let csv = rows.finish().or_exit(ExitCode::Internal)?;
+    let table = Table::parse(CSV_NAME, csv.as_slice()).or_exit(ExitCode::Internal)?;
+    Ok((table, notes))
 }

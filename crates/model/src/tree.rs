@@ -193,6 +193,14 @@ impl Element {
         array
     }
 
+    /// Refuses a mass that is none; one to go on with, so that no more is said of it, kg.
+    pub fn no_mass(&self, attribute: &str, remarks: &mut Remarks) -> f64 {
+        let mass = self.get(attribute).unwrap_or_default();
+        let message = format!("attribute `{attribute}`: is {mass} kg; it must be above zero");
+        remarks.refuse_of(self, message);
+        1.0
+    }
+
     pub fn number(&self, attribute: &str, remarks: &mut Remarks) -> Option<f64> {
         self.array::<1>(attribute, remarks).map(|[x]| x)
     }

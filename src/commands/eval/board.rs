@@ -4,7 +4,7 @@ use std::io;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use caudata_evaluation::{ScenarioResult, SuiteResult};
+use caudata_evaluation::SuiteResult;
 use caudata_telemetry::EventFile;
 use serde_json::Value;
 
@@ -60,20 +60,9 @@ fn verdict(result: &SuiteResult) -> String {
     }
     text += "\n";
     for scenario in &result.scenarios {
-        text += &format!("- {}: {}\n", scenario.name, judged(scenario));
+        let falls = 100.0 * scenario.fall_share.mean;
+        let verdict = show::verdict(scenario).unwrap_or_default();
+        text += &format!("- {}: falls in {falls:.1} %; {verdict}\n", scenario.name);
     }
     text
-}
-
-fn judged(scenario: &ScenarioResult) -> String {
-    let falls = format!("falls in {:.1} %", 100.0 * scenario.fall_share.mean);
-    let missed = scenario.gates.as_ref().map(|gates| gates.missed());
-    match (scenario.walks(), missed) {
-        (Some(true), _) => format!("walks; {falls}"),
-        (_, Some(missed)) if !missed.is_empty() => {
-            format!("does not walk: {}; {falls}", missed.join(", "))
-        }
-        (Some(false), _) => format!("does not walk; {falls}"),
-        (None, _) => falls,
-    }
 }

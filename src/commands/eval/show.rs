@@ -166,17 +166,22 @@ fn body(r: &ScenarioResult) {
                 .map_or_else(|| "–".to_owned(), |s| pm(s, 1)),
         ));
     }
-    if let (Some(gates), Some(walks)) = (&r.gates, r.walks()) {
-        let verdict = match (walks, gates.missed()) {
-            (true, _) => "walks: every gate is met".to_owned(),
-            (false, _) if stands(r) => {
-                "stands still: `caudata explain` of its run folder says why".to_owned()
-            }
-            (false, missed) if missed.is_empty() => "misses a gate: it falls too often".to_owned(),
-            (false, missed) => format!("misses gates: {}", missed.join("; ")),
-        };
+    if let Some(verdict) = verdict(r) {
         say::line(format!("  {verdict}"));
     }
+}
+
+/// Whether it walks, and by which gates not; `None` where nothing judges.
+pub fn verdict(r: &ScenarioResult) -> Option<String> {
+    let (gates, walks) = (r.gates.as_ref()?, r.walks()?);
+    Some(match (walks, gates.missed()) {
+        (true, _) => "walks: every gate is met".to_owned(),
+        (false, _) if stands(r) => {
+            "stands still: `caudata explain` of its run folder says why".to_owned()
+        }
+        (false, missed) if missed.is_empty() => "misses a gate: it falls too often".to_owned(),
+        (false, missed) => format!("misses gates: {}", missed.join("; ")),
+    })
 }
 
 fn figures(r: &ScenarioResult) {

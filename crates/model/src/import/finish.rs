@@ -35,12 +35,10 @@ pub(super) fn finish(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
                 // it does not move: any mass will do
                 body.inertial = Some(Solid::unit_ball());
             } else {
-                let message = match body.inertial.map(|i| i.mass_kg) {
-                    Some(kg) if kg < 0.0 => format!("has a mass of {kg} kg; it must be above zero"),
-                    _ => "moves and has no mass; give it an <inertial>, or shapes with a mass"
-                        .to_owned(),
-                };
-                remarks.refuse(&body.element, format!("{label} {message}"));
+                remarks.refuse(
+                    &body.element,
+                    format!("{label} moves and has no mass; give it an <inertial>, or shapes with a mass"),
+                );
             }
         }
     }

@@ -276,7 +276,9 @@ fn a_negative_mass_is_called_so() {
     let wrong = quadruped().replacen("mass value=\"0.", "mass value=\"-0.", 1);
     let said = refused("wrong.urdf", &wrong);
     assert!(
-        said.len() == 1 && said[0].contains("a mass of -0.") && said[0].contains("above zero"),
+        said.len() == 1
+            && said[0].contains("<mass>: attribute `value`: is -0.")
+            && said[0].contains("above zero"),
         "{said:?}"
     );
 }
