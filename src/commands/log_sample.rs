@@ -58,10 +58,16 @@ pub fn sample(args: &SampleArgs) -> Result<(RunLog, RobotModel, Vec<String>), Fa
     let std: Vec<f32> = metadata.log_std.iter().map(|x| x.exp()).collect();
     // the same policy does the same again
     let (actor, lane) = (SAMPLE_KEY, metadata.version);
-    let key = Key { actor, env: lane, ..Key::for_run(seed) };
+    let key = Key {
+        actor,
+        env: lane,
+        ..Key::for_run(seed)
+    };
     let mut noise = Stream::new(key, Purpose::Action);
     let mut act = |observed: &[f32], means: &mut [f32], actions: &mut [f32]| {
-        inference.run(observed, 1, means).or_exit(ExitCode::Internal)?;
+        inference
+            .run(observed, 1, means)
+            .or_exit(ExitCode::Internal)?;
         gaussian::sample(means, &std, &mut noise, actions);
         Ok(())
     };
@@ -102,7 +108,8 @@ fn rows(
         rows.row(t_s, &row).or_exit(ExitCode::Internal)?;
         act(env.observations(), &mut means, &mut actions)?;
         let output = env.step(&actions).or_exit(ExitCode::Internal)?;
-        for episode in output.episodes.iter().filter(|_| notes.len() < ENDS_TOLD) {
+        let room = ENDS_TOLD - notes.len();
+        for episode in output.episodes.iter().take(room) {
             let why = episode.reason.map_or("time", |reason| reason.name());
             notes.push(format!("an episode ends at {:.2} s: {why}", t_s + period_s));
         }
