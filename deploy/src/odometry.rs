@@ -35,9 +35,9 @@ pub struct Reckoned {
     pub pose: Pose,
     /// m², rad².
     pub pose_variance: [f64; 6],
-    /// Of the root link, in its own frame, m/s.
+    /// Velocity of the root link in its own frame, m/s.
     pub linear_mps: [f64; 3],
-    /// In the same frame, rad/s.
+    /// Its turning in the same frame, rad/s.
     pub angular_radps: [f64; 3],
     /// m²/s², rad²/s².
     pub twist_variance: [f64; 6],
@@ -48,7 +48,7 @@ pub struct Reckoned {
 pub struct DeadReckoning {
     robot: Arc<RobotModel>,
     time_s: Option<f64>,
-    /// Of the IMU; the root link begins at 0.
+    /// Place of the IMU, m; the root link begins at 0.
     place_m: Option<[f64; 2]>,
     yaw_rad: f64,
     /// Standard deviation of the yaw, rad.

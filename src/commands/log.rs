@@ -18,7 +18,7 @@ use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::{Args, Subcommand, ValueEnum};
 use serde_json::json;
 
-use crate::commands::log_sample::{SampleArgs, sample};
+use crate::commands::log_sample::sample;
 use crate::say;
 
 /// Time between two flushes, s of log time: the rows of a conversion are there already.
@@ -42,6 +42,18 @@ pub struct ConvertArgs {
     /// Robot file, for the robot's description and its frames; default: what the log names, where it is found
     #[arg(long, value_name = "FILE.robot.toml")]
     robot: Option<PathBuf>,
+    #[command(flatten)]
+    to: Destination,
+}
+
+#[derive(Debug, Args)]
+pub struct SampleArgs {
+    /// The folder of the training, which may go on meanwhile
+    #[arg(value_name = "RUN")]
+    run: PathBuf,
+    /// How long, s of the robot's time
+    #[arg(long, value_name = "S", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=600))]
+    seconds: u32,
     #[command(flatten)]
     to: Destination,
 }
@@ -79,7 +91,7 @@ pub fn run(command: &LogCommand) -> Result<(), Failure> {
     let args = match command {
         LogCommand::Convert(args) => args,
         LogCommand::Sample(args) => {
-            let (log, robot, notes) = sample(args)?;
+            let (log, robot, notes) = sample(&args.run, args.seconds)?;
             return args
                 .to
                 .write(&args.run, Some(&log.meta), &log.table, Some(&robot), notes);

@@ -1,6 +1,6 @@
 //! `caudata log sample`: what the environments of a training do now, as rows of a log.
 
-use std::path::PathBuf;
+use std::path::Path;
 use std::sync::Arc;
 
 use caudata_actor::{build_env, gaussian};
@@ -13,41 +13,27 @@ use caudata_random::{Key, Purpose, Stream};
 use caudata_runlog::{BaseHold, CSV_NAME, LogMeta, RunLog, Setting, Table, TableWriter};
 use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
-use clap::Args;
 
 use crate::commands::eval::log;
 use crate::commands::ground;
-use crate::commands::log::Destination;
 
 /// Key of its random streams: no actor of the training and no page has it.
 const SAMPLE_KEY: u64 = u64::MAX / 3;
 /// Ends of episodes that are told, the first.
 const ENDS_TOLD: usize = 20;
 
-#[derive(Debug, Args)]
-pub struct SampleArgs {
-    /// The folder of the training, which may go on meanwhile
-    #[arg(value_name = "RUN")]
-    pub run: PathBuf,
-    /// How long, s of the robot's time
-    #[arg(long, value_name = "S", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=600))]
-    seconds: u32,
-    #[command(flatten)]
-    pub to: Destination,
-}
-
 /// One environment as an actor's: its ground, starts, commands, pushes, noise and randomised parameters, and a policy
 /// that explores. The log, the robot, and when episodes ended.
-pub fn sample(args: &SampleArgs) -> Result<(RunLog, RobotModel, Vec<String>), Failure> {
-    files::run_folder(&args.run)?;
-    let first = Config::load(&Source::file(&args.run.join("config.toml")));
+pub fn sample(run: &Path, seconds: u32) -> Result<(RunLog, RobotModel, Vec<String>), Failure> {
+    files::run_folder(run)?;
+    let first = Config::load(&Source::file(&run.join("config.toml")));
     let first = first.or_exit(ExitCode::BadInput)?;
-    let record = Changes::of_run(&args.run, &first).or_exit(ExitCode::BadInput)?;
+    let record = Changes::of_run(run, &first).or_exit(ExitCode::BadInput)?;
     let mut config = record.at(&first, u64::MAX).or_exit(ExitCode::BadInput)?;
     (config.actors.lanes, config.actors.threads) = (1, 1);
     let robot = files::robot(&config.robot_path())?;
     let model = Arc::new(robot.clone());
-    let policy = files::policy(&args.run.join("policy.onnx"))?;
+    let policy = files::policy(&run.join("policy.onnx"))?;
     let mut env =
         build_env(&config, Arc::clone(&model), SAMPLE_KEY).or_exit(ExitCode::BadConfig)?;
     policy
@@ -72,7 +58,7 @@ pub fn sample(args: &SampleArgs) -> Result<(RunLog, RobotModel, Vec<String>), Fa
         Ok(())
     };
     let period_s = config.task.control_period_s;
-    let steps = (f64::from(args.seconds) / period_s).round() as usize;
+    let steps = (f64::from(seconds) / period_s).round() as usize;
     let (table, notes) = rows(&mut env, &model, (steps, period_s), &mut act)?;
     let base = match env.engine().terrain().water_level_m() {
         Some(_) => BaseHold::Water,
@@ -81,7 +67,7 @@ pub fn sample(args: &SampleArgs) -> Result<(RunLog, RobotModel, Vec<String>), Fa
     let named = config.robot_path().display().to_string();
     let mut meta = LogMeta::new(named, base, 1.0 / period_s);
     ground::note(&mut meta, &config.terrain, seed);
-    meta.notes = format!("caudata log sample {}", args.run.display());
+    meta.notes = format!("caudata log sample {}", run.display());
     let version = Setting::Number(metadata.version as f64);
     meta.settings.insert("policy_version".to_owned(), version);
     Ok((RunLog::new(meta, table), robot, notes))
