@@ -241,7 +241,8 @@ class Package(unittest.TestCase):
             with subprocess.Popen(command, stdout=subprocess.PIPE, **stubs) as tracker:
                 self.assertEqual(tracker.stdout.readline(), "tracked at here\n")
                 tracker.terminate()
-                rest = tracker.communicate(timeout=60)[0].splitlines()
+                # not communicate(), which loses what came with the first line
+                rest = tracker.stdout.read().splitlines()
             self.assertEqual(rest, ["1 {'Caudata/kl': 0.5}", "config.toml", "end", "1 iterations are in wandb"])
             self.assertEqual(tracker.returncode, 0)
             for fault, said in (
