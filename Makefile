@@ -10,12 +10,14 @@ ENV := . ./.cargo/env.sh &&
 # The same for the robot's processor, after `make setup-arm`.
 ARM := . ./.cargo/arm.sh &&
 ARM_TARGET := aarch64-unknown-linux-gnu
+# Packages whose programs and module the wheel carries.
+WHEEL_PARTS := caudata caudata-actor caudata-learner caudata-policy-server caudata-deploy caudata-ros2 caudata-python
 DENY_VERSION := 0.20.2
 ARGS ?=
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help setup build train test test-fast check lint doc deny advisories bench wheel dist install test-faults setup-arm build-arm test-arm pi-image fuzz siege soak mutants media docs lines clean tools
+.PHONY: help setup build train test test-fast check lint doc deny advisories bench wheel dist install test-faults setup-arm build-arm test-arm wheel-arm pi-image fuzz siege soak mutants media docs lines clean tools
 
 help: ## list the targets
 	@echo 'caudata: make <target> [ARGS="..."]'
@@ -66,6 +68,11 @@ test-arm: build build-arm ## run the robot's programs of aarch64 under emulation
 	@$(ARM) printf '#!/bin/sh\nexport ORT_DYLIB_PATH=%s QEMU_LD_PREFIX=%s QEMU_CPU=%s\nexec %s "$$@"\n' "$$ORT_DYLIB_PATH" "$$QEMU_LD_PREFIX" "$$QEMU_CPU" "$$CARGO_TARGET_DIR/$(ARM_TARGET)/release/caudata-robot" >target/arm/robot && chmod +x target/arm/robot
 	@$(ENV) CAUDATA_ROBOT_PROGRAM=$(CURDIR)/target/arm/robot cargo test --release --locked --workspace --test it -- $(or $(ARGS),wire::the_program wire::doctor wire::a_robot_on_its_back) --nocapture --test-threads 1
 	@ls -l target/arm/$(ARM_TARGET)/release/caudata-robot target/arm/$(ARM_TARGET)/release/caudata-ros2
+
+wheel-arm: ## build the Python wheel for aarch64 into target/arm/wheels and try it under emulation
+	@[ -f .cargo/arm.sh ] || { echo 'make: nothing is provisioned for aarch64: run `make setup-arm` first' >&2; exit 1; }
+	@$(ARM) cargo build --release --locked --target $(ARM_TARGET) $(foreach part,$(WHEEL_PARTS),-p $(part)) --lib --bins
+	@python3 setup/wheel.py --arm --test
 
 pi-image: build-arm ## build an SD card for a Raspberry Pi Zero 2 W, as root; ARGS="--ssh-key FILE --wifi FILE", then ARGS=--boot starts it in QEMU
 	@python3 setup/pi_image.py $(ARGS)

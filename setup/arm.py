@@ -31,6 +31,11 @@ DEBIAN_RUST = "1.96"
 # QEMU 7.2 of the Debian before neither opens serial lines (TCGETS2) nor shows programs their own processor, which
 # ONNX Runtime asks for.
 DEBIAN_QEMU = "10.0"
+# Debian's Python, which tries the wheel for aarch64.
+DEBIAN_PYTHON = (
+    "python3.13-minimal libpython3.13-minimal libpython3.13-stdlib libc6 libgcc-s1 libstdc++6 libexpat1 zlib1g libffi8 "
+    "libssl3t64 libsqlite3-0 libbz2-1.0 liblzma5 libuuid1 libzstd1"
+).split()
 # Start of an ELF file for aarch64, and the bits of it that count.
 ELF = r"\x7fELF\x02\x01\x01" + r"\x00" * 9 + r"\x02\x00\xb7\x00"
 ELF_MASK = r"\xff" * 7 + r"\x00" + r"\xff" * 8 + r"\xfe\xff\xff\xff"
@@ -59,6 +64,9 @@ def main() -> int:
             values["RUSTC"] = rustc
         part = pins.ONNXRUNTIME["aarch64"]
         values["ORT_DYLIB_PATH"] = os.path.join(parts.provision(part), part.loads)
+        # for what `make wheel-arm` builds: the learner, and the Python module against the stable interface
+        values["LIBTORCH"] = parts.provision(pins.LIBTORCH["aarch64"])
+        values["PYO3_NO_PYTHON"] = "1"
     except SetupError as error:
         say("arm: skipped, and with it what is tried for the robot's processor (%s)" % error)
         return error.exit_code

@@ -17,14 +17,15 @@ _DATA: Tuple[Tuple[str, Tuple[str, ...]], ...] = (
 )
 
 
-def stage(root: str) -> None:
-    """Makes `bin`, `robots` and `policies` below `root` anew. Programs find the other two from their own place."""
+def stage(root: str, release: str = os.path.join(TARGET, "release"), strip: str = "strip") -> None:
+    """Makes `bin`, `robots` and `policies` below `root` anew, of what was built into `release`. Programs find the
+    other two from their own place."""
     programs = _empty(root, "bin")
     for name in PROGRAMS:
-        built = os.path.join(TARGET, "release", name)
+        built = os.path.join(release, name)
         if not os.path.exists(built):
             raise SetupError("%s is missing: `make build` makes it" % os.path.relpath(built))
-        copy_program(built, os.path.join(programs, name))
+        copy_program(built, os.path.join(programs, name), strip)
     for folder, patterns in _DATA:
         into = _empty(root, folder)
         for pattern in patterns:
@@ -32,9 +33,9 @@ def stage(root: str) -> None:
                 shutil.copy(path, into)
 
 
-def copy_program(built: str, packed: str) -> None:
+def copy_program(built: str, packed: str, strip: str = "strip") -> None:
     """Without the names of functions: half the size."""
-    if subprocess.run(["strip", "-o", packed, built], stderr=subprocess.DEVNULL).returncode != 0:
+    if subprocess.run([strip, "-o", packed, built], stderr=subprocess.DEVNULL).returncode != 0:
         shutil.copy2(built, packed)
 
 

@@ -319,6 +319,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             gyro_radps: row.imu.gyro_radps,
             acc_mps2: row.imu.acc_mps2,
             gravity: row.gravity,
+            going: self.going.map(|going| going.map(|x| x as f32)),
             supply_v: row.servos.supply_v,
             stage: self.motion.stage(),
             fault: self.fault.map(|(fault, _)| fault),

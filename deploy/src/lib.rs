@@ -27,6 +27,7 @@ pub mod last_moments;
 pub mod metrics;
 pub mod motion;
 pub mod notify;
+pub mod odometry;
 pub mod orientation;
 pub mod pacing;
 pub mod probe;

@@ -41,6 +41,8 @@ pub struct Tick {
     pub acc_mps2: [f32; 3],
     /// Direction of gravity, unit vector, IMU frame.
     pub gravity: [f32; 3],
+    /// Velocity by the legs: forward, to the left, m/s, turning, rad/s; nothing where they tell nothing.
+    pub going: Option<[f32; 3]>,
     /// Supply, V.
     pub supply_v: f32,
     /// What the robot is doing.
@@ -139,6 +141,7 @@ mod tests {
             gyro_radps: [0.1, 0.2, 0.3],
             acc_mps2: [0.0, 0.0, 9.81],
             gravity: [0.0, 0.0, -1.0],
+            going: Some([0.25, 0.0, -0.5]),
             supply_v: 12.0,
             stage: Stage::Walk,
             fault: Some(Fault::ServoAlert),

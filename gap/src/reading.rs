@@ -81,10 +81,10 @@ pub fn trial(model: &RobotModel, run: &Run) -> Result<Trial, GapError> {
 /// Whether the conditions of a run speak of joints and links that the robot has.
 fn known_conditions(model: &RobotModel, run: &Run) -> Result<(), String> {
     let joints = model.actuated_names();
-    let meta = &run.log.meta;
+    let (meta, file) = (&run.log.meta, &run.log.meta_name);
     if let Some(joint) = meta.joint.keys().find(|j| !joints.contains(&j.as_str())) {
         return Err(format!(
-            "log.toml: `joint.{joint}`: the robot has no actuated joint `{joint}`; it has {}",
+            "{file}: `joint.{joint}`: the robot has no actuated joint `{joint}`; it has {}",
             joints.join(", ")
         ));
     }
@@ -95,7 +95,7 @@ fn known_conditions(model: &RobotModel, run: &Run) -> Result<(), String> {
         .find(|p| !links.contains(&p.link.as_str()))
     {
         return Err(format!(
-            "log.toml: `payload`: the robot has no link `{}`; it has {}",
+            "{file}: `payload`: the robot has no link `{}`; it has {}",
             p.link,
             links.join(", ")
         ));

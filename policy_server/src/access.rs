@@ -6,10 +6,10 @@ use std::task::{Context, Poll};
 
 use caudata_proto::registry::StreamName;
 use caudata_signing::pki::{Role, identity_of_der};
+use caudata_telemetry::Peer;
 use tonic::{Request, Status};
 
 use crate::audit::Origin;
-use crate::limits::Peer;
 
 /// The service's name in the path of a call.
 const REGISTRY: &str = "/caudata.registry.v1.PolicyRegistry/";

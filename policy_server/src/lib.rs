@@ -31,7 +31,6 @@ mod watches;
 pub use audit::{Deed, Origin};
 pub use error::{RecordError, StoreError};
 pub use labels::{Change, LABELS_MAX, QUARANTINED_MAX};
-pub use limits::{CONNECTIONS_MAX, ConnectionLimits, PEER_CONNECTIONS_MAX};
 pub use metrics::ServerMetrics;
 pub use options::{Keepalive, REPLY_IDLE_MAX, ServeOptions};
 pub use page::serve_page;

@@ -1,80 +1,16 @@
-//! How many connections are served at once, altogether and from one host, and how they come in.
-//!
-//! Where no place is left, the oldest connection that made no call yet gives up its own: whoever only holds
-//! connections keeps nobody out. Where all of them made calls, the new one is closed at once: whoever waits
-//! in a queue holds a place there too.
+//! What is shared out by host.
 
-use std::collections::BTreeMap;
-use std::io;
 use std::net::IpAddr;
-use std::pin::Pin;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
-use std::task::{Context, Poll};
-use std::time::{Duration, Instant};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 
-use caudata_declare::settings;
-use caudata_telemetry::ACCEPT_PAUSE;
-use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{mpsc, oneshot};
-use tokio_rustls::TlsAcceptor;
-use tokio_stream::wrappers::ReceiverStream;
-use tonic::transport::server::Connected;
+use caudata_telemetry::ConnectionLimits;
 
-/// Connections altogether, unless told otherwise. Each costs some tens of kilobytes and a file handle.
-pub const CONNECTIONS_MAX: usize = 2048;
-/// Connections from one other host, unless told otherwise. Too small: actors of a cluster node behind one
-/// address are shut out; too large: one host can take all places.
-pub const PEER_CONNECTIONS_MAX: usize = 256;
 /// Fetches at once, altogether and from one other host: each holds a few pieces of a file, and all hold one
 /// file together.
 pub const FETCHES_MAX: ConnectionLimits = ConnectionLimits {
     total: 256,
     per_peer: 64,
 };
-/// File handles that connections leave free, for the store's files and whatever else.
-const FILES_RESERVED: u64 = 64;
-/// A connection that has not finished its handshake by then is closed.
-const HANDSHAKE_MAX: Duration = Duration::from_secs(5);
-/// Connections that are ready and wait to be served.
-const READY_MAX: usize = 16;
-/// Refused connections are told of once in this time.
-const TELL_PAUSE: Duration = Duration::from_secs(1);
-
-settings! {
-    /// See [`CONNECTIONS_MAX`] and [`PEER_CONNECTIONS_MAX`].
-    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-    pub struct ConnectionLimits {
-        /// Altogether.
-        pub total: usize = CONNECTIONS_MAX,
-        /// From one host; this host itself is not counted.
-        pub per_peer: usize = PEER_CONNECTIONS_MAX,
-    }
-}
-
-impl ConnectionLimits {
-    /// No more than a process with so many file handles can hold beside its own files.
-    #[must_use]
-    pub fn within(self, files: u64) -> Self {
-        let room = usize::try_from(files.saturating_sub(FILES_RESERVED)).unwrap_or(usize::MAX);
-        let total = self.total.min(room.max(1));
-        if total < self.total {
-            let wanted = self.total;
-            tracing::warn!(
-                files,
-                wanted,
-                total,
-                "fewer connections than asked for: raise the limit of open files"
-            );
-        }
-        Self { total, ..self }
-    }
-
-    fn is_full(&self, peer: IpAddr, of_peer: usize) -> bool {
-        !peer.is_loopback() && of_peer >= self.per_peer
-    }
-}
 
 /// Counts what is shared out by host, such as fetches.
 #[derive(Debug)]
@@ -96,7 +32,7 @@ impl Shares {
 
     /// A share of `peer`, given back when dropped; `None`: there is none left.
     pub fn take(&self, peer: IpAddr) -> Option<Share> {
-        let mut taken = locked(&self.taken);
+        let mut taken = self.taken.lock().unwrap_or_else(PoisonError::into_inner);
         taken.retain(|(_, share)| share.strong_count() > 0);
         let of_peer = taken.iter().filter(|(host, _)| *host == peer).count();
         if taken.len() >= self.limits.total || self.limits.is_full(peer, of_peer) {
@@ -108,320 +44,22 @@ impl Shares {
     }
 }
 
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Who is at the other end of a connection.
-#[derive(Clone, Debug)]
-pub struct Peer {
-    /// Its host.
-    pub host: IpAddr,
-    /// The certificate that it showed; none on a plain connection.
-    pub certificate: Option<Arc<[u8]>>,
-    /// It made a call.
-    pub called: Arc<AtomicBool>,
-}
-
-/// One place: whose it is, and how to take it away.
-#[derive(Debug)]
-struct Held {
-    peer: Peer,
-    _cut: oneshot::Sender<()>,
-}
-
-/// The places by age.
-#[derive(Debug)]
-struct Places {
-    limits: ConnectionLimits,
-    held: Mutex<(u64, BTreeMap<u64, Held>)>,
-}
-
-/// A place among the connections; given back when dropped.
-#[derive(Debug)]
-struct Place {
-    places: Arc<Places>,
-    number: u64,
-}
-
-impl Places {
-    /// A place, and what ends when it is taken away again.
-    fn take(self: &Arc<Self>, peer: &Peer) -> Option<(Place, oneshot::Receiver<()>)> {
-        let mut held = locked(&self.held);
-        let (next, places) = &mut *held;
-        let of_peer = places.values().filter(|h| h.peer.host == peer.host).count();
-        let peer_is_full = self.limits.is_full(peer.host, of_peer);
-        if peer_is_full || places.len() >= self.limits.total {
-            let silent = |held: &Held| {
-                !held.peer.called.load(Ordering::Relaxed)
-                    && (!peer_is_full || held.peer.host == peer.host)
-            };
-            let oldest = places.iter().find(|(_, held)| silent(held));
-            let oldest = oldest.map(|(number, _)| *number)?;
-            places.remove(&oldest);
-        }
-        *next += 1;
-        let (cut, is_cut) = oneshot::channel();
-        let peer = peer.clone();
-        places.insert(*next, Held { peer, _cut: cut });
-        let place = Place {
-            places: Arc::clone(self),
-            number: *next,
-        };
-        Some((place, is_cut))
-    }
-}
-
-impl Drop for Place {
-    fn drop(&mut self) {
-        locked(&self.places.held).1.remove(&self.number);
-    }
-}
-
-/// The connections that come in, have a place, and finished their handshake where there is one. The listener
-/// is closed when the stream is dropped.
-pub fn incoming(
-    listener: TcpListener,
-    limits: ConnectionLimits,
-    tls: Option<TlsAcceptor>,
-) -> ReceiverStream<io::Result<Connection>> {
-    let (ready, connections) = mpsc::channel(READY_MAX);
-    let held = Mutex::default();
-    let places = Arc::new(Places { limits, held });
-    tokio::spawn(accept(listener, places, tls, ready));
-    ReceiverStream::new(connections)
-}
-
-async fn accept(
-    listener: TcpListener,
-    places: Arc<Places>,
-    tls: Option<TlsAcceptor>,
-    ready: mpsc::Sender<io::Result<Connection>>,
-) {
-    let mut told: Option<Instant> = None;
-    loop {
-        let accepted = tokio::select! {
-            () = ready.closed() => return,
-            accepted = listener.accept() => accepted,
-        };
-        let (stream, address) = match accepted {
-            Ok(accepted) => accepted,
-            Err(error) => {
-                tracing::warn!(%error, "no connection can be taken");
-                tokio::time::sleep(ACCEPT_PAUSE).await;
-                continue;
-            }
-        };
-        let peer = Peer {
-            host: address.ip(),
-            certificate: None,
-            called: Arc::default(),
-        };
-        match places.take(&peer) {
-            Some((place, cut)) => {
-                let (tls, ready) = (tls.clone(), ready.clone());
-                tokio::spawn(async move {
-                    if let Some(connection) = shake_hands(stream, tls, peer, place, cut).await {
-                        let _ = ready.send(Ok(connection)).await;
-                    }
-                });
-            }
-            None if told.is_none_or(|then| then.elapsed() > TELL_PAUSE) => {
-                tracing::warn!(peer = %address, "too many connections, closed");
-                told = Some(Instant::now());
-            }
-            None => {}
-        }
-    }
-}
-
-async fn shake_hands(
-    stream: TcpStream,
-    tls: Option<TlsAcceptor>,
-    mut peer: Peer,
-    place: Place,
-    mut cut: oneshot::Receiver<()>,
-) -> Option<Connection> {
-    // Small messages that somebody waits for.
-    let _ = stream.set_nodelay(true);
-    let stream: Box<dyn ByteStream> = match tls {
-        None => Box::new(stream),
-        Some(tls) => {
-            let shaken = tokio::select! {
-                _ = &mut cut => return None,
-                shaken = tokio::time::timeout(HANDSHAKE_MAX, tls.accept(stream)) => shaken,
-            };
-            let stream = match shaken {
-                Ok(Ok(stream)) => stream,
-                Ok(Err(error)) => {
-                    tracing::debug!(peer = %peer.host, %error, "no handshake");
-                    return None;
-                }
-                Err(_) => return None,
-            };
-            let chain = stream.get_ref().1.peer_certificates();
-            peer.certificate = chain.and_then(|c| c.first()).map(|own| own.as_ref().into());
-            Box::new(stream)
-        }
-    };
-    Some(Connection {
-        stream,
-        peer,
-        cut: Some(cut),
-        _place: place,
-    })
-}
-
-/// Bytes both ways.
-trait ByteStream: AsyncRead + AsyncWrite + Send + Unpin {}
-
-impl<T: AsyncRead + AsyncWrite + Send + Unpin> ByteStream for T {}
-
-/// A connection and its place.
-pub struct Connection {
-    stream: Box<dyn ByteStream>,
-    peer: Peer,
-    /// None once the place was taken away.
-    cut: Option<oneshot::Receiver<()>>,
-    _place: Place,
-}
-
-impl Connection {
-    /// An error once its place was taken away.
-    fn check_place(&mut self, context: &mut Context<'_>) -> io::Result<()> {
-        if let Some(cut) = &mut self.cut
-            && Pin::new(cut).poll(context).is_pending()
-        {
-            return Ok(());
-        }
-        self.cut = None;
-        Err(io::ErrorKind::ConnectionAborted.into())
-    }
-}
-
-impl Connected for Connection {
-    type ConnectInfo = Peer;
-
-    fn connect_info(&self) -> Peer {
-        self.peer.clone()
-    }
-}
-
-impl AsyncRead for Connection {
-    fn poll_read(
-        mut self: Pin<&mut Self>,
-        context: &mut Context<'_>,
-        buffer: &mut ReadBuf<'_>,
-    ) -> Poll<io::Result<()>> {
-        self.check_place(context)?;
-        Pin::new(&mut self.stream).poll_read(context, buffer)
-    }
-}
-
-impl AsyncWrite for Connection {
-    fn poll_write(
-        mut self: Pin<&mut Self>,
-        context: &mut Context<'_>,
-        bytes: &[u8],
-    ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.stream).poll_write(context, bytes)
-    }
-
-    fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.stream).poll_flush(context)
-    }
-
-    fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.stream).poll_shutdown(context)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn host(last: u8) -> IpAddr {
-        IpAddr::from([10, 0, 0, last])
-    }
-
-    fn peer(host: IpAddr, called: bool) -> Peer {
-        Peer {
-            host,
-            certificate: None,
-            called: Arc::new(called.into()),
-        }
-    }
-
-    const LIMITS: ConnectionLimits = ConnectionLimits {
-        total: 3,
-        per_peer: 2,
-    };
-
     #[test]
-    fn places_are_counted_per_host_and_given_back() {
-        let held = Mutex::default();
-        let places = Arc::new(Places {
-            limits: LIMITS,
-            held,
+    fn shares_are_counted_and_given_back() {
+        let host = |last: u8| IpAddr::from([10, 0, 0, last]);
+        let shares = Shares::new(ConnectionLimits {
+            total: 3,
+            per_peer: 2,
         });
-        let take = |host| places.take(&peer(host, true));
-        let (a, b) = (take(host(1)).unwrap(), take(host(1)).unwrap());
-        assert!(take(host(1)).is_none(), "two per host");
-        let c = take(host(2)).unwrap();
-        assert!(take(host(3)).is_none(), "three altogether");
-        drop(a);
-        assert!(take(host(3)).is_some());
-        drop((b, c));
-        let here = IpAddr::from([127, 0, 0, 1]);
-        let mine = [take(here), take(here), take(here)];
-        assert!(
-            mine.iter().all(Option::is_some),
-            "only the total counts here"
-        );
-        drop(mine);
-        assert_eq!(locked(&places.held).1.len(), 0);
-    }
-
-    #[test]
-    fn who_made_no_call_gives_up_its_place_and_who_did_keeps_it() {
-        let held = Mutex::default();
-        let places = Arc::new(Places {
-            limits: LIMITS,
-            held,
-        });
-        let (_busy, mut busy_cut) = places.take(&peer(host(1), true)).unwrap();
-        let (_first, mut first_cut) = places.take(&peer(host(1), false)).unwrap();
-        let (_other, mut other_cut) = places.take(&peer(host(2), false)).unwrap();
-        let _new = places.take(&peer(host(1), true)).unwrap();
-        assert!(
-            first_cut
-                .try_recv()
-                .is_err_and(|e| e == oneshot::error::TryRecvError::Closed)
-        );
-        let open = oneshot::error::TryRecvError::Empty;
-        assert_eq!(busy_cut.try_recv(), Err(open.clone()));
-        assert_eq!(
-            other_cut.try_recv(),
-            Err(open),
-            "not the one of another host"
-        );
-        assert!(places.take(&peer(host(1), true)).is_none());
-        let _third = places.take(&peer(host(3), true)).unwrap();
-        assert!(places.take(&peer(host(4), true)).is_none());
-    }
-
-    #[test]
-    fn shares_are_counted_and_given_back_and_files_bound_the_places() {
-        let shares = Shares::new(LIMITS);
         let (a, _b) = (shares.take(host(1)).unwrap(), shares.take(host(1)).unwrap());
         assert!(shares.take(host(1)).is_none());
         drop(a);
         let _c = shares.take(host(1)).unwrap();
         let _d = shares.take(host(2)).unwrap();
         assert!(shares.take(host(3)).is_none());
-        let limits = ConnectionLimits::default();
-        assert_eq!(limits.within(1024).total, 960);
-        assert_eq!(limits.within(1 << 16), limits);
-        assert_eq!(limits.within(3).total, 1);
     }
 }

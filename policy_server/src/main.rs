@@ -7,14 +7,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use caudata_policy_server::{
-    CONNECTIONS_MAX, ConnectionLimits, PEER_CONNECTIONS_MAX, ServeError, ServeOptions,
-    ServerMetrics, SharedStore, Store, StoreError, StoreLimits, listen, serve_page, serve_with,
+    ServeError, ServeOptions, ServerMetrics, SharedStore, Store, StoreError, StoreLimits, listen,
+    serve_page, serve_with,
 };
 use caudata_signing::ReleaseKey;
 use caudata_signing::pki::{Callers, PkiError, listen_as};
 use caudata_telemetry::{
-    ExitCode, Failure, FailureExt, LogArgs, Metrics, MetricsServer, Process, StopFlag, announce,
-    parse_args, raise_file_limit,
+    CONNECTIONS_MAX, ConnectionLimits, ExitCode, Failure, FailureExt, LogArgs, Metrics,
+    MetricsServer, PEER_CONNECTIONS_MAX, Process, StopFlag, announce, parse_args, raise_file_limit,
 };
 use clap::Parser;
 use tokio::sync::watch;

@@ -5,9 +5,9 @@ use std::time::Duration;
 
 use caudata_declare::settings;
 use caudata_signing::ReleaseKey;
+use caudata_telemetry::ConnectionLimits;
 use tokio_rustls::TlsAcceptor;
 
-use crate::limits::ConnectionLimits;
 use crate::uploads::UPLOAD_IDLE_MAX;
 
 /// A client must take a piece of an answer that waits for it (a watch, a fetch) within this time.

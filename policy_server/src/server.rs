@@ -5,12 +5,13 @@ use std::time::Duration;
 
 use caudata_proto::wire::FILE_DESCRIPTOR_SET;
 use caudata_proto::wire::registry::policy_registry_server::PolicyRegistryServer;
+use caudata_telemetry::incoming;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
+use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::Server;
 
 use crate::access::GuardLayer;
-use crate::limits::incoming;
 use crate::metrics::ServerMetrics;
 use crate::options::ServeOptions;
 use crate::service::RegistryService;
@@ -128,7 +129,7 @@ pub async fn serve_with(
                 .max_encoding_message_size(MESSAGE_SIZE_MAX * 4),
         )
         .serve_with_incoming_shutdown(
-            incoming(listener, options.connections, options.tls),
+            ReceiverStream::new(incoming(listener, options.connections, options.tls)),
             drained,
         );
     // Ends with the server, whichever way that ends.

@@ -28,6 +28,7 @@ use caudata_proto::wire::registry as wire;
 use caudata_proto::wire::registry::policy_registry_server::PolicyRegistry;
 use caudata_signing::ReleaseKey;
 use caudata_signing::pki::Role;
+use caudata_telemetry::Peer;
 use tokio::sync::{broadcast, watch};
 use tonic::{Code, Request, Response, Status, Streaming};
 
@@ -36,7 +37,7 @@ use crate::audit::{ENTRIES_KEPT, Origin};
 use crate::error::StoreError;
 use crate::fetches::{ReplyStream, send_file};
 use crate::labels::Change;
-use crate::limits::{FETCHES_MAX, Peer, Shares};
+use crate::limits::{FETCHES_MAX, Shares};
 use crate::metrics::ServerMetrics;
 use crate::options::ServeOptions;
 use crate::replies::replies;

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import platform
 import subprocess
 import sys
 from pathlib import Path
@@ -67,7 +68,8 @@ def libtorch() -> Optional[Path]:
     if os.environ.get("LIBTORCH"):
         return Path(os.environ["LIBTORCH"]) / "lib"
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "caudata"
-    for folder in sorted(cache.glob("libtorch-%s.*" % _LIBTORCH_VERSION)):
+    # there may be one for another processor beside it
+    for folder in sorted(cache.glob("libtorch-%s.*-%s" % (_LIBTORCH_VERSION, platform.machine()))):
         if (folder / "stamp.json").is_file():
             return folder / "lib"
     spec = importlib.util.find_spec("torch")

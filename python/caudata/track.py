@@ -8,6 +8,7 @@ settings, policy and evaluation come with them.
 from __future__ import annotations
 
 import argparse
+import fcntl
 import importlib
 import json
 import signal
@@ -83,10 +84,11 @@ def events(run: Path, patience_s: float, until_told: bool = False) -> Iterator[D
     """The events of a training, those still to come too, until it is over or was silent for too long.
 
     One that goes on has finished before: only who started it knows when it is over, and says so by SIGTERM
-    (``until_told``). Left alone it is over once it has finished; after that there is an evaluation to come.
+    (``until_told``). Left alone it is over once it has finished; after that there is an evaluation to come. Nothing
+    comes where the program that supervised it has ended.
     """
     end = time.monotonic() + patience_s
-    finished = None
+    finished, said = None, until_told and not _is_left(run)
     with open(run / "progress.jsonl", encoding="utf-8") as file:
         line = ""
         while True:
@@ -94,10 +96,13 @@ def events(run: Path, patience_s: float, until_told: bool = False) -> Iterator[D
             line += file.readline()
             if not line.endswith("\n"):  # the rest is still being written, or comes later
                 late = time.monotonic() >= end
-                if last_look or (finished and (late or (not until_told and _is_over(run, finished)))):
+                if last_look or (finished and (late or _is_left(run) or not until_told and _is_over(run, finished))):
                     return
                 if late:
                     raise TimeoutError("nothing came for %g s, and the training has not finished" % patience_s)
+                if finished and not said:
+                    said = True
+                    print("finished; what may still come, its evaluation, is waited for %g s at most" % patience_s, flush=True)
                 _OVER.wait(_LOOK_EVERY_S)
                 continue
             event, line, end = json.loads(line), "", time.monotonic() + patience_s
@@ -111,6 +116,16 @@ def _is_over(run: Path, finished: Dict[str, Any]) -> bool:
     """Whether nothing comes after this end: the report is there, and not the one of before the training went on."""
     evaluated = _report(run).get("finished", {}).get("policy_sha256") == finished["policy_sha256"]
     return evaluated or finished["reason"] != "completed"
+
+
+def _is_left(run: Path) -> bool:
+    """Whether the program that supervised it has let go of the folder, as it does when it ends."""
+    try:
+        with open(run / "supervisor.lock", encoding="utf-8") as lock:
+            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except (BlockingIOError, FileNotFoundError):  # at work, or nobody's: a learner of a cluster
+        return False
+    return True
 
 
 def _report(run: Path) -> Dict[str, Any]:

@@ -1,5 +1,8 @@
 """The programs, policies and logs of the package."""
 
+import contextlib
+import fcntl
+import io
 import json
 import os
 import pathlib
@@ -194,14 +197,23 @@ class Package(unittest.TestCase):
 
             with mock.patch("caudata.track._OVER.wait", go_on):
                 self.assertEqual(track.track(run, "wandb", 60), 2)
-            # Beside a run that goes on, an old end with its report is none.
+            # Beside a run that goes on, an old end with its report is none; without report, what is waited for is said.
             (run / "progress.jsonl").write_text(lines)
-            for until_told, looks in ((True, 2), (False, 0)):
-                waits = []
+            lock = open(run / "supervisor.lock", "w")
+            self.addCleanup(lock.close)
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            for until_told, at_work, report, looks in (
+                (True, True, True, 2), (False, True, True, 0), (False, True, False, 2), (True, False, False, 0),
+            ):  # fmt: skip
+                if not report:
+                    (run / "report.json").unlink(missing_ok=True)
+                fcntl.flock(lock, fcntl.LOCK_EX if at_work else fcntl.LOCK_UN)
+                waits, said = [], io.StringIO()
                 over = mock.Mock(is_set=lambda waits=waits: len(waits) == 2, wait=waits.append)
-                with mock.patch("caudata.track._OVER", over):
+                with mock.patch("caudata.track._OVER", over), contextlib.redirect_stdout(said):
                     self.assertEqual(list(track.events(run, 60, until_told)), events)
                 self.assertEqual(len(waits), looks)
+                self.assertEqual("evaluation, is waited for 60 s" in said.getvalue(), not until_told and bool(looks))
         values = {"Train/mean_reward": 2.5, "Caudata/kl": 0.01, "Episode/slip": -1.0}
         self.assertEqual(got["curves"], [(values, 7), ({"Caudata/kl": 0.02}, 8), ({"Evaluation/vx_mps": 0.3}, 8)])
         files = [path.name for path in got["files"]]
@@ -229,7 +241,8 @@ class Package(unittest.TestCase):
             with subprocess.Popen(command, stdout=subprocess.PIPE, **stubs) as tracker:
                 self.assertEqual(tracker.stdout.readline(), "tracked at here\n")
                 tracker.terminate()
-                rest = tracker.communicate(timeout=60)[0].splitlines()
+                # not communicate(), which loses what came with the first line
+                rest = tracker.stdout.read().splitlines()
             self.assertEqual(rest, ["1 {'Caudata/kl': 0.5}", "config.toml", "end", "1 iterations are in wandb"])
             self.assertEqual(tracker.returncode, 0)
             for fault, said in (
@@ -329,6 +342,31 @@ class Package(unittest.TestCase):
             begin, end = (pose.pose.position for pose in summary["/base/pose"][1][::248])
             self.assertGreater(np.hypot(end.x - begin.x, end.y - begin.y), 1.0)  # 5 s at 0.3 m/s, with a start
             self.assertIn("<robot", summary["/robot_description"][1][0].data)
+
+    @needs("tensorboard")
+    def test_tensorboard_reads_an_evaluation(self):
+        from caudata._programs import finish
+        from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+        with tempfile.TemporaryDirectory() as board:
+            words = ["--suite", "acceptance", "--episodes", "1", "--seconds", "4", "--json", "--tensorboard", board]
+            result = json.loads(finish("eval", caudata.policy_path("flat"), *words, quiet=True).stdout.splitlines()[-1])
+            rows = result["acceptance"]
+            events = EventAccumulator(board)
+            events.Reload()
+            speed = events.Scalars("Evaluation/%s/vx_mps" % result["scenarios"][0]["name"])[0]
+            self.assertAlmostEqual(speed.value, result["scenarios"][0]["vx_mps"]["mean"], places=6)
+            self.assertEqual(speed.step, result["policy_version"])
+            tags = [tag for tag in events.Tags()["scalars"] if tag.startswith("Acceptance/")]
+            measured = {"Acceptance/" + row["name"]: row["measured"] for row in rows if row["measured"] is not None}
+            self.assertEqual(set(tags), {"Acceptance/met", *measured})
+            for tag, value in measured.items():
+                self.assertAlmostEqual(events.Scalars(tag)[0].value, value, delta=1e-5 * max(1.0, abs(value)))
+            (verdict,) = events.Tensors("Evaluation/verdict/text_summary")
+            text = verdict.tensor_proto.string_val[0].decode()
+            for row in rows:
+                self.assertIn("| %s |" % row["name"], text)
+            self.assertEqual(text.count(" | missed | "), sum(not row["met"] for row in rows))
 
     def test_an_own_reward(self):
         self.assertIn("mean reward", example("own_reward.py"))

@@ -1,6 +1,7 @@
 //! Terrains and places on the command line.
 
-use caudata_sim::TerrainKind;
+use caudata_runlog::{LogMeta, Setting};
+use caudata_sim::{TerrainConfig, TerrainKind};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 
 /// The kinds of terrain, as words on the command line.
@@ -9,6 +10,26 @@ pub fn terrain_parser() -> impl TypedValueParser<Value = TerrainKind> {
         // The parser let through no other word.
         TerrainKind::of_name(&name).unwrap_or(TerrainKind::Flat)
     })
+}
+
+/// Writes a terrain into the circumstances of a log: its kind, its seed, and each number that is not the default
+/// as `terrain_<key>`.
+pub fn note(meta: &mut LogMeta, terrain: &TerrainConfig, seed: u64) {
+    let keys = |terrain: &TerrainConfig| match serde_json::to_value(terrain) {
+        Ok(serde_json::Value::Object(keys)) => keys,
+        _ => serde_json::Map::new(),
+    };
+    let defaults = keys(&TerrainConfig::default());
+    meta.terrain = terrain.kind.name().to_owned();
+    // as text: a number would lose digits beyond 2^53
+    let seed = Setting::Text(seed.to_string());
+    meta.settings.insert("seed".to_owned(), seed);
+    for (key, value) in keys(terrain) {
+        if let (Some(number), true) = (value.as_f64(), defaults.get(&key) != Some(&value)) {
+            let value = Setting::Number(number);
+            meta.settings.insert(format!("terrain_{key}"), value);
+        }
+    }
 }
 
 /// Reads `X,Y`.

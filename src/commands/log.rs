@@ -6,6 +6,7 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use caudata_config::Config;
+use caudata_gap::import::bam;
 use caudata_model::{Pose, RobotModel};
 use caudata_runlog::ros::{Compression, Frame, Scene, write_mcap};
 use caudata_runlog::{
@@ -17,6 +18,7 @@ use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::{Args, Subcommand, ValueEnum};
 use serde_json::json;
 
+use crate::commands::log_sample::sample;
 use crate::say;
 
 /// Time between two flushes, s of log time: the rows of a conversion are there already.
@@ -26,8 +28,10 @@ const WORLD: &str = "world";
 
 #[derive(Debug, Subcommand)]
 pub enum LogCommand {
-    /// Turn a log into MCAP for Foxglove, RViz, PlotJuggler and rerun, into Parquet, or into CSV
+    /// Turn a log into MCAP for Foxglove, RViz, PlotJuggler and rerun, into Parquet, CSV or BAM
     Convert(ConvertArgs),
+    /// Run an environment of a training under its newest policy, with all that befalls it there, as a log
+    Sample(SampleArgs),
 }
 
 #[derive(Debug, Args)]
@@ -35,12 +39,32 @@ pub struct ConvertArgs {
     /// A log folder, a CSV file of a rollout, an MCAP file of ROS 2, or a Parquet file with a log's columns
     #[arg(value_name = "LOG")]
     log: PathBuf,
-    /// Where it goes: a FILE.mcap, a FILE.parquet, a FILE.csv, or else a log folder (log.csv and log.toml)
-    #[arg(long, value_name = "OUT")]
-    out: PathBuf,
     /// Robot file, for the robot's description and its frames; default: what the log names, where it is found
     #[arg(long, value_name = "FILE.robot.toml")]
     robot: Option<PathBuf>,
+    #[command(flatten)]
+    to: Destination,
+}
+
+#[derive(Debug, Args)]
+pub struct SampleArgs {
+    /// The folder of the training, which may go on meanwhile
+    #[arg(value_name = "RUN")]
+    run: PathBuf,
+    /// How long, s of the robot's time
+    #[arg(long, value_name = "S", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=600))]
+    seconds: u32,
+    #[command(flatten)]
+    to: Destination,
+}
+
+/// Where rows go, and how.
+#[derive(Debug, Args)]
+pub struct Destination {
+    /// Where it goes: a FILE.mcap, a FILE.parquet, a FILE.csv, a FILE.json (BAM: one servo that swings a weight), or
+    /// else a log folder (log.csv and log.toml)
+    #[arg(long, value_name = "OUT")]
+    out: PathBuf,
     /// When the run began, for the stamps in MCAP: seconds since 1970
     #[arg(long, value_name = "S", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=2_000_000_000))]
     start: u32,
@@ -64,40 +88,74 @@ enum Packing {
 }
 
 pub fn run(command: &LogCommand) -> Result<(), Failure> {
-    let LogCommand::Convert(args) = command;
+    let args = match command {
+        LogCommand::Convert(args) => args,
+        LogCommand::Sample(args) => {
+            let (log, robot, notes) = sample(&args.run, args.seconds)?;
+            return args
+                .to
+                .write(&args.run, Some(&log.meta), &log.table, Some(&robot), notes);
+        }
+    };
     let (meta, table) = read(&args.log)?;
     let mut notes = table.notes().to_vec();
-    if let Some(folder) = args.out.parent() {
-        files::make_folder(folder)?;
-    }
-    match extension(&args.out) {
-        "mcap" => {
-            let robot = robot(args, meta.as_ref(), &mut notes)?;
-            files::write(&args.out, mcap(args, &table, robot.as_ref())?)?;
+    let robot = match extension(&args.to.out) {
+        "mcap" => robot(args, meta.as_ref(), &mut notes)?,
+        _ => None,
+    };
+    args.to
+        .write(&args.log, meta.as_ref(), &table, robot.as_ref(), notes)
+}
+
+impl Destination {
+    /// Writes rows that are `from` there.
+    fn write(
+        &self,
+        from: &Path,
+        meta: Option<&LogMeta>,
+        table: &Table,
+        robot: Option<&RobotModel>,
+        notes: Vec<String>,
+    ) -> Result<(), Failure> {
+        if let Some(folder) = self.out.parent() {
+            files::make_folder(folder)?;
         }
-        form @ ("csv" | "parquet") => {
-            match form {
-                "csv" => csv(&args.out, &table)?,
-                _ => {
-                    files::writable(&args.out)?;
-                    table.to_parquet(&args.out).or_exit(ExitCode::Unavailable)?;
+        match extension(&self.out) {
+            "mcap" => files::write(&self.out, mcap(self, table, robot)?)?,
+            "json" => files::write(&self.out, bam(from, meta, table)?)?,
+            form @ ("csv" | "parquet") => {
+                match form {
+                    "csv" => csv(&self.out, table)?,
+                    _ => {
+                        files::writable(&self.out)?;
+                        table.to_parquet(&self.out).or_exit(ExitCode::Unavailable)?;
+                    }
+                }
+                if let Some(meta) = meta {
+                    let text = meta.to_toml().or_exit(ExitCode::Internal)?;
+                    files::write(&self.out.with_extension("toml"), text)?;
                 }
             }
-            if let Some(meta) = &meta {
-                let text = meta.to_toml().or_exit(ExitCode::Internal)?;
-                files::write(&args.out.with_extension("toml"), text)?;
-            }
-        }
-        _ => folder(&args.out, &args.log, meta, &table)?,
-    }
-    let made = json!({ "out": args.out, "rows": table.len(), "signals": table.signals().len(), "notes": notes });
-    say::either(args.json, &made, |_| {
-        for note in &notes {
-            say::line(format!("note: {note}"));
+            _ => folder(&self.out, from, meta, table)?,
         }
         let (rows, signals) = (table.len(), table.signals().len());
-        let out = args.out.display();
-        say::line(format!("{rows} rows of {signals} signals are in {out}"));
+        let made = json!({ "out": self.out, "rows": rows, "signals": signals, "notes": notes });
+        say::either(self.json, &made, |_| {
+            for note in &notes {
+                say::line(format!("note: {note}"));
+            }
+            let out = self.out.display();
+            say::line(format!("{rows} rows of {signals} signals are in {out}"));
+        })
+    }
+}
+
+fn bam(log: &Path, meta: Option<&LogMeta>, table: &Table) -> Result<String, Failure> {
+    let known = meta.ok_or_else(|| "it says nothing of the run's circumstances".to_owned());
+    let text = known.and_then(|meta| bam::text(meta, table));
+    text.map_err(|why| {
+        let message = format!("{} cannot be said in BAM: {why}", log.display());
+        Failure::message(ExitCode::BadInput, message)
     })
 }
 
@@ -143,7 +201,7 @@ fn csv(out: &Path, table: &Table) -> Result<(), Failure> {
     writer.flush().or_exit(ExitCode::IoError)
 }
 
-fn folder(out: &Path, log: &Path, meta: Option<LogMeta>, table: &Table) -> Result<(), Failure> {
+fn folder(out: &Path, log: &Path, meta: Option<&LogMeta>, table: &Table) -> Result<(), Failure> {
     let Some(meta) = meta else {
         let message = format!(
             "{} says nothing of the run's circumstances, which a log folder has",
@@ -155,7 +213,7 @@ fn folder(out: &Path, log: &Path, meta: Option<LogMeta>, table: &Table) -> Resul
         return Err(Failure::message(ExitCode::BadInput, message).hint(hint));
     };
     let cannot = |error: LogError| Failure::new(ExitCode::CannotCreate, error);
-    let mut writer = LogWriter::create(out, table.signals(), &meta).map_err(cannot)?;
+    let mut writer = LogWriter::create(out, table.signals(), meta).map_err(cannot)?;
     for (k, t_s) in table.time_s().iter().enumerate() {
         let row = table.row(k).unwrap_or_default();
         writer.row(*t_s, &row).or_exit(ExitCode::IoError)?;
@@ -193,13 +251,13 @@ fn robot(
     }
 }
 
-fn mcap(args: &ConvertArgs, table: &Table, robot: Option<&RobotModel>) -> Result<Vec<u8>, Failure> {
-    let compression = match args.packing {
+fn mcap(to: &Destination, table: &Table, robot: Option<&RobotModel>) -> Result<Vec<u8>, Failure> {
+    let compression = match to.packing {
         Packing::Zstd => Some(Compression::Zstd),
         Packing::Lz4 => Some(Compression::Lz4),
         Packing::None => None,
     };
-    let start_ns = u64::from(args.start) * 1_000_000_000;
+    let start_ns = u64::from(to.start) * 1_000_000_000;
     let write = |scene: Option<&Scene<'_>>| {
         write_mcap(table, start_ns, compression, scene).or_exit(ExitCode::BadInput)
     };

@@ -19,6 +19,7 @@ mod gap_session;
 pub mod ground;
 pub mod lane_params;
 pub mod log;
+mod log_sample;
 mod page;
 pub mod play;
 pub mod policy;

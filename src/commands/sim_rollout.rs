@@ -8,7 +8,7 @@ use std::sync::Arc;
 use caudata_config::{Config, ConfigArgs};
 use caudata_model::{BaseKind, RobotModel};
 use caudata_runlog::{Axis, BaseHold, LogMeta, QuatPart, Setting, Signal, Table, TableWriter};
-use caudata_sim::{Engine, InitialState, LaneParams, State, TerrainKind};
+use caudata_sim::{Engine, EngineKind, InitialState, LaneParams, State, TerrainKind};
 use caudata_studies::failures::stopped;
 use caudata_studies::files;
 use caudata_studies::flags::EngineName;
@@ -16,7 +16,7 @@ use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
 use clap::{Args, ValueEnum};
 use serde_json::json;
 
-use crate::commands::ground::{pair, terrain_parser};
+use crate::commands::ground::{self, pair, terrain_parser};
 use crate::commands::lane_params;
 use crate::commands::robot;
 use crate::say;
@@ -64,7 +64,8 @@ pub struct RolloutArgs {
     /// How long to simulate, s; default: until the last command, which holds if this is longer
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     duration_s: Option<f64>,
-    /// Rows, and control periods, per second; default: `engine.substeps` and `engine.dt_s` decide (50)
+    /// Rows, and control periods, per second; default: `engine.substeps` and `engine.dt_s` decide (50), or, where
+    /// these are not set, commands that come faster
     #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
     rate_hz: Option<f64>,
     /// One JSON object on the last line
@@ -102,9 +103,6 @@ pub fn run(args: &RolloutArgs, stop: &StopFlag) -> Result<(), Failure> {
         config.terrain.kind = kind;
     }
     config.run.seed = args.seed;
-    if let Some(rate_hz) = args.rate_hz {
-        (config.engine.substeps, config.engine.dt_s) = steps(config.engine.dt_s, rate_hz)?;
-    }
     let model = Arc::new(robot::load(&config.robot_path())?);
     let params = lane_params::changed(&model, &changes)?;
     let code = match args.commands.try_exists() {
@@ -115,8 +113,17 @@ pub fn run(args: &RolloutArgs, stop: &StopFlag) -> Result<(), Failure> {
         .or_exit_with(code, || format!("commands {}", args.commands.display()))?;
     check_out(&args.out, &args.commands)?;
     let mut commands = Commands::new(&table, &model)?;
+    let set = |key| flags.sets("engine", key).or_exit(ExitCode::BadConfig);
+    let own_rate = || commands.rate_hz(config.engine.control_period_s(), config.engine.dt_s);
+    let rate_hz = match args.rate_hz {
+        None if !set("substeps")? && !set("dt_s")? => own_rate(),
+        given => given,
+    };
+    if let Some(rate_hz) = rate_hz {
+        (config.engine.substeps, config.engine.dt_s) = steps(config.engine.dt_s, rate_hz)?;
+    }
     let row_s = config.engine.control_period_s();
-    commands.fit(row_s)?;
+    commands.early_s = commands.fit(row_s)?;
     let rows = periods(args, &commands, row_s)?;
     // What is told is of an instant, as a servo reads its current, and not the mean over a row. Frames are lost by
     // control period.
@@ -220,7 +227,7 @@ fn circumstances(
     };
     let rate_hz = 1.0 / row_s;
     let mut meta = LogMeta::new(config.robot_path().display().to_string(), base, rate_hz);
-    meta.terrain = config.terrain.kind.name().to_owned();
+    ground::note(&mut meta, &config.terrain, args.seed);
     meta.notes = "caudata sim rollout".to_owned();
     let path = |path: &Path| Setting::Text(path.display().to_string());
     let same = |values: &[f32]| {
@@ -231,13 +238,13 @@ fn circumstances(
     meta.kd = same(&params.kd_nms_per_rad);
     meta.supply_v = Some(f64::from(params.supply_v));
     let mut put = |key: &str, value| meta.settings.insert(key.to_owned(), value);
-    // as text: a number would lose digits beyond 2^53
-    put("seed", Setting::Text(args.seed.to_string()));
     put("commands", path(&args.commands));
     put("place_x_m", Setting::Number(f64::from(args.place[0])));
     put("place_y_m", Setting::Number(f64::from(args.place[1])));
     put("dt_s", Setting::Number(config.engine.dt_s));
-    put("centred", Setting::Switch(config.engine.centred));
+    if config.engine.kind == EngineKind::Batch {
+        put("centred", Setting::Switch(config.engine.centred));
+    }
     put(
         "engine",
         Setting::Text(config.engine.kind.name().to_owned()),
@@ -251,24 +258,7 @@ fn circumstances(
     if !args.config.overrides.is_empty() {
         put("set", Setting::Text(args.config.overrides.join(" ")));
     }
-    for (key, value) in terrain_changes(config) {
-        put(&format!("terrain_{key}"), Setting::Number(value));
-    }
     meta
-}
-
-/// The terrain's keys that are not the defaults.
-fn terrain_changes(config: &Config) -> Vec<(String, f64)> {
-    let keys = |terrain| match serde_json::to_value(terrain) {
-        Ok(serde_json::Value::Object(keys)) => keys,
-        _ => serde_json::Map::new(),
-    };
-    let defaults = keys(caudata_sim::TerrainConfig::default());
-    keys(config.terrain.clone())
-        .into_iter()
-        .filter(|(key, value)| defaults.get(key) != Some(value))
-        .filter_map(|(key, value)| Some((key, value.as_f64()?)))
-        .collect()
 }
 
 /// Joint commands over time; each holds until the next row.
@@ -331,11 +321,12 @@ impl Commands {
     }
 
     /// Refuses commands that come faster than the engine takes them: all but the last of a control period would
-    /// be lost. Those of a log, which come once in a period and jitter, go to the period that is nearest.
-    fn fit(&mut self, period_s: f64) -> Result<(), Failure> {
+    /// be lost. Those of a log, which come once in a period and jitter, go to the period that is nearest. Answers
+    /// with [`Self::early_s`].
+    fn fit(&self, period_s: f64) -> Result<f64, Failure> {
         let close = |pair: &[f64]| pair[1] - pair[0] < period_s * (1.0 - ROUNDING);
         if !self.time_s.windows(2).any(close) {
-            return Ok(());
+            return Ok(self.early_s);
         }
         let first = self.time_s[0];
         let nearest: Vec<f64> = (self.time_s.iter())
@@ -343,19 +334,41 @@ impl Commands {
             .collect();
         let lost = nearest.windows(2).filter(|pair| pair[0] == pair[1]).count();
         let intervals = nearest.len() as f64 - 1.0;
-        let mean_s = (self.time_s[nearest.len() - 1] - first) / intervals;
+        let [mean_s, least_s] = self.intervals_s();
         let is_log = (1.0 - LOST..1.0 + MISSED).contains(&(mean_s / period_s));
         if !is_log || lost as f64 > LOST * intervals {
-            let least_s = self.time_s.windows(2).map(|pair| pair[1] - pair[0]);
-            let least_s = least_s.fold(f64::INFINITY, f64::min);
             let message = format!(
                 "{lost} command(s) share a control period of {period_s} s with the next; give --rate-hz {:.0} or more",
                 1.0 / if is_log { mean_s } else { least_s }
             );
             return Err(Failure::message(ExitCode::BadInput, message));
         }
-        self.early_s = period_s / 2.0;
-        Ok(())
+        Ok(period_s / 2.0)
+    }
+
+    /// The rate that they come at, Hz, where that is faster than every `period_s`, and no faster than every
+    /// `dt_s`.
+    fn rate_hz(&self, period_s: f64, dt_s: f64) -> Option<f64> {
+        if self.fit(period_s).is_ok() {
+            return None;
+        }
+        let fits = |s: &f64| *s > dt_s * (1.0 - ROUNDING) && self.fit(*s).is_ok();
+        let exact = 1.0 / self.intervals_s().into_iter().find(fits)?;
+        let whole = exact.round();
+        Some(if (exact - whole).abs() < ROUNDING * whole {
+            whole
+        } else {
+            exact
+        })
+    }
+
+    /// Mean and least time from one to the next, s.
+    fn intervals_s(&self) -> [f64; 2] {
+        let times = &self.time_s;
+        let count = times.len().saturating_sub(1).max(1) as f64;
+        let steps = times.windows(2).map(|pair| pair[1] - pair[0]);
+        let mean_s = (times[times.len() - 1] - times[0]) / count;
+        [mean_s, steps.fold(f64::INFINITY, f64::min)]
     }
 
     /// What is commanded from `t_s` on.
@@ -483,17 +496,24 @@ mod tests {
 
     #[test]
     fn commands_faster_than_the_control_period_are_refused() {
-        let mut commands = commands("t,cmd.FL_hip\n0,0\n0.01,0.5\n0.02,0\n").unwrap();
+        let rows = |csv: &str| commands(&format!("t,cmd.FL_hip\n{csv}")).unwrap();
+        let commands = rows("0,0\n0.01,0.5\n0.02,0\n");
         commands.fit(0.01).unwrap();
         let failure = commands.fit(0.02).unwrap_err();
         assert!(failure.to_string().contains("--rate-hz 100"), "{failure}");
+        // their own rate is the default, if the engine can
+        assert_eq!(commands.rate_hz(0.02, 0.002), Some(100.0));
+        assert_eq!(commands.rate_hz(0.01, 0.002), None);
+        assert_eq!(commands.rate_hz(0.02, 0.012), None);
+        let once_in_a_while = rows("0,0\n0.01,0.5\n0.02,0\n1,0.5\n");
+        assert_eq!(once_in_a_while.rate_hz(0.02, 0.002), Some(100.0));
     }
 
     #[test]
     fn stamps_that_jitter_go_to_the_nearest_period() {
         let csv = "t,cmd.FL_hip\n5.000,0.0\n5.012,0.1\n5.019,0.2\n5.033,0.3\n5.040,0.4\n";
         let mut commands = commands(csv).unwrap();
-        commands.fit(0.01).unwrap();
+        commands.early_s = commands.fit(0.01).unwrap();
         let hip: Vec<f32> = (0..5)
             .map(|k| commands.at(5.0 + 0.01 * f64::from(k))[8])
             .collect();

@@ -196,7 +196,7 @@ fn choose_terrain(
     Ok(args.seed.unwrap_or(seed))
 }
 
-/// The terrain that `caudata sim rollout` wrote into a log: its kind, and each key that is not the default as
+/// The terrain that `caudata sim rollout` or `caudata eval` wrote into a log: its kind, and each key that is not the default as
 /// `terrain_<key>`.
 fn logged_terrain(log: &RunLog, kind: TerrainKind) -> Result<TerrainConfig, Failure> {
     let mut table = serde_json::Map::new();
@@ -207,7 +207,7 @@ fn logged_terrain(log: &RunLog, kind: TerrainKind) -> Result<TerrainConfig, Fail
         }
     }
     serde_json::from_value(table.into()).or_exit_with(ExitCode::BadInput, || {
-        "the terrain settings of log.toml".to_owned()
+        format!("the terrain settings of {}", log.meta_name)
     })
 }
 

@@ -8,7 +8,7 @@ use caudata_declare::settings;
 use caudata_env::StartShift;
 use caudata_model::RobotModel;
 use caudata_policy::{Inference, PolicyFile};
-use caudata_sim::Terrain;
+use caudata_sim::{Terrain, TerrainConfig};
 
 use crate::anatomy::Anatomy;
 use crate::block::{Block, Round, run_blocks};
@@ -51,6 +51,8 @@ pub struct Outcome {
     pub result: ScenarioResult,
     /// Where it was.
     pub terrain: Terrain,
+    /// What that was drawn from.
+    pub terrain_config: TerrainConfig,
     /// Time between two frames, s.
     pub period_s: f64,
     /// How many commands the episodes follow in turn.
@@ -131,6 +133,7 @@ pub fn run_scenario(
     Ok(Outcome {
         result,
         terrain,
+        terrain_config: scenario.terrain.clone(),
         period_s: config.task.control_period_s,
         commands,
         tracks,

@@ -53,13 +53,8 @@ pub enum ModelError {
         message: String,
     },
     /// The MJCF is not well-formed XML.
-    #[error("{file}: not well-formed XML: {message}")]
-    Xml {
-        /// The file.
-        file: String,
-        /// What is wrong, with its place.
-        message: String,
-    },
+    #[error("{0}")]
+    Xml(Remark),
     /// The MJCF uses something outside the supported subset, or a value is wrong.
     #[error("{0}")]
     Mjcf(Remark),

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::io::ErrorKind;
 use std::path::Path;
+use std::sync::Arc;
 
 use caudata_durable::read_at_most;
 use roxmltree::{Document, Node};
@@ -26,6 +27,8 @@ const NUMBER_LIMIT: f64 = 1e9;
 pub(crate) struct Element {
     pub tag: String,
     pub attributes: BTreeMap<String, String>,
+    /// File and line of attributes that stand elsewhere: in a default class.
+    pub elsewhere: BTreeMap<String, Arc<(String, u32)>>,
     pub children: Vec<Element>,
     /// Whether text stands in it.
     pub has_text: bool,
@@ -98,9 +101,17 @@ impl Element {
         }
     }
 
-    /// A remark of the element, which is named in front.
+    /// A remark of the element, which is named in front, at the line of the attribute that the message begins with.
     pub fn remark_of(&self, message: impl Display) -> Remark {
-        self.remark(format!("{}: {message}", self.label()))
+        let mut remark = self.remark(format!("{}: {message}", self.label()));
+        let message = message.to_string();
+        let attribute = message
+            .strip_prefix("attribute `")
+            .and_then(|m| m.split('`').next());
+        if let Some(place) = attribute.and_then(|a| self.elsewhere.get(a)) {
+            (remark.file, remark.line) = (**place).clone();
+        }
+        remark
     }
 
     pub fn get(&self, attribute: &str) -> Option<&str> {
@@ -182,6 +193,14 @@ impl Element {
         array
     }
 
+    /// Refuses a mass that is none; one to go on with, so that no more is said of it, kg.
+    pub fn no_mass(&self, attribute: &str, remarks: &mut Remarks) -> f64 {
+        let mass = self.get(attribute).unwrap_or_default();
+        let message = format!("attribute `{attribute}`: is {mass} kg; it must be above zero");
+        remarks.refuse_of(self, message);
+        1.0
+    }
+
     pub fn number(&self, attribute: &str, remarks: &mut Remarks) -> Option<f64> {
         self.array::<1>(attribute, remarks).map(|[x]| x)
     }
@@ -218,13 +237,17 @@ fn parse(file: &Path) -> Result<Element, ModelError> {
 
 /// What a text holds; `file` names it.
 pub(crate) fn of_text(file: &str, text: &str) -> Result<Element, ModelError> {
-    let wrong = |message: String| ModelError::Xml {
-        file: file.to_owned(),
-        message,
+    let wrong = |line: u32, message: String| {
+        ModelError::Xml(Remark {
+            file: file.to_owned(),
+            line,
+            message,
+        })
     };
-    let document = Document::parse(text).map_err(|e| wrong(e.to_string()))?;
+    let document = Document::parse(text)
+        .map_err(|e| wrong(e.pos().row, format!("not well-formed XML: {e}")))?;
     own(&document, document.root_element(), file, 0)
-        .ok_or_else(|| wrong(format!("elements nest more than {DEPTH_LIMIT} deep")))
+        .ok_or_else(|| wrong(0, format!("elements nest more than {DEPTH_LIMIT} deep")))
 }
 
 /// The element and what it holds; `None`: it nests too deeply.
@@ -238,16 +261,15 @@ fn own(document: &Document<'_>, node: Node<'_, '_>, file: &str, depth: usize) ->
     Some(Element {
         tag: node.tag_name().name().to_owned(),
         attributes: node.attributes().map(attribute).collect(),
+        elsewhere: BTreeMap::new(),
         children: children
             .map(|c| own(document, c, file, depth + 1))
             .collect::<Option<_>>()?,
         has_text: node.children().any(is_text),
         file: file.to_owned(),
         line: document.text_pos_at(node.range().start).row,
-        of_xacro: node
-            .tag_name()
-            .namespace()
-            .is_some_and(|name| name.contains("xacro")),
+        // by its prefix: the address behind it has changed over the years
+        of_xacro: document.input_text()[node.range()].starts_with("<xacro:"),
     })
 }
 

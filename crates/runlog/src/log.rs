@@ -29,9 +29,24 @@ pub struct RunLog {
     pub meta: LogMeta,
     /// `log.csv`, or what else holds the rows.
     pub table: Table,
+    /// Name of the file of the rows, for messages.
+    pub rows_name: String,
+    /// Name of the file of the circumstances, for messages.
+    pub meta_name: String,
 }
 
 impl RunLog {
+    /// A log that is in no file; messages call its files as those of a log folder.
+    pub fn new(meta: LogMeta, table: Table) -> Self {
+        let (rows_name, meta_name) = (CSV_NAME.to_owned(), META_NAME.to_owned());
+        Self {
+            meta,
+            table,
+            rows_name,
+            meta_name,
+        }
+    }
+
     /// Reads and checks a log: a folder, or a file of rows that has its circumstances beside it.
     ///
     /// # Errors
@@ -40,8 +55,21 @@ impl RunLog {
         let path = meta_file(log);
         let text = read_text_at_most(&path, MAX_META_BYTES).map_err(io_error(&path))?;
         let meta = LogMeta::parse(&path.display().to_string(), &text)?;
-        let table = read_rows(&rows_file(log))?;
-        Ok(Self { meta, table })
+        let rows = rows_file(log);
+        let table = read_rows(&rows)?;
+        let name = |path: &Path| {
+            path.file_name()
+                .unwrap_or_default()
+                .to_string_lossy()
+                .into_owned()
+        };
+        let (rows_name, meta_name) = (name(&rows), name(&path));
+        Ok(Self {
+            meta,
+            table,
+            rows_name,
+            meta_name,
+        })
     }
 }
 
@@ -57,11 +85,14 @@ pub fn read_rows(path: &Path) -> Result<Table, LogError> {
     }
 }
 
-/// Whether a file of circumstances says of which robot it is, as that of every log does.
+/// Whether a file of circumstances says of which robot it is, as that of every log does; one that is wrong counts
+/// as that of a log, which then says what is wrong.
 pub fn names_a_robot(meta: &Path) -> bool {
-    let text = read_text_at_most(meta, MAX_META_BYTES).unwrap_or_default();
-    text.lines()
-        .any(|line| line.trim_start().starts_with("robot"))
+    let text = read_text_at_most(meta, MAX_META_BYTES);
+    text.is_ok_and(|text| {
+        let table = text.parse::<toml::Table>();
+        table.map_or(true, |table| table.contains_key("robot"))
+    })
 }
 
 /// The file of a log's circumstances: `log.toml` of a folder; `NAME.toml` beside a file of rows, `NAME.csv`.

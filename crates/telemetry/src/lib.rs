@@ -28,6 +28,7 @@ mod error;
 mod exit;
 mod files;
 mod http;
+mod incoming;
 mod logging;
 mod metrics;
 mod parent;
@@ -38,6 +39,7 @@ mod queue;
 mod serve;
 pub mod spans;
 mod stop;
+mod tensorboard;
 pub mod traces;
 
 pub use advice::{Advice, Advisor, IterationLoad};
@@ -46,7 +48,10 @@ pub use banner::{BuildInfo, Code, build_info};
 pub use error::ServeError;
 pub use exit::{ExitCode, Failure, FailureExt};
 pub use files::raise_file_limit;
-pub use http::{ACCEPT_PAUSE, Connection, serve_http};
+pub use http::{Connection, serve_http};
+pub use incoming::{
+    CONNECTIONS_MAX, ConnectionLimits, Incoming, PEER_CONNECTIONS_MAX, Peer, incoming,
+};
 pub use logging::{LogArgs, LogFormat};
 pub use metrics::{
     Counter, Gauge, Histogram, IntGauge, Kind, LabelledCounter, Metrics, SecondsCounter,
@@ -56,3 +61,4 @@ pub use process::{Process, parse_args};
 pub use pulse::Pulse;
 pub use serve::{HttpServer, MetricsServer};
 pub use stop::{DRAIN_DEADLINE, INSIST_DEADLINE, Insistence, StopFlag};
+pub use tensorboard::EventFile;

@@ -5,19 +5,20 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use caudata_deploy::command_link::{Commander, DATAGRAM, LinkKey};
+use caudata_deploy::odometry::{DeadReckoning, Reckoned};
 use caudata_deploy::tap::Tick;
 use caudata_model::{Pose, RobotModel};
 use caudata_runlog::ros::messages::{
-    BatteryState, DiagnosticArray, DiagnosticStatus, Header, Imu, JointState, Text, TfMessage,
-    TransformStamped, Twist,
+    BatteryState, Covariance, DiagnosticArray, DiagnosticStatus, Header, Imu, JointState, Odometry,
+    Text, TfMessage, TransformStamped, Twist,
 };
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::{Config, Session, Wait};
 
 use crate::wire::{
-    self, BATTERY_STATE, DIAGNOSTIC_ARRAY, IMU, JOINT_STATE, MessageType, Node, Role, STRING,
-    TF_MESSAGE, TWIST, Topic,
+    self, BATTERY_STATE, DIAGNOSTIC_ARRAY, IMU, JOINT_STATE, MessageType, Node, ODOMETRY, Role,
+    STRING, TF_MESSAGE, TWIST, Topic,
 };
 
 /// A velocity older than this is no longer passed on; the robot then stops by itself.
@@ -26,6 +27,9 @@ const COMMAND_MAX_AGE: Duration = Duration::from_millis(500);
 const SEND_EVERY: Duration = Duration::from_millis(50);
 /// Diagnostics, battery and description once in so many ticks (1 s).
 const SELDOM: u64 = 50;
+
+/// The frame in which the legs say where the robot is.
+const ODOM: &str = "odom";
 
 /// Why the door does not open.
 #[derive(Debug, thiserror::Error)]
@@ -81,6 +85,8 @@ pub struct Door {
     diagnostics: Out,
     battery: Out,
     description: Out,
+    odometry: Out,
+    reckoning: DeadReckoning,
     ticks: u64,
     velocity: Arc<Mutex<Newest>>,
     _tokens: Vec<LivelinessToken>,
@@ -153,6 +159,7 @@ impl Door {
             (topic("tf", TF_MESSAGE), Role::Publisher),
             (topic("battery_state", BATTERY_STATE), Role::Publisher),
             (topic("robot_description", STRING), Role::Publisher),
+            (topic("odom", ODOMETRY), Role::Publisher),
         ];
         let declare = |token: String| {
             let declared = session.liveliness().declare_token(token).wait();
@@ -191,6 +198,8 @@ impl Door {
             frames: out(&topics[4].0)?,
             battery: out(&topics[5].0)?,
             description: out(&topics[6].0)?,
+            odometry: out(&topics[7].0)?,
+            reckoning: DeadReckoning::new(Arc::clone(&appearance.robot)),
             ticks: 0,
             velocity,
             _tokens: tokens,
@@ -212,8 +221,13 @@ impl Door {
             .put(gid, unix_ns, joint_state(tick, unix_ns, look).encode())?;
         self.imu
             .put(gid, unix_ns, imu(tick, unix_ns, look).encode())?;
-        self.frames
-            .put(gid, unix_ns, frames(tick, unix_ns, look).encode())?;
+        let reckoned = self.reckoning.add(tick);
+        let frames = frames(tick, reckoned.as_ref(), unix_ns, look);
+        self.frames.put(gid, unix_ns, frames.encode())?;
+        if let Some(reckoned) = reckoned {
+            let odometry = odometry(&reckoned, unix_ns, look).encode();
+            self.odometry.put(gid, unix_ns, odometry)?;
+        }
         if self.ticks.is_multiple_of(SELDOM) {
             let diagnostics = diagnostics(tick, unix_ns, look).encode();
             let battery = BatteryState {
@@ -326,19 +340,39 @@ pub fn imu(tick: &Tick, unix_ns: i64, look: &Appearance) -> Imu {
     }
 }
 
-/// Where the links are, each in the one that carries it, and the IMU. Where the first one is in the world nobody
-/// measures.
-pub fn frames(tick: &Tick, unix_ns: i64, look: &Appearance) -> TfMessage {
+/// Where the robot is by its legs, and how fast it goes.
+pub fn odometry(reckoned: &Reckoned, unix_ns: i64, look: &Appearance) -> Odometry {
+    let [w, x, y, z] = reckoned.pose.quat_wxyz;
+    let root = look.robot.links().first();
+    Odometry {
+        header: header(unix_ns, ODOM),
+        child: root.map_or_else(String::new, |link| link.name.clone()),
+        position_m: reckoned.pose.pos_m,
+        orientation_xyzw: [x, y, z, w],
+        pose_covariance: Covariance(reckoned.pose_variance),
+        linear_mps: reckoned.linear_mps,
+        angular_radps: reckoned.angular_radps,
+        twist_covariance: Covariance(reckoned.twist_variance),
+    }
+}
+
+/// Where the links are, each in the one that carries it, and the IMU; the first one by the legs.
+pub fn frames(
+    tick: &Tick,
+    reckoned: Option<&Reckoned>,
+    unix_ns: i64,
+    look: &Appearance,
+) -> TfMessage {
     let robot = &look.robot;
     let measured: Vec<f64> = tick.pos_rad.iter().map(|x| f64::from(*x)).collect();
     let joints = robot.full_pos_rad(&measured);
     let places = joints.and_then(|joints| robot.kinematics(&Pose::IDENTITY, &joints));
     let places = places.unwrap_or_default().links;
     let links = robot.links();
-    let frame = |outer: usize, name: &str, pose: Pose| {
+    let frame = |outer: &str, name: &str, pose: Pose| {
         let [w, x, y, z] = pose.quat_wxyz;
         TransformStamped {
-            header: header(unix_ns, &links[outer].name),
+            header: header(unix_ns, outer),
             child: name.to_owned(),
             position_m: pose.pos_m,
             orientation_xyzw: [x, y, z, w],
@@ -347,15 +381,17 @@ pub fn frames(tick: &Tick, unix_ns: i64, look: &Appearance) -> TfMessage {
     let of_links = links.iter().zip(&places).filter_map(|(link, place)| {
         let outer = link.parent?;
         Some(frame(
-            outer,
+            &links[outer].name,
             &link.name,
             places[outer].inverse().compose(place),
         ))
     });
     let imu = robot.imu_site();
-    let imu = imu.map(|site| frame(site.link, &look.imu_frame, site.link_from_site));
+    let imu = imu.map(|site| frame(&links[site.link].name, &look.imu_frame, site.link_from_site));
+    let root = reckoned.zip(links.first());
+    let root = root.map(|(reckoned, link)| frame(ODOM, &link.name, reckoned.pose));
     TfMessage {
-        transforms: of_links.chain(imu).collect(),
+        transforms: of_links.chain(imu).chain(root).collect(),
     }
 }
 

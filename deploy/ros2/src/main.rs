@@ -1,4 +1,4 @@
-//! `caudata-ros2`: joint states, frames, IMU, battery and diagnostics of a robot for ROS 2, and velocity commands from it.
+//! `caudata-ros2`: joint states, frames, odometry, IMU, battery and diagnostics of a robot for ROS 2, and velocity commands from it.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -23,7 +23,7 @@ const SILENCE: Duration = Duration::from_secs(5);
 /// Shows a robot that runs with `caudata-robot run --tap` to ROS 2 nodes on rmw_zenoh_cpp, and passes their
 /// velocities on to it.
 ///
-/// Topics: /joint_states, /imu/data, /tf, /battery_state, /robot_description, /diagnostics out; /cmd_vel
+/// Topics: /joint_states, /imu/data, /odom (by the legs), /tf, /battery_state, /robot_description, /diagnostics out; /cmd_vel
 /// (geometry_msgs/Twist) in, with --link-addr only.
 #[derive(Debug, Parser)]
 #[command(name = "caudata-ros2", version, max_term_width = 100, after_help = EXIT_CODES)]

@@ -50,6 +50,12 @@ pub const STRING: MessageType = MessageType {
     hash: "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
 };
 
+/// `nav_msgs/msg/Odometry`.
+pub const ODOMETRY: MessageType = MessageType {
+    name: "nav_msgs/msg/Odometry",
+    hash: "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",
+};
+
 impl MessageType {
     /// As DDS writes it: `package::msg::dds_::Name_`.
     pub fn dds(&self) -> String {
@@ -234,6 +240,25 @@ mod tests {
                 ("frame_id", 17, 0, ""),
             ],
             "geometry_msgs/msg/Vector3" => &[("x", 11, 0, ""), ("y", 11, 0, ""), ("z", 11, 0, "")],
+            "geometry_msgs/msg/Point" => &[("x", 11, 0, ""), ("y", 11, 0, ""), ("z", 11, 0, "")],
+            "geometry_msgs/msg/Pose" => &[
+                ("position", 1, 0, "geometry_msgs/msg/Point"),
+                ("orientation", 1, 0, "geometry_msgs/msg/Quaternion"),
+            ],
+            "geometry_msgs/msg/PoseWithCovariance" => &[
+                ("pose", 1, 0, "geometry_msgs/msg/Pose"),
+                ("covariance", 11 + 48, 36, ""),
+            ],
+            "geometry_msgs/msg/TwistWithCovariance" => &[
+                ("twist", 1, 0, "geometry_msgs/msg/Twist"),
+                ("covariance", 11 + 48, 36, ""),
+            ],
+            "nav_msgs/msg/Odometry" => &[
+                ("header", 1, 0, "std_msgs/msg/Header"),
+                ("child_frame_id", 17, 0, ""),
+                ("pose", 1, 0, "geometry_msgs/msg/PoseWithCovariance"),
+                ("twist", 1, 0, "geometry_msgs/msg/TwistWithCovariance"),
+            ],
             "geometry_msgs/msg/Quaternion" => &[
                 ("x", 11, 0, ""),
                 ("y", 11, 0, ""),
@@ -364,6 +389,7 @@ mod tests {
             TF_MESSAGE,
             BATTERY_STATE,
             STRING,
+            ODOMETRY,
         ] {
             assert_eq!(hash(message.name), message.hash, "{}", message.name);
         }

@@ -10,6 +10,9 @@ use std::time::{Duration, Instant};
 
 use crate::common::policies::{ROBOT_FILE, model, standing};
 use crate::common::{Server, end_of, ended, outcome, output_of, program, robot_program, start};
+use caudata_deploy::boundary::RunFolder;
+use caudata_deploy::odometry::DeadReckoning;
+use caudata_deploy::tap::Tap;
 use caudata_dynamixel::HardwareError;
 use caudata_dynamixel::emulator::WireFaults;
 use caudata_emulated_robot::{EmulatedRobot, Pace, SUBSTEPS, Terminals, serve};
@@ -54,7 +57,7 @@ struct Emulated {
     folder: PathBuf,
     pace: Pace,
     stop: Arc<AtomicBool>,
-    heights_m: Arc<Mutex<Vec<f64>>>,
+    places_m: Arc<Mutex<Vec<[f64; 3]>>>,
     /// Every change of the torque.
     torque: Arc<Mutex<Vec<bool>>>,
     thread: JoinHandle<()>,
@@ -88,9 +91,9 @@ impl Emulated {
         change(&mut robot);
         let mut terminals = Terminals::open(folder).unwrap();
         let stop = Arc::new(AtomicBool::new(false));
-        let heights_m = Arc::new(Mutex::new(Vec::new()));
+        let places_m = Arc::new(Mutex::new(Vec::new()));
         let torque = Arc::new(Mutex::new(vec![false]));
-        let (stopped, heights, edges) = (stop.clone(), heights_m.clone(), torque.clone());
+        let (stopped, places, edges) = (stop.clone(), places_m.clone(), torque.clone());
         let change_of_torque = |edges: &Mutex<Vec<bool>>, on: bool| {
             let mut edges = edges.lock().unwrap();
             if edges.last() != Some(&on) {
@@ -113,7 +116,7 @@ impl Emulated {
                 let slice = || begun.elapsed().as_millis() > 5 || stopped.load(Ordering::Relaxed);
                 let mut event = |_: bool, _: &EmulatedRobot| {};
                 serve(&mut robot, &mut terminals, Pace::Goals, &slice, &mut event).unwrap();
-                heights.lock().unwrap().push(robot.base_pos_m()[2]);
+                places.lock().unwrap().push(robot.base_pos_m());
                 change_of_torque(&edges, robot.torque_on());
             }
         });
@@ -121,7 +124,7 @@ impl Emulated {
             folder: folder.to_owned(),
             pace,
             stop,
-            heights_m,
+            places_m,
             torque,
             thread,
         }
@@ -160,7 +163,8 @@ impl Emulated {
     fn stop(self) -> Vec<f64> {
         self.stop.store(true, Ordering::Relaxed);
         self.thread.join().unwrap();
-        std::mem::take(&mut self.heights_m.lock().unwrap())
+        let places = self.places_m.lock().unwrap();
+        places.iter().map(|place| place[2]).collect()
     }
 }
 
@@ -318,6 +322,61 @@ fn gets_up() -> Vec<u8> {
     let gravity_z = observation.slice("gravity").unwrap().start + 2;
     let both = caudata_policy::join(&flat, &righting, gravity_z, -0.5).unwrap();
     both.bytes().to_vec()
+}
+
+/// What the legs say of a walk, beside where the robot went: with the error that is claimed, and far from it where it
+/// is only a guess.
+#[test]
+fn the_legs_say_where_the_robot_is() {
+    let flat = concat!(env!("CARGO_MANIFEST_DIR"), "/../policies/flat.onnx");
+    let bench = Bench::in_step_under(std::fs::read(flat).unwrap(), |_| {}, None);
+    let run_dir = bench.folder.path().join("run");
+    let tap = Tap::open(&RunFolder::open(&run_dir).unwrap()).unwrap();
+    let over = Arc::new(AtomicBool::new(false));
+    let is_over = over.clone();
+    let reckons = std::thread::spawn(move || {
+        let (mut legs, mut way) = (DeadReckoning::new(model()), Vec::new());
+        while !is_over.load(Ordering::Relaxed) {
+            let tick = tap.next(Duration::from_millis(50)).unwrap();
+            way.extend(tick.and_then(|tick| legs.add(&tick)));
+        }
+        way
+    });
+    let mut command = bench.run(&[
+        "--seconds",
+        "12",
+        "--command",
+        "0.3,0,0.1",
+        "--tap",
+        "--run-dir",
+    ]);
+    command.arg(&run_dir);
+    let (code, summary, errors) = outcome(command);
+    over.store(true, Ordering::Relaxed);
+    let way = reckons.join().unwrap();
+    let places = bench.robot.places_m.lock().unwrap().clone();
+    bench.end();
+    assert_eq!(code, 0, "{errors}");
+    assert!(way.len() > 400, "{} ticks: {summary}", way.len());
+    let (here, [x, y, z]) = (way[way.len() - 1], places[places.len() - 1]);
+    // it begins with its root link at 0, looking along x
+    let went = [x - places[0][0], y - places[0][1]];
+    let off_m = (here.pose.pos_m[0] - went[0]).hypot(here.pose.pos_m[1] - went[1]);
+    let (way_m, sd_m) = (went[0].hypot(went[1]), here.pose_variance[0].sqrt());
+    println!(
+        "{off_m:.3} m off after {way_m:.2} m, claimed {sd_m:.3} m; {:.3} m high, {z:.3}",
+        here.pose.pos_m[2]
+    );
+    assert!(way_m > 2.5, "{way_m}");
+    assert!(
+        off_m < 2.0 * sd_m && sd_m < 0.2 * way_m,
+        "{off_m} m off, {sd_m} m claimed, {way_m} m"
+    );
+    assert!(
+        (here.pose.pos_m[2] - z).abs() < 0.02,
+        "{} m high, {z}",
+        here.pose.pos_m[2]
+    );
 }
 
 /// On its back where it first stood.

@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use caudata_model::RobotModel;
+use caudata_model::{BaseKind, RobotModel};
 use caudata_runlog::{BaseHold, RunLog};
 use serde::{Deserialize, Serialize};
 
@@ -197,7 +197,11 @@ pub fn blind(
         | "floor_slope" => robot.feet().is_empty(),
         "linear_drag" | "quadratic_drag" | "added_mass" | "buoyancy" | "buoyancy_centre"
         | "heave_damping" | "water_current" | "water_level" => robot.water().is_none(),
-        "payload" => robot.feet().is_empty() && robot.water().is_none(),
+        // what a robot carries that hangs on a stand is the stand's
+        "payload" => {
+            let rests = robot.feet().is_empty() && robot.water().is_none();
+            rests || robot.base() == BaseKind::Fixed
+        }
         "imu_tilt" | "gyro_bias" | "imu_delay" => robot.imu_site().is_none(),
         _ => false,
     };

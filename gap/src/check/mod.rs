@@ -58,7 +58,7 @@ pub struct Checked {
     pub repeats: Vec<Vec<String>>,
     /// Stretches that repeats do not show; a diagnosis leaves them out.
     pub odd_spans: Vec<OddSpan>,
-    /// What stands in the logs and no diagnosis reads, with the number of runs: columns, keys of `log.toml`,
+    /// What stands in the logs and no diagnosis reads, with the number of runs: columns, settings,
     /// topics.
     pub not_used: BTreeMap<String, usize>,
     /// Effects that these runs cannot show, and what would.

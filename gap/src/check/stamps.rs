@@ -6,7 +6,7 @@ use super::channels::Channels;
 use super::finding::{Finding, Run};
 use super::series::median_step_s;
 
-/// The median rate may be off the one that `log.toml` claims by this share; a loop never keeps its rate
+/// The median rate may be off the one that the log claims by this share; a loop never keeps its rate
 /// exactly.
 const RATE_TOLERANCE: f64 = 0.2;
 /// A step longer than so many median steps, and than [`GAP_S`], is a gap.
@@ -53,8 +53,9 @@ pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
             "stamps"
         };
         let detail = format!(
-            "rows come at {:.4} Hz where log.toml says {claimed:.4} Hz{hint}",
-            1.0 / median
+            "rows come at {:.4} Hz where {} says {claimed:.4} Hz{hint}",
+            1.0 / median,
+            run.log.meta_name
         );
         out.push(Finding::fatal(kind, "t", detail));
     }

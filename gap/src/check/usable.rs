@@ -23,7 +23,7 @@ pub(super) fn usable(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
             "is {span_s:.2} s long in {} rows; a run has at least {SHORTEST_RUN_S} s and {FEWEST_ROWS} rows",
             table.len()
         );
-        out.push(Finding::fatal("short", "log.csv", detail));
+        out.push(Finding::fatal("short", &run.log.rows_name, detail));
     }
     let usable = out.len() == before;
     for signal in table.signals() {
@@ -66,7 +66,7 @@ fn misspelt(run: &Run<'_>, out: &mut Vec<Finding>) {
         let like = |k: &&&str| *k != key && one_letter_off(&plain(k), &plain(key));
         if let Some(meant) = KEYS.iter().find(like) {
             let detail = format!("`{key}` is not read; write `{meant}`");
-            out.push(Finding::fatal("meta", "log.toml", detail));
+            out.push(Finding::fatal("meta", &run.log.meta_name, detail));
         }
     }
 }
@@ -85,7 +85,7 @@ pub(super) fn not_used(runs: &[Run<'_>]) -> BTreeMap<String, usize> {
             axis.map_or(name.clone(), |(all, _)| all.to_owned())
         });
         let keys = meta.settings.keys().filter(|k| !KEYS.contains(&k.as_str()));
-        let of_meta = keys.map(|k| format!("log.toml: {k}"));
+        let of_meta = keys.map(|k| format!("setting {k}"));
         let of_table = table.notes().iter().cloned();
         let once: BTreeSet<String> = of_signals.chain(of_meta).chain(of_table).collect();
         for what in once {
@@ -112,7 +112,7 @@ fn one_letter_off(a: &str, b: &str) -> bool {
 
 /// Whether the log has commands and positions of this robot's joints, and of no others.
 fn columns(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
-    let mut fatal = |detail| out.push(Finding::fatal("columns", "log.csv", detail));
+    let mut fatal = |detail| out.push(Finding::fatal("columns", &run.log.rows_name, detail));
     let known = run.robot.actuated_names();
     let signals = run.log.table.signals().iter();
     let mut strangers: Vec<&str> = (signals.filter_map(|s| s.joint()))

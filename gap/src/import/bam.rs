@@ -1,4 +1,5 @@
-//! Recordings of a servo that swings a weight, in the JSON form of the BAM project (github.com/Rhoban/bam).
+//! Recordings of a servo that swings a weight, in the JSON form of the BAM project (github.com/Rhoban/bam), read and
+//! written.
 //!
 //! One file is one run: `mass` (kg), `length` (m), `kp` (the servo's gain register), `vin` (V), `motor`,
 //! `trajectory`, and `entries` with `timestamp` (s), `position` (rad), `speed` (rad/s), `load` (present PWM,
@@ -14,8 +15,8 @@
 use std::path::Path;
 
 use caudata_model::RobotModel;
-use caudata_runlog::{BaseHold, LogMeta, Setting, Signal};
-use serde::Deserialize;
+use caudata_runlog::{BaseHold, LogMeta, Setting, Signal, Table};
+use serde::{Deserialize, Serialize};
 
 use super::run::{ImportError, Imported, bytes};
 
@@ -32,7 +33,7 @@ const SATURATED: f64 = 880.0;
 /// Fewer rows than this make no run.
 const MIN_ROWS: usize = 10;
 
-#[derive(Deserialize)]
+#[derive(Serialize, Deserialize)]
 struct Recording {
     mass: f64,
     length: f64,
@@ -43,7 +44,7 @@ struct Recording {
     entries: Vec<Entry>,
 }
 
-#[derive(Deserialize)]
+#[derive(Serialize, Deserialize)]
 struct Entry {
     timestamp: f64,
     position: f64,
@@ -179,6 +180,84 @@ pub fn parse(
         notes,
         unused: Vec::new(),
     })
+}
+
+/// A log as a recording of this form.
+///
+/// # Errors
+/// What it does not say, or says of another kind of run: the form is for one servo that swings a known weight.
+pub fn text(meta: &LogMeta, table: &Table) -> Result<String, String> {
+    let mut joints: Vec<&str> = table.signals().iter().filter_map(Signal::joint).collect();
+    joints.sort_unstable();
+    joints.dedup();
+    let &[joint] = joints.as_slice() else {
+        return Err(format!(
+            "it has {} joints, and BAM is for one",
+            joints.len()
+        ));
+    };
+    let number = |key: &str, what: &str| match meta.settings.get(key) {
+        Some(Setting::Number(x)) if *x > 0.0 => Ok(*x),
+        _ => Err(format!("its circumstances name no {what} (`{key}`)")),
+    };
+    let word = |key: &str| match meta.settings.get(key) {
+        Some(Setting::Text(text)) => text.clone(),
+        _ => String::new(),
+    };
+    let motor = word("motor");
+    if motor != MOTOR {
+        return Err(format!(
+            "what the readings of motor `{motor}` count there is not known; known: {MOTOR} (`motor`)"
+        ));
+    }
+    let column = |signal: Signal| {
+        let missing = || format!("it has no column `{signal}`");
+        table.column(&signal).ok_or_else(missing)
+    };
+    let of = |signal: fn(String) -> Signal| column(signal(joint.to_owned()));
+    let (cmd, pos, vel) = (
+        of(Signal::Command)?,
+        of(Signal::Position)?,
+        of(Signal::Velocity)?,
+    );
+    let (duty, temp, volt) = (
+        of(Signal::Duty)?,
+        of(Signal::Temperature)?,
+        column(Signal::Voltage)?,
+    );
+    let on = of(Signal::Enabled).ok();
+    let mut entries: Vec<Entry> = Vec::with_capacity(table.len());
+    for (k, &timestamp) in table.time_s().iter().enumerate() {
+        let sampled = |column: &[Option<f64>]| {
+            column[k].ok_or_else(|| format!("a cell of its row {} is empty", k + 1))
+        };
+        let position = sampled(pos)?;
+        let before = entries.last().map(|e| e.goal_position);
+        // the register, 16-bit two's complement
+        let counts = (sampled(duty)? * FULL_DUTY).round() as i16;
+        entries.push(Entry {
+            timestamp,
+            position,
+            speed: sampled(vel)?,
+            load: f64::from(counts as u16),
+            input_volts: sampled(volt)?,
+            temp: sampled(temp)?,
+            goal_position: cmd[k].or(before).unwrap_or(position),
+            torque_enable: on.map_or(cmd[k].is_some(), |on| on[k] != Some(0.0)),
+        });
+    }
+    let recording = Recording {
+        mass: number("load_mass_kg", "weight")?,
+        length: number("load_length_m", "length of the arm")?,
+        kp: number("kp_register", "gain register")?,
+        vin: meta
+            .supply_v
+            .ok_or("its circumstances name no supply (`supply_v`)")?,
+        motor,
+        trajectory: word("trial"),
+        entries,
+    };
+    serde_json::to_string(&recording).map_err(|e| e.to_string())
 }
 
 fn wrong(file: &str, message: String) -> ImportError {
@@ -371,6 +450,40 @@ mod tests {
         assert_eq!(log.table.row(6).unwrap(), run.rows[6].1);
         // nothing is overwritten
         assert!(run.write(dir.path()).is_err());
+    }
+
+    #[test]
+    fn said_in_bam_again_it_is_the_same() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = import(&recording([153, 65_383], false)).unwrap();
+        let log = caudata_runlog::RunLog::read(&run.write(dir.path()).unwrap()).unwrap();
+        let again = import(&text(&log.meta, &log.table).unwrap()).unwrap();
+        assert_eq!((&again.meta, &again.signals), (&run.meta, &run.signals));
+        assert_eq!((&again.rows, &again.name), (&run.rows, &run.name));
+
+        let table = |csv: &str| Table::parse("t.csv", csv.as_bytes()).unwrap();
+        let refused = |meta: &LogMeta, table: &Table, why: &str| {
+            let said = text(meta, table).unwrap_err();
+            assert!(said.contains(why), "{said}");
+        };
+        refused(&log.meta, &table("t,cmd.a,pos.b\n0,1,1\n"), "has 2 joints");
+        refused(&log.meta, &table("t,volt\n0,7\n"), "has 0 joints");
+        refused(
+            &log.meta,
+            &table("t,cmd.a,pos.a,vel.a\n0,1,1,0\n"),
+            "no column `pwm.a`",
+        );
+        let gap = table("t,cmd.a,pos.a,vel.a,pwm.a,temp.a,volt\n0,1,1,0,,30,7\n");
+        refused(&log.meta, &gap, "a cell of its row 1 is empty");
+        for (key, why) in [
+            ("load_mass_kg", "no weight"),
+            ("kp_register", "no gain"),
+            ("motor", "of motor ``"),
+        ] {
+            let mut meta = log.meta.clone();
+            meta.settings.remove(key);
+            refused(&meta, &log.table, why);
+        }
     }
 
     proptest::proptest! {

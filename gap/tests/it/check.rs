@@ -305,15 +305,16 @@ fn a_misspelt_key_is_found_and_one_that_nobody_reads_is_named() {
     let robot = robot("xl330_pendulum");
     for (key, fault) in [("Kp", true), ("suply_v", true), ("kp_register", false)] {
         let mut log = logs(&robot, "holds", &[3]).remove(0);
+        log.meta_name = "hold.toml".to_owned();
         log.meta
             .settings
             .insert(key.to_owned(), Setting::Number(1.0));
         let checked = one(&robot, &log);
         assert_eq!(checked.verdict == CheckVerdict::DataFault, fault, "{key}");
         if fault {
-            found(&checked, "meta", "log.toml");
+            found(&checked, "meta", "hold.toml");
         }
-        assert_eq!(checked.not_used[&format!("log.toml: {key}")], 1);
+        assert_eq!(checked.not_used[&format!("setting {key}")], 1);
     }
 }
 
@@ -324,10 +325,10 @@ fn thinned(log: &RunLog, keep: impl Fn(usize) -> bool) -> RunLog {
         csv.row(log.table.time_s()[k], &log.table.row(k).unwrap())
             .unwrap();
     }
-    RunLog {
-        meta: log.meta.clone(),
-        table: Table::parse("log.csv", csv.finish().unwrap().as_slice()).unwrap(),
-    }
+    RunLog::new(
+        log.meta.clone(),
+        Table::parse("log.csv", csv.finish().unwrap().as_slice()).unwrap(),
+    )
 }
 
 #[test]
@@ -490,10 +491,10 @@ fn bad_logs_get_a_clear_line() {
     let robot = robot("polymander");
     let log = logs(&robot, "steps_small", &[1]).remove(0);
     let says = |csv: &str, want: &str| {
-        let log = RunLog {
-            meta: log.meta.clone(),
-            table: Table::parse("log.csv", csv.as_bytes()).unwrap(),
-        };
+        let log = RunLog::new(
+            log.meta.clone(),
+            Table::parse("log.csv", csv.as_bytes()).unwrap(),
+        );
         let checked = one(&robot, &log);
         assert_eq!(checked.verdict, CheckVerdict::DataFault);
         assert!(
@@ -534,14 +535,14 @@ fn bad_logs_get_a_clear_line() {
     says(&rows("t,volt", "14", 501), "has no joint column");
     says("t,cmd.FL_hip,pos.FL_hip\n", "0 rows");
     // an empty column is worth a note only
-    let log = RunLog {
-        meta: log.meta.clone(),
-        table: Table::parse(
+    let log = RunLog::new(
+        log.meta.clone(),
+        Table::parse(
             "log.csv",
             rows("t,cmd.FL_hip,pos.FL_hip,vel.FL_hip", "0,0,", 501).as_bytes(),
         )
         .unwrap(),
-    };
+    );
     let checked = one(&robot, &log);
     assert_eq!(checked.verdict, CheckVerdict::Ok);
     found(&checked, "empty", "vel.FL_hip");
@@ -604,7 +605,7 @@ proptest! {
         }
         if let Ok(table) = Table::parse("log.csv", csv.as_bytes()) {
             let meta = caudata_runlog::LogMeta::new("rig", caudata_runlog::BaseHold::Fixed, 100.0);
-            let log = RunLog { meta, table };
+            let log = RunLog::new(meta, table);
             let checked = all(&robot, &[log.clone(), log]);
             prop_assert!(checked.faults.iter().all(|f| !f.detail.contains('\n')));
             serde_json::to_string(&checked).unwrap();

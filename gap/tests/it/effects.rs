@@ -62,10 +62,10 @@ fn run(model: &RobotModel, base: &str, body: bool, seconds: f64) -> Run {
     );
     Run {
         name: base.to_owned(),
-        log: RunLog {
-            meta: caudata_runlog::LogMeta::parse("log.toml", &meta).unwrap(),
-            table: Table::parse("log.csv", text.as_bytes()).unwrap(),
-        },
+        log: RunLog::new(
+            caudata_runlog::LogMeta::parse("log.toml", &meta).unwrap(),
+            Table::parse("log.csv", text.as_bytes()).unwrap(),
+        ),
         role: Role::Fit,
         sha256: String::new(),
     }

@@ -91,10 +91,7 @@ fn record(kind: usize, repeat: u64, late: usize, change: &dyn Fn(&mut LaneParams
     }
     let mut meta = LogMeta::new("xl330_pendulum", BaseHold::Fixed, ROWS_HZ);
     meta.supply_v = Some(7.4);
-    RunLog {
-        meta,
-        table: Table::parse("log.csv", text.as_bytes()).unwrap(),
-    }
+    RunLog::new(meta, Table::parse("log.csv", text.as_bytes()).unwrap())
 }
 
 /// The nominal robot of these tests has a little friction.

@@ -45,10 +45,10 @@ fn run(
     text.push('\n');
     let run = Run {
         name: "run".to_owned(),
-        log: RunLog {
-            meta: LogMeta::new(model.name(), base, ROWS_HZ),
-            table: Table::parse("log.csv", text.as_bytes()).unwrap(),
-        },
+        log: RunLog::new(
+            LogMeta::new(model.name(), base, ROWS_HZ),
+            Table::parse("log.csv", text.as_bytes()).unwrap(),
+        ),
         role: Role::Fit,
         sha256: String::new(),
     };

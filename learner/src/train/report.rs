@@ -10,14 +10,14 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use caudata_config::Config;
 use caudata_telemetry::progress::{self, Event, EventWriter};
 use caudata_telemetry::spans::{self, Part};
-use caudata_telemetry::{Advisor, IterationLoad, Pulse};
+use caudata_telemetry::{Advisor, EventFile, IterationLoad, Pulse};
 
 use super::metrics::LearnerMetrics;
 use super::settings::ACCOUNT_FILE;
 use crate::batch::Accounting;
 use crate::checkpoint::EpisodeWindow;
 use crate::ppo::UpdateStats;
-use crate::report::{EventFile, History, Point, TERM_PREFIX, draw_curves};
+use crate::report::{History, Point, TERM_PREFIX, draw_curves};
 
 /// Where reports go.
 pub(super) struct Reporter {

@@ -7,11 +7,12 @@ use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::time::Duration;
 
-use caudata_policy_server::{ConnectionLimits, ServeOptions, Store, StoreLimits};
+use caudata_policy_server::{ServeOptions, Store, StoreLimits};
 use caudata_proto::wire::registry::FetchRequest;
 use caudata_proto::wire::registry::policy_registry_client::PolicyRegistryClient;
 use caudata_registry_client::RegistryClient;
 use caudata_rehearsal::Rehearsal;
+use caudata_telemetry::ConnectionLimits;
 use tonic::Code;
 
 use crate::common::{Server, code, policy, policy_of, publish, stream};

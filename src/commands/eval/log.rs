@@ -8,6 +8,8 @@ use caudata_runlog::{Axis, BaseHold, LogMeta, LogWriter, QuatPart, Signal};
 use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 
+use crate::commands::ground;
+
 /// Makes the folder; one that holds something is refused.
 pub fn check(root: &Path) -> Result<(), Failure> {
     files::make_folder(root)?;
@@ -25,21 +27,20 @@ pub fn check(root: &Path) -> Result<(), Failure> {
 pub fn write(
     root: &Path,
     outcomes: &[Outcome],
+    seed: u64,
     robot: &Path,
     model: &RobotModel,
 ) -> Result<(), Failure> {
-    let joints = model.actuated_names();
-    let feet = model.feet().iter().map(|foot| foot.name.clone());
-    let mut signals = Signal::each(Signal::Position, &joints);
-    signals.extend(Signal::each(Signal::Velocity, &joints));
-    signals.extend(Signal::each(Signal::Torque, &joints));
-    signals.extend(Axis::ALL.map(Signal::BasePosition));
-    signals.extend(QuatPart::ALL.map(Signal::BaseQuaternion));
-    signals.extend(feet.map(Signal::Contact));
+    let signals = signals(model);
     for outcome in outcomes {
         let (name, period_s) = (&outcome.result.name, outcome.period_s);
         let robot = robot.display().to_string();
-        let mut meta = LogMeta::new(robot, BaseHold::Free, 1.0 / period_s);
+        let base = match outcome.terrain.water_level_m() {
+            Some(_) => BaseHold::Water,
+            None => BaseHold::Free,
+        };
+        let mut meta = LogMeta::new(robot, base, 1.0 / period_s);
+        ground::note(&mut meta, &outcome.terrain_config, seed);
         meta.notes = format!("caudata eval, {name}");
         let folder = root.join(file_name(name));
         let log = LogWriter::create(&folder, &signals, &meta);
@@ -55,6 +56,19 @@ pub fn write(
     Ok(())
 }
 
+/// The columns, in the order of [`row`].
+pub fn signals(model: &RobotModel) -> Vec<Signal> {
+    let joints = model.actuated_names();
+    let feet = model.feet().iter().map(|foot| foot.name.clone());
+    let mut signals = Signal::each(Signal::Position, &joints);
+    signals.extend(Signal::each(Signal::Velocity, &joints));
+    signals.extend(Signal::each(Signal::Torque, &joints));
+    signals.extend(Axis::ALL.map(Signal::BasePosition));
+    signals.extend(QuatPart::ALL.map(Signal::BaseQuaternion));
+    signals.extend(feet.map(Signal::Contact));
+    signals
+}
+
 /// A scenario's name as every file system and shell takes it.
 fn file_name(scenario: &str) -> String {
     let plain = |c: char| match c {
@@ -64,7 +78,8 @@ fn file_name(scenario: &str) -> String {
     scenario.chars().map(plain).collect()
 }
 
-fn row(frame: &Frame, pose: &RobotPose) -> Vec<Option<f64>> {
+/// A robot at one step.
+pub fn row(frame: &Frame, pose: &RobotPose) -> Vec<Option<f64>> {
     let contact: Vec<f32> = frame
         .foot_force_n
         .iter()

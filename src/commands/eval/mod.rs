@@ -1,6 +1,7 @@
 //! `caudata eval`: how well a policy walks, in simulation, without exploration noise.
 
-mod log;
+mod board;
+pub mod log;
 mod show;
 
 use std::path::{Path, PathBuf};
@@ -62,6 +63,10 @@ pub struct EvalArgs {
     /// Writes an episode of each scenario as a log folder below this one, which `caudata log convert` makes MCAP of
     #[arg(long, value_name = "DIR")]
     log: Option<PathBuf>,
+    /// Adds the result to TensorBoard's files in this folder: figures at the step of the policy's version, and as a
+    /// text what was met
+    #[arg(long, value_name = "DIR")]
+    tensorboard: Option<PathBuf>,
     /// Writes a summary beside the policy (P.evaluation.json), bound to the policy's bytes; `caudata policy
     /// show` shows it
     #[arg(long)]
@@ -129,6 +134,9 @@ pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
     if let Some(root) = &args.log {
         log::check(root)?;
     }
+    if let Some(folder) = &args.tensorboard {
+        files::make_folder(folder)?;
+    }
     let evaluation = Evaluation {
         config: &config,
         model: &model,
@@ -179,7 +187,10 @@ fn finish(
         ..
     } = evaluation;
     if let Some(root) = &args.log {
-        log::write(root, outcomes, &config.robot_path(), model)?;
+        log::write(root, outcomes, settings.seed, &config.robot_path(), model)?;
+    }
+    if let Some(folder) = &args.tensorboard {
+        to_tensorboard(folder, result)?;
     }
     if let Some(path) = &args.report {
         let page =
@@ -213,6 +224,12 @@ fn finish(
             format!("{missed} of {} targets are missed", rows.len()),
         )),
     }
+}
+
+/// Adds a result to the files of TensorBoard in a folder.
+pub fn to_tensorboard(folder: &Path, result: &SuiteResult) -> Result<(), Failure> {
+    let cannot = || format!("cannot write TensorBoard's files into {}", folder.display());
+    board::write(folder, result).or_exit_with(ExitCode::CannotCreate, cannot)
 }
 
 /// Puts a summary beside its policy.

@@ -43,7 +43,10 @@ pub fn print_end(result: &SuiteResult) {
     }
     if !result.acceptance.is_empty() {
         let head = ["target", "owed", "aim", "measured", "", ""];
-        say::table(&head, result.acceptance.iter().map(target));
+        say::table(
+            &head,
+            result.acceptance.iter().map(|row| target(row).to_vec()),
+        );
     }
     if let Some(score) = animal_score(&result.animal) {
         let head = ["quantity", "salamander", "robot", "score", "source"];
@@ -54,7 +57,8 @@ pub fn print_end(result: &SuiteResult) {
     }
 }
 
-fn target(row: &Row) -> Vec<String> {
+/// A target as cells of a table.
+pub fn target(row: &Row) -> [String; 6] {
     let sign = if row.at_least { "≥" } else { "≤" };
     let unit = if row.unit == "1" { "" } else { &row.unit };
     let with_unit = |x: f64| format!("{sign} {x} {unit}").trim_end().to_owned();
@@ -67,7 +71,7 @@ fn target(row: &Row) -> Vec<String> {
         (true, false) => "met",
         (false, false) => "missed",
     };
-    vec![
+    [
         row.name.to_string(),
         with_unit(row.owed),
         with_unit(row.aim),
@@ -162,17 +166,22 @@ fn body(r: &ScenarioResult) {
                 .map_or_else(|| "–".to_owned(), |s| pm(s, 1)),
         ));
     }
-    if let (Some(gates), Some(walks)) = (&r.gates, r.walks()) {
-        let verdict = match (walks, gates.missed()) {
-            (true, _) => "walks: every gate is met".to_owned(),
-            (false, _) if stands(r) => {
-                "stands still: `caudata explain` of its run folder says why".to_owned()
-            }
-            (false, missed) if missed.is_empty() => "misses a gate: it falls too often".to_owned(),
-            (false, missed) => format!("misses gates: {}", missed.join("; ")),
-        };
+    if let Some(verdict) = verdict(r) {
         say::line(format!("  {verdict}"));
     }
+}
+
+/// Whether it walks, and by which gates not; `None` where nothing judges.
+pub fn verdict(r: &ScenarioResult) -> Option<String> {
+    let (gates, walks) = (r.gates.as_ref()?, r.walks()?);
+    Some(match (walks, gates.missed()) {
+        (true, _) => "walks: every gate is met".to_owned(),
+        (false, _) if stands(r) => {
+            "stands still: `caudata explain` of its run folder says why".to_owned()
+        }
+        (false, missed) if missed.is_empty() => "misses a gate: it falls too often".to_owned(),
+        (false, missed) => format!("misses gates: {}", missed.join("; ")),
+    })
 }
 
 fn figures(r: &ScenarioResult) {

@@ -123,6 +123,7 @@ pub fn evaluate(
         let result = eval::evaluate(config, &model, &policy, &page, stop)?;
         let summary = Summary::of(&result, model.hash_hex(), config.run.seed);
         eval::write_summary(&folder.policy(), &summary)?;
+        eval::to_tensorboard(folder.root(), &result)?;
         evaluation = result.scenarios.into_iter().next();
     }
     let finished = outcome.finished.clone();

@@ -78,7 +78,14 @@ fn trains_end_to_end(transport: &str) {
     ] {
         assert!(out.join(name).is_file(), "{name} is missing");
     }
-    assert!(files_like(&out, "events.out.tfevents").len() == 1);
+    // the learner's, and the evaluation's
+    let events = files_like(&out, "events.out.tfevents");
+    assert_eq!(events.len(), 2);
+    let tells_speed = |file: &&PathBuf| {
+        let bytes = std::fs::read(file).unwrap();
+        bytes.windows(18).any(|tag| tag == b"Evaluation/vx_mps\x15")
+    };
+    assert_eq!(events.iter().filter(tells_speed).count(), 1);
     assert!(!files_like(&out.join("curves"), ".svg").is_empty());
     assert_eq!(
         json_file(&out.join("report.json")).unwrap()["policy"],

@@ -351,7 +351,11 @@ impl<'a> Reader<'a> {
 
     fn inertial(&mut self, e: &Element) -> Option<Inertial> {
         let at = self.origin(e);
-        let mass_kg = e.first("mass")?.number("value", self.remarks)?;
+        let mass = e.first("mass")?;
+        let mut mass_kg = mass.number("value", self.remarks)?;
+        if mass_kg < 0.0 {
+            mass_kg = mass.no_mass("value", self.remarks);
+        }
         let tensor = e.first("inertia");
         let mut of = |key: &str| {
             tensor

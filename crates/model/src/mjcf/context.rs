@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Arc;
 
 use super::compiler::Compiler;
 use crate::geometry::Inertial;
@@ -48,8 +49,8 @@ pub(super) struct Context<'a> {
     pub least_inertia: f64,
 }
 
-/// Attributes by element.
-pub(super) type Class = BTreeMap<String, BTreeMap<String, String>>;
+/// Attributes by element, and where each stands.
+pub(super) type Class = BTreeMap<String, Element>;
 
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum FromGeoms {
@@ -80,7 +81,7 @@ impl<'a> Context<'a> {
             .get("mesh")
             .cloned()
             .unwrap_or_default();
-        context.meshes = Meshes::read(root, file, &scale, context.remarks);
+        context.meshes = Meshes::read(root, file, &scale.attributes, context.remarks);
         context
     }
 
@@ -140,7 +141,11 @@ impl<'a> Context<'a> {
         for child in e.children.iter().filter(|c| c.tag != "default") {
             let tag = default_tag(&child.tag).to_owned();
             let own = class.entry(tag).or_default();
-            own.extend(child.attributes.clone());
+            own.attributes.extend(child.attributes.clone());
+            let place = Arc::new((child.file.clone(), child.line));
+            let keys = child.attributes.keys().cloned();
+            own.elsewhere
+                .extend(keys.map(|key| (key, Arc::clone(&place))));
         }
         self.classes.insert(name.clone(), class);
         for child in e.all("default") {
@@ -165,7 +170,10 @@ impl<'a> Context<'a> {
             children: Vec::new(),
             ..e.clone()
         };
-        for (key, value) in class.get(default_tag(&e.tag)).into_iter().flatten() {
+        let Some(class) = class.get(default_tag(&e.tag)) else {
+            return out;
+        };
+        for (key, value) in &class.attributes {
             // one way of saying where something lies replaces the other
             let said = |other: &&str| e.attributes.contains_key(*other);
             let turns = ["quat", "euler", "axisangle", "xyaxes", "zaxis"];
@@ -173,9 +181,11 @@ impl<'a> Context<'a> {
             if is_turn && turns.iter().any(said) || (is_turn || key == "pos") && said(&"fromto") {
                 continue;
             }
-            out.attributes
-                .entry(key.clone())
-                .or_insert_with(|| value.clone());
+            if !said(&key.as_str()) {
+                out.attributes.insert(key.clone(), value.clone());
+                out.elsewhere
+                    .insert(key.clone(), Arc::clone(&class.elsewhere[key]));
+            }
         }
         out
     }

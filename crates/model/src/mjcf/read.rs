@@ -361,10 +361,9 @@ impl Context<'_> {
             let message = format!("attribute `{key}`: is missing{or}");
             self.remarks.refuse_if_strict(e, message);
         }
-        let mass_kg = e.number("mass", self.remarks)?;
-        if mass_kg <= 0.0 {
-            let message = format!("attribute `mass`: is {mass_kg} kg; it must be above zero");
-            self.remarks.refuse_if_strict(e, message);
+        let mut mass_kg = e.number("mass", self.remarks)?;
+        if mass_kg < 0.0 || mass_kg == 0.0 && self.remarks.strict {
+            mass_kg = e.no_mass("mass", self.remarks);
         }
         let (key, own) = if let Some(d) = e.array::<3>("diaginertia", self.remarks) {
             ("diaginertia", diagonal(d))

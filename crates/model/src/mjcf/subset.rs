@@ -127,9 +127,13 @@ impl<'a> Names<'a> {
         for child in &e.children {
             let tag = child.tag.as_str();
             if !inside.contains(&tag) {
-                let (at, known) = (&e.tag, inside.join(", "));
+                let known = match inside {
+                    [] => "it holds nothing".to_owned(),
+                    _ => format!("supported: {}", inside.join(", ")),
+                };
                 let message = format!(
-                    "is outside the supported subset: not supported inside <{at}> (supported: {known})"
+                    "is outside the supported subset: not supported inside <{}> ({known})",
+                    e.tag
                 );
                 remarks.refuse_of(child, message);
             } else if e.tag == "default" && tag != "default" {
@@ -186,9 +190,11 @@ fn attributes(e: &Element, remarks: &mut Remarks) {
     };
     for (key, value) in &e.attributes {
         if !known.contains(&key.as_str()) {
-            let known = known.join(", ");
-            let message =
-                format!("attribute `{key}`: is outside the supported subset (supported: {known})");
+            let known = match known {
+                [] => "it has none".to_owned(),
+                _ => format!("supported: {}", known.join(", ")),
+            };
+            let message = format!("attribute `{key}`: is outside the supported subset ({known})");
             remarks.refuse_of(e, message);
         }
         let few = WORDS.iter().find(|row| row.0 == e.tag && row.1 == [key]);

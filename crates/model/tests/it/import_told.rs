@@ -260,6 +260,7 @@ fn every_fault_of_a_urdf_is_said_at_once() {
 fn a_xacro_says_what_to_do_with_it() {
     for text in [
         "<robot xmlns:xacro=\"http://www.ros.org/wiki/xacro\" name=\"x\">\n<xacro:include filename=\"leg.xacro\"/></robot>",
+        "<robot xmlns:xacro=\"http://playerstage.sourceforge.net/gazebo/xmlschema\" name=\"x\">\n<xacro:include filename=\"a\"/></robot>",
         "<robot name=\"x\">\n<link name=\"base\"><inertial><mass value=\"${m}\"/></inertial></link></robot>",
     ] {
         let said = refused("x.urdf.xacro", text);
@@ -268,6 +269,18 @@ fn a_xacro_says_what_to_do_with_it() {
             "{said:?}"
         );
     }
+}
+
+#[test]
+fn a_negative_mass_is_called_so() {
+    let wrong = quadruped().replacen("mass value=\"0.", "mass value=\"-0.", 1);
+    let said = refused("wrong.urdf", &wrong);
+    assert!(
+        said.len() == 1
+            && said[0].contains("<mass>: attribute `value`: is -0.")
+            && said[0].contains("above zero"),
+        "{said:?}"
+    );
 }
 
 #[test]

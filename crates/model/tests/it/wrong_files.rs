@@ -461,6 +461,25 @@ fn mjcf_outside_the_subset() {
         "<tendon/>",
         &["<tendon>", "inside <default>"],
     );
+    // a value of a default class is refused where that says it, for each that has it
+    check(
+        "mjcf",
+        "<joint damping=\"0.0064\"",
+        "<joint damping=\"soft\"",
+        &[
+            &line_of(&mjcf, "damping=\"0.0064\""),
+            "<joint name=\"spine_1\">: attribute `damping`: `soft` is not",
+        ],
+    );
+    check(
+        "mjcf",
+        "<freejoint name=\"base\"/>",
+        "<freejoint name=\"base\"><light/></freejoint>",
+        &[
+            "<light>",
+            "not supported inside <freejoint> (it holds nothing)",
+        ],
+    );
     check(
         "mjcf",
         "class=\"foot\" name=\"FL_foot\"",
@@ -477,7 +496,11 @@ fn mjcf_outside_the_subset() {
         "mjcf",
         "</mujoco>",
         "",
-        &["polymander.xml", "not well-formed XML"],
+        &[
+            "polymander.xml:",
+            ": not well-formed XML",
+            "unexpected end of stream",
+        ],
     );
     check(
         "mjcf",

@@ -232,7 +232,7 @@ plain! {
 whole!(TfMessage = "tf2_msgs/msg/TFMessage");
 
 plain! {
-    /// `nav_msgs/msg/Odometry`; covariances are 0: not known.
+    /// `nav_msgs/msg/Odometry`.
     Odometry {
         /// Stamp, and the frame of the pose.
         header: Header,
@@ -254,18 +254,19 @@ plain! {
 }
 whole!(Odometry = "nav_msgs/msg/Odometry");
 
-/// Thirty-six numbers that nobody knows: zeros.
+/// Variances of x, y, z and the turns about these; what stands between them is 0, and not read. All 0: not known.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Covariance;
+pub struct Covariance(pub [f64; 6]);
 
 impl Cdr for Covariance {
     fn read(r: &mut Reader<'_>) -> Result<Self, CdrError> {
-        r.get::<[f64; 36]>()?;
-        Ok(Self)
+        let all = r.get::<[f64; 36]>()?;
+        Ok(Self(std::array::from_fn(|i| all[7 * i])))
     }
 
     fn write(&self, w: &mut Writer) {
-        w.put(&[0.0; 36]);
+        let all: [f64; 36] = std::array::from_fn(|i| if i % 7 == 0 { self.0[i / 7] } else { 0.0 });
+        w.put(&all);
     }
 }
 

@@ -9,7 +9,7 @@ use caudata_deploy::tap::Tick;
 use caudata_model::RobotModel;
 use caudata_ros2::door::{Appearance, Commands, Door, settings};
 use caudata_runlog::ros::messages::{
-    BatteryState, DiagnosticArray, Imu, JointState, Text, TfMessage, Twist,
+    BatteryState, DiagnosticArray, Imu, JointState, Odometry, Text, TfMessage, Twist,
 };
 use zenoh::{Config, Wait};
 
@@ -19,6 +19,7 @@ const DIAGNOSTICS: &str = "3/diagnostics/diagnostic_msgs::msg::dds_::DiagnosticA
 const VELOCITY: &str = "3/robot1/cmd_vel/geometry_msgs::msg::dds_::Twist_/RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a";
 
 const FRAMES: &str = "3/robot1/tf/tf2_msgs::msg::dds_::TFMessage_/RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087";
+const ODOMETRY: &str = "3/robot1/odom/nav_msgs::msg::dds_::Odometry_/RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0";
 const BATTERY: &str = "3/robot1/battery_state/sensor_msgs::msg::dds_::BatteryState_/RIHS01_4bee5dfce981c98faa6828b868307a0a73f992ed0789f374ee96c8f840e69741";
 const DESCRIPTION: &str = "3/robot1/robot_description/std_msgs::msg::dds_::String_/RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
 
@@ -32,6 +33,7 @@ pub(crate) fn tick() -> Tick {
         gyro_radps: [0.125, 0.0, -0.5],
         acc_mps2: [0.0, 0.0, 9.75],
         gravity: [0.0, 0.0, -1.0],
+        going: Some([0.25, 0.0, -0.5]),
         supply_v: 12.0,
         stage: Stage::Walk,
         fault: None,
@@ -99,8 +101,16 @@ pub(crate) fn command_link() -> (UdpLink, Commands) {
 fn a_node_sees_the_robot_and_drives_it() {
     let endpoint = endpoint();
     let ros = node("peer", &endpoint);
-    let heard = [JOINTS, IMU, DIAGNOSTICS, FRAMES, BATTERY, DESCRIPTION]
-        .map(|key| ros.declare_subscriber(key).wait().unwrap());
+    let heard = [
+        JOINTS,
+        IMU,
+        DIAGNOSTICS,
+        FRAMES,
+        BATTERY,
+        DESCRIPTION,
+        ODOMETRY,
+    ]
+    .map(|key| ros.declare_subscriber(key).wait().unwrap());
     let mut door = door_to(&endpoint);
 
     // Until the subscriptions have found their way nothing arrives; a person would see the topic appear.
@@ -139,10 +149,10 @@ fn a_node_sees_the_robot_and_drives_it() {
         (0, "Walk")
     );
 
-    // One frame for each link but the first, and the IMU; 0.01·i rad turn each link about its joint's axis.
+    // One frame for each link, the first one's in `odom`, and the IMU; 0.01·i rad turn each link about its joint's axis.
     let frames = TfMessage::decode(&first(3).payload().to_bytes()).unwrap();
     let robot = robot();
-    assert_eq!(frames.transforms.len(), robot.links().len());
+    assert_eq!(frames.transforms.len(), robot.links().len() + 1);
     for (i, joint) in robot.actuated_names().into_iter().enumerate() {
         let joint = robot.joints().iter().find(|j| j.name == joint).unwrap();
         let link = &robot.links()[joint.child_link].name;
@@ -150,19 +160,32 @@ fn a_node_sees_the_robot_and_drives_it() {
         let turned = frame.unwrap().orientation_xyzw[3];
         assert!((turned - (0.005 * i as f64).cos()).abs() < 1e-6, "{link}");
     }
+    let odometry = Odometry::decode(&first(6).payload().to_bytes()).unwrap();
+    let base = &robot.links()[0].name;
+    assert_eq!(
+        (odometry.header.frame.as_str(), &odometry.child),
+        ("odom", base)
+    );
+    let in_odom = frames.transforms.iter().find(|frame| frame.child == *base);
+    assert_eq!(in_odom.unwrap().header.frame, "odom");
+    // ticks of one time: nothing passes. The robot turns by −0.5 rad/s, which a tilted root link sees as well.
+    assert_eq!(odometry.position_m[..2], [0.0, 0.0]);
+    let [x, y, z] = odometry.angular_radps;
+    assert!((x * x + y * y + z * z).sqrt() > 0.5, "{odometry:?}");
+    assert!(odometry.twist_covariance.0[0] > 0.0 && odometry.pose_covariance.0[2] > 1e3);
     let battery = BatteryState::decode(&first(4).payload().to_bytes()).unwrap();
     assert_eq!(battery.voltage_v, 12.0);
     let description = Text::decode(&first(5).payload().to_bytes()).unwrap();
     assert_eq!(description.data, robot.to_urdf());
 
-    // The graph: a node, six publishers, one subscriber, as `ros2 topic list` finds them.
+    // The graph: a node, seven publishers, one subscriber, as `ros2 topic list` finds them.
     let tokens = ros.liveliness().get("@ros2_lv/3/**").wait().unwrap();
     let mut seen: Vec<String> = tokens
         .iter()
         .filter_map(|reply| Some(reply.result().ok()?.key_expr().to_string()))
         .collect();
     seen.sort();
-    assert_eq!(seen.len(), 8, "{seen:#?}");
+    assert_eq!(seen.len(), 9, "{seen:#?}");
     assert!(seen.iter().any(|t| t.contains("/NN/%/%/salamander")));
     assert!(
         seen.iter()

@@ -70,6 +70,7 @@ fn lists_the_robot(graph: &Value) {
         ("/robot1/joint_states", "sensor_msgs/msg/JointState"),
         ("/robot1/imu/data", "sensor_msgs/msg/Imu"),
         ("/robot1/tf", "tf2_msgs/msg/TFMessage"),
+        ("/robot1/odom", "nav_msgs/msg/Odometry"),
         ("/robot1/battery_state", "sensor_msgs/msg/BatteryState"),
         ("/robot1/robot_description", "std_msgs/msg/String"),
         ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
@@ -110,6 +111,9 @@ fn reads_the_robot(heard: &Value) {
     let outer = frame["header"]["frame_id"].as_str().unwrap();
     let place = frame["transform"]["translation"]["x"].as_f64();
     assert!(!outer.is_empty() && place.is_some(), "{frame}");
+    assert_eq!(heard["odom"]["header"]["frame_id"], "odom");
+    let unknown = &heard["odom"]["pose"]["covariance"][14];
+    assert_eq!(unknown, &json!(caudata_deploy::odometry::UNKNOWN));
     assert_eq!(heard["battery_state"]["voltage"], json!(12.0));
     let description = heard["robot_description"]["data"].as_str().unwrap();
     assert!(description.contains("<robot name="), "{description}");

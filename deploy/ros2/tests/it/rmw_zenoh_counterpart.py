@@ -20,12 +20,18 @@ TOPICS = {
     "joint_states": "sensor_msgs/msg/JointState",
     "imu/data": "sensor_msgs/msg/Imu",
     "tf": "tf2_msgs/msg/TFMessage",
+    "odom": "nav_msgs/msg/Odometry",
     "battery_state": "sensor_msgs/msg/BatteryState",
     "robot_description": "std_msgs/msg/String",
     "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
 }
-# No wheel has this file of ROS; it has one line.
-FILES = {"tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms"}
+# No wheel has these files of ROS; they have a line, and four.
+FILES = {
+    "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms",
+    "nav_msgs/msg/Odometry": "std_msgs/Header header\nstring child_frame_id\n"
+    "geometry_msgs/PoseWithCovariance pose\ngeometry_msgs/TwistWithCovariance twist",
+}
+HELD = ("TransformStamped", "PoseWithCovariance", "TwistWithCovariance")
 ROUTER = {"router_ip": "127.0.0.1", "router_port": int(sys.argv[1])}
 
 
@@ -63,7 +69,8 @@ def main():
         name = "/" + topic if topic == "diagnostics" else "/robot1/" + topic
         if TOPICS[topic] in FILES:
             # Not before there is a session: this would open one to another router.
-            registry.load_message_type("geometry_msgs/msg/TransformStamped")
+            for held in HELD:
+                registry.load_message_type("geometry_msgs/msg/" + held)
         return ROS2Subscriber(name, TOPICS[topic], on_message, FILES.get(TOPICS[topic]), **ROUTER)
 
     subscriptions = [listen(topic) for topic in TOPICS]

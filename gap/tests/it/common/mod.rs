@@ -201,10 +201,7 @@ pub fn record(robot: &RobotModel, trial: &Trial, traces: &Traces, seed: u64) -> 
     let mut meta = LogMeta::new(robot.name(), trial.base, trial.rate_hz);
     meta.notes = trial.name.clone();
     let csv = table.finish().unwrap();
-    RunLog {
-        meta,
-        table: Table::parse("log.csv", csv.as_slice()).unwrap(),
-    }
+    RunLog::new(meta, Table::parse("log.csv", csv.as_slice()).unwrap())
 }
 
 /// The same log with its cells changed: `change(signal, row, t, value)`.
@@ -237,8 +234,8 @@ pub fn rebuilt(
         table.row(t, &values).unwrap();
     }
     let csv = table.finish().unwrap();
-    RunLog {
-        meta: log.meta.clone(),
-        table: Table::parse("log.csv", csv.as_slice()).unwrap(),
-    }
+    RunLog::new(
+        log.meta.clone(),
+        Table::parse("log.csv", csv.as_slice()).unwrap(),
+    )
 }

@@ -87,17 +87,27 @@ impl EventFile {
             metadata: Metadata::of("hparams", start.encode_to_vec()),
             ..Value::tagged("_hparams_/session_start_info")
         };
-        // Markdown: what is indented is shown as it is.
+        // What is indented is shown as it is.
         let lines: String = text.lines().map(|line| format!("    {line}\n")).collect();
-        let text = Value {
+        self.summary(wall_time_s, 0, vec![hparams])?;
+        self.text(wall_time_s, 0, "settings", lines)
+    }
+
+    /// Adds a text in Markdown.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn text(&mut self, wall_time_s: f64, step: u64, tag: &str, text: String) -> io::Result<()> {
+        let value = Value {
             metadata: Metadata::of("text", Vec::new()),
             tensor: Some(Tensor {
                 dtype: STRING,
-                strings: vec![lines.into_bytes()],
+                strings: vec![text.into_bytes()],
             }),
-            ..Value::tagged("settings/text_summary")
+            ..Value::tagged(&format!("{tag}/text_summary"))
         };
-        self.summary(wall_time_s, 0, vec![hparams, text])
+        let step = i64::try_from(step).unwrap_or(i64::MAX);
+        self.summary(wall_time_s, step, vec![value])
     }
 
     fn summary(&mut self, wall_time: f64, step: i64, value: Vec<Value>) -> io::Result<()> {
