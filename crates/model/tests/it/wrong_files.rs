@@ -499,7 +499,7 @@ fn mjcf_outside_the_subset() {
         &[
             "polymander.xml:",
             ": not well-formed XML",
-            "unexpected end of stream",
+            "polymander.xml:1: not well-formed XML: the root node was opened but never closed",
         ],
     );
     check(
