@@ -11,11 +11,9 @@ use caudata_model::{RobotModel, Site};
 
 use crate::tap::Tick;
 
-/// Error of a way by the legs, as a share of it (standard deviation): the shipped policies' legs tell 0.87 to 1.1 of
-/// what they walk.
+/// Error of a way by the legs, as a share of it (standard deviation): straight ahead the shipped policies' legs tell
+/// 0.87 to 1.1 of what they walk; sideways in a turn it may be half.
 const WAY_SHARE: f64 = 0.1;
-/// Bias of a gyroscope about the vertical, which nothing shows, rad/s.
-const YAW_BIAS_RADPS: f64 = 0.005;
 /// Error of a velocity by the legs at one tick: the trunk sways and feet land, m/s.
 const TICK_MPS: f64 = 0.1;
 /// A robot of which nothing is told may go this fast, m/s.
@@ -25,6 +23,8 @@ const GYRO_RADPS: f64 = 0.02;
 const LEVEL_RAD: f64 = 0.03;
 /// Variance of what nobody measures.
 pub const UNKNOWN: f64 = 1e6;
+/// Where a robot is that was started again elsewhere, m.
+const ANYWHERE_M: f64 = 1e3;
 /// Ticks further apart than this were not seen: what came between is not known, s.
 const APART_MAX_S: f64 = 0.5;
 
@@ -50,6 +50,9 @@ pub struct DeadReckoning {
     time_s: Option<f64>,
     /// Place of the IMU, m; the root link begins at 0.
     place_m: Option<[f64; 2]>,
+    /// Which axis of the IMU's site shows its yaw: the one that was most level at first.
+    axis: Option<[f64; 3]>,
+    /// Yaw of that axis; the heading begins at 0.
     yaw_rad: f64,
     /// Standard deviation of the yaw, rad.
     yaw_error_rad: f64,
@@ -68,6 +71,7 @@ impl DeadReckoning {
             robot,
             time_s: None,
             place_m: None,
+            axis: None,
             yaw_rad: 0.0,
             yaw_error_rad: 0.0,
             way_m: 0.0,
@@ -91,7 +95,21 @@ impl DeadReckoning {
             Some((hind, front)) => sub(place(front), place(hind)),
             None => [1.0, 0.0, 0.0],
         };
-        let along = sub(along, up.map(|u| u * dot(along, up)));
+        let level = |v: [f64; 3]| sub(v, up.map(|u| u * dot(v, up)));
+        let along = level(along);
+        // The gyroscope turns with the IMU's link, and a spine bends between that and the heading.
+        let axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        let steep = |axis: &[f64; 3]| dot(base_from_imu.rotate(*axis), up).abs();
+        let [a, b, c] = axes;
+        let flattest = [a, b, c]
+            .into_iter()
+            .min_by(|a, b| steep(a).total_cmp(&steep(b)));
+        let axis = *self.axis.get_or_insert(flattest.unwrap_or(a));
+        let axis = level(base_from_imu.rotate(axis));
+        let bend_rad = dot(cross(axis, along), up).atan2(dot(axis, along));
+        if self.time_s.is_none() {
+            self.yaw_rad = -bend_rad;
+        }
         // the heading's frame stands at the IMU: forward, left, up
         let base_from_heading = Pose {
             pos_m: base_from_imu.pos_m,
@@ -113,9 +131,9 @@ impl DeadReckoning {
         });
         let lowest_m = heights.fold(f64::INFINITY, f64::min);
         let lowest_m = if lowest_m.is_finite() { lowest_m } else { 0.0 };
-        self.go_on(tick.time_s, [vx, vy, yaw_radps], going.is_some());
+        self.go_on(tick.time_s, [vx, vy, yaw_radps], bend_rad, going.is_some());
 
-        let turned = quat_from_axis_angle([0.0, 0.0, 1.0], self.yaw_rad);
+        let turned = quat_from_axis_angle([0.0, 0.0, 1.0], self.yaw_rad + bend_rad);
         let odom_from_imu = Pose {
             pos_m: [0.0; 3],
             quat_wxyz: turned,
@@ -150,18 +168,27 @@ impl DeadReckoning {
         })
     }
 
-    /// Moves on to `time_s` with forward, sideways and turning velocities, if these are told.
-    fn go_on(&mut self, time_s: f64, [vx, vy, yaw_radps]: [f64; 3], told: bool) {
-        let passed_s = self.time_s.map_or(0.0, |before| (time_s - before).max(0.0));
+    /// Moves on to `time_s` with forward and sideways velocities of the heading, if these are told, and the turning
+    /// of the IMU; the heading is `bend_rad` to the left of the IMU's axis.
+    fn go_on(&mut self, time_s: f64, [vx, vy, yaw_radps]: [f64; 3], bend_rad: f64, told: bool) {
+        let passed_s = self.time_s.map_or(0.0, |before| time_s - before);
         self.time_s = Some(time_s);
+        if passed_s < 0.0 {
+            // its program was started again, and it may have been carried
+            self.yaw_error_rad = std::f64::consts::PI;
+            self.untold_m = ANYWHERE_M;
+            return;
+        }
         let seen_s = if passed_s > APART_MAX_S {
             0.0
         } else {
             passed_s
         };
-        let middle_rad = self.yaw_rad + 0.5 * yaw_radps * seen_s;
+        let middle_rad = self.yaw_rad + bend_rad + 0.5 * yaw_radps * seen_s;
         self.yaw_rad += yaw_radps * seen_s;
-        self.yaw_error_rad += YAW_BIAS_RADPS * passed_s;
+        // nothing shows a bias about the vertical
+        let bias_radps = (self.robot.sensors().imu.as_ref()).map_or(0.0, |i| i.gyro_bias_std_radps);
+        self.yaw_error_rad += bias_radps * passed_s;
         if seen_s < passed_s {
             // it may look anywhere
             self.yaw_error_rad = std::f64::consts::PI;
@@ -240,6 +267,34 @@ mod tests {
         // 1 m: a tenth of it, and what the yaw's error does
         let sd_m = here.pose_variance[0].sqrt();
         assert!((0.1..0.11).contains(&sd_m), "{sd_m}");
+    }
+
+    /// The spine bends and the IMU does not turn: neither does its link.
+    #[test]
+    fn a_bent_spine_turns_the_heading_and_not_the_link_of_the_imu() {
+        let mut legs = DeadReckoning::new(model());
+        let straight = legs.add(&tick(0.0, Some([0.0; 3]), 0.0)).unwrap();
+        let mut bent = tick(0.02, Some([0.0; 3]), 0.0);
+        let names = model().actuated_names();
+        let spine = |name: &&str| name.starts_with("spine");
+        let joints = names.iter().enumerate().filter(|(_, name)| spine(name));
+        joints.for_each(|(j, _)| bent.pos_rad[j] += 0.2);
+        let here = legs.add(&bent).unwrap();
+        let level = |pose: &Pose| {
+            let (site, pos) = (model().imu_site().cloned().unwrap(), bent.pos_rad);
+            let measured: Vec<f64> = match pose == &straight.pose {
+                true => model().nominal_pos_rad().to_vec(),
+                false => pos.iter().map(|x| f64::from(*x)).collect(),
+            };
+            let joints = model().full_pos_rad(&measured).unwrap();
+            let links = model().kinematics(pose, &joints).unwrap().links;
+            links[site.link].rotate([1.0, 0.0, 0.0])
+        };
+        let (before, after) = (level(&straight.pose), level(&here.pose));
+        assert!(norm(sub(before, after)) < 1e-6, "{before:?} {after:?}");
+        // a program that was started again knows its place no more
+        let again = legs.add(&tick(0.0, Some([0.0; 3]), 0.0)).unwrap();
+        assert!(again.pose_variance[0] >= UNKNOWN, "{again:?}");
     }
 
     #[test]

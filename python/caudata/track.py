@@ -96,8 +96,15 @@ def events(run: Path, patience_s: float, until_told: bool = False) -> Iterator[D
             line += file.readline()
             if not line.endswith("\n"):  # the rest is still being written, or comes later
                 late = time.monotonic() >= end
-                if last_look or (finished and (late or _is_left(run) or not until_told and _is_over(run, finished))):
+                left = finished and _is_left(run)
+                if last_look or (finished and (late or not until_told and _is_over(run, finished))):
                     return
+                if left:  # what it wrote before it ended is read first
+                    last_words = file.readline()
+                    if not last_words:
+                        return
+                    line += last_words
+                    continue
                 if late:
                     raise TimeoutError("nothing came for %g s, and the training has not finished" % patience_s)
                 if finished and not said:

@@ -5,7 +5,7 @@ use std::path::Path;
 use caudata_config::{Config, ConfigArgs, PRESETS, TransportKind};
 use caudata_signing::pki::CERTIFICATE_FILE;
 use caudata_sim::{EngineKind, Terrain};
-use caudata_studies::files;
+use caudata_studies::{files, flags};
 use caudata_task::{Critic, Mirror, PolicyContract};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::{Args, Subcommand};
@@ -36,7 +36,7 @@ pub fn run(command: &ConfigCommand) -> Result<(), Failure> {
     match command {
         ConfigCommand::Show(args) => show(args),
         ConfigCommand::Check(args) => {
-            let config = args.load().or_exit(ExitCode::BadConfig)?;
+            let config = (flags::of_robot(args).load()).or_exit(ExitCode::BadConfig)?;
             fits(&config)?;
             say::line(format!("good; hash {}", config.hash_hex()));
             note_certificates(&config);
@@ -106,7 +106,7 @@ fn note_certificates(config: &Config) {
 }
 
 fn show(args: &ShowArgs) -> Result<(), Failure> {
-    let config = args.config.load().or_exit(ExitCode::BadConfig)?;
+    let config = (flags::of_robot(&args.config).load()).or_exit(ExitCode::BadConfig)?;
     if args.json {
         return say::json(&config);
     }

@@ -89,12 +89,25 @@ fn check(model: &RobotModel) -> Result<Option<String>, Failure> {
     caudata_sim::check_extension(model).or_exit(ExitCode::BadInput)?;
     let (config, terrain) = (EngineConfig::default(), TerrainConfig::default());
     let robot = Arc::new(model.clone());
-    let mut engine =
-        caudata_sim::build(robot, 1, &config, &terrain, 0, 1).or_exit(ExitCode::BadInput)?;
+    let built = |fixed_base: bool| {
+        let config = EngineConfig {
+            fixed_base,
+            ..config.clone()
+        };
+        caudata_sim::build(Arc::clone(&robot), 1, &config, &terrain, 0, 1)
+            .or_exit(ExitCode::BadInput)
+    };
+    let mut engine = built(false)?;
     let contract = PolicyContract::new(model, &TaskConfig::default());
     contract.or_exit(ExitCode::BadInput)?;
     if let Some(why) = shake(model, engine.as_mut()).or_exit(ExitCode::BadInput)? {
         return Ok(Some(why));
+    }
+    if model.base() == BaseKind::Free {
+        let mut stand = built(true)?;
+        if let Some(why) = rings(model, stand.as_mut()).or_exit(ExitCode::BadInput)? {
+            return Ok(Some(why));
+        }
     }
     if model.feet().is_empty() || model.base() != BaseKind::Free {
         return Ok(None);
@@ -144,12 +157,21 @@ fn shake(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, 
             "`{name}` does not move when it is told to: does what it carries touch the ground (z = 0)?"
         )));
     }
-    rings(model, engine)
+    Ok(None)
 }
 
-/// Holds the nominal pose after it was shaken; which drive lets its joint swing on.
+/// Moves each joint by a step, held in the air where no ground damps; which drive lets its joint swing on.
 fn rings(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, SimError> {
-    let targets: Vec<f32> = model.nominal_pos_rad().iter().map(|&a| a as f32).collect();
+    let mut start = InitialState::nominal(model);
+    start.base_z_m = Some(IN_THE_AIR_M);
+    engine.reset(0, &start)?;
+    let limits = model.joint_limits_rad().iter();
+    let pose = model.nominal_pos_rad().iter().zip(limits);
+    let inwards = |(angle, (low, high)): (&f64, &(f64, f64))| {
+        let back = *angle > 0.5 * (low + high);
+        (angle + if back { -SWING_RAD } else { SWING_RAD }) as f32
+    };
+    let targets: Vec<f32> = pose.map(inwards).collect();
     let steps = (SHAKING_S / engine.config().control_period_s()).round() as usize;
     let mut seen = Vec::new();
     for _ in 0..steps {
@@ -170,8 +192,11 @@ fn rings(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, 
         .filter(|(_, swing_rad)| *swing_rad > RINGING_SHARE * SWING_RAD);
     Ok(worst.map(|(name, swing_rad)| {
         let deg = swing_rad.to_degrees();
-        format!("`{name}` still swings by {deg:.0}° when its target has been still for a quarter of a second: \
-                 its drive hardly damps it (kd_nm_s_per_rad)")
+        format!(
+            "`{name}` still swings by {deg:.1}° a quarter of a second after its target took a step of {:.1}°, held in \
+             the air: its drive hardly damps it (kd_nm_s_per_rad)",
+            SWING_RAD.to_degrees()
+        )
     }))
 }
 
@@ -181,9 +206,11 @@ const SWING_RAD: f64 = 0.05;
 const SWING_HZ: f64 = 4.0;
 /// A joint that moves by less of the swing is stuck.
 const STUCK_SHARE: f64 = 0.01;
-/// A joint that goes on by more than this share of the swing rings. A drive with a tenth of critical damping
-/// at 5 Hz keeps less.
-const RINGING_SHARE: f64 = 1.0;
+/// A joint that goes on by more than this share of a step, peak to peak, rings: after 0.25 s at 5 Hz a drive with a
+/// tenth of critical damping has 0.9 of it left (twice exp(−0.1·2π·5·0.25)).
+const RINGING_SHARE: f64 = 0.9;
+/// Height at which a robot is held so that it touches nothing, m.
+const IN_THE_AIR_M: f32 = 10.0;
 
 /// Holds the nominal pose on flat ground for a while; what is wrong with how the robot stands then.
 fn stand(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, SimError> {
@@ -276,9 +303,8 @@ fn import(args: &ImportArgs) -> Result<(), Failure> {
         say::line(format!("wrote {}", path.display()));
     }
     let robot = written_robot.display();
-    say::line(format!(
-        "next: caudata robot check {robot}, caudata train --robot {robot}"
-    ));
+    say::line(format!("next: caudata robot check {robot}"));
+    say::line(format!("      caudata train --robot {robot}"));
     Ok(())
 }
 

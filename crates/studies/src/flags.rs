@@ -62,6 +62,14 @@ pub fn or_preset(flags: &ConfigArgs, preset: &str) -> ConfigArgs {
     }
 }
 
+/// The flags as given; with a robot and neither preset nor file the preset that is made for it.
+pub fn of_robot(flags: &ConfigArgs) -> ConfigArgs {
+    match flags.robot.is_some() && flags.config.is_none() {
+        true => or_preset(flags, "quick"),
+        false => flags.clone(),
+    }
+}
+
 /// The flags as given, else the configuration that lies beside a policy, else the preset as
 /// [`or_preset`].
 pub fn or_beside(flags: &ConfigArgs, policy: &Path, preset: &str) -> ConfigArgs {

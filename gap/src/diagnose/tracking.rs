@@ -192,16 +192,19 @@ impl Tracking {
         };
         let angles = Angles::of(context, &context.first_look().data);
         let off = angles.residuals(&[Variant::new()])?.swap_remove(0);
-        if !gap && first.cross_rad >= BUILT * angles.mean(|a| mean_abs(&off[a])) {
+        let robot = context.replayer.model();
+        let explained = |a: usize, error: f64| error < COUNTS * robot.servo(a).encoder_lsb_rad();
+        let is_off = |a: usize| angles.measured(a) && !explained(a, mean_abs(&off[a]));
+        let far = (0..off.len()).any(is_off)
+            && first.cross_rad < BUILT * angles.mean(|a| mean_abs(&off[a]));
+        if !gap && !far {
             return Ok(());
         }
         let mut model = first.joints;
         let mut linear = angles.linear(&model, None)?;
         let (mut errors, _) = angles.cross(&model, &linear);
         self.keep(&angles, &model, &linear);
-        let robot = context.replayer.model();
         let standard: Vec<usize> = model.own.iter().map(Vec::len).collect();
-        let explained = |a: usize, error: f64| error < COUNTS * robot.servo(a).encoder_lsb_rad();
         let mut open: Vec<bool> = (0..errors.len())
             .map(|a| angles.measured(a) && !explained(a, errors[a]))
             .collect();

@@ -234,7 +234,14 @@ pub fn text(meta: &LogMeta, table: &Table) -> Result<String, String> {
         let position = sampled(pos)?;
         let before = entries.last().map(|e| e.goal_position);
         // the register, 16-bit two's complement
-        let counts = (sampled(duty)? * FULL_DUTY).round() as i16;
+        let share = sampled(duty)?;
+        if share.abs() > 1.0 {
+            return Err(format!(
+                "row {} has a duty of {share}, which is a share of −1 to 1",
+                k + 1
+            ));
+        }
+        let counts = (share * FULL_DUTY).round() as i16;
         entries.push(Entry {
             timestamp,
             position,

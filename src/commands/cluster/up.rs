@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use caudata_config::{Config, ConfigArgs, TransportKind};
+use caudata_studies::flags;
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use clap::Args;
 
@@ -33,7 +34,7 @@ pub struct UpArgs {
 /// Starts what the run of this configuration needs, or goes on with it; ends when the run is complete or at
 /// Ctrl-C.
 pub fn run(args: &UpArgs, process: &Process) -> Result<(), Failure> {
-    let mut config = args.config.load().or_exit(ExitCode::BadConfig)?;
+    let mut config = (flags::of_robot(&args.config).load()).or_exit(ExitCode::BadConfig)?;
     if config.transport.kind != TransportKind::Zenoh {
         let message = format!(
             "transport.kind is \"{}\": only zenoh reaches other hosts",

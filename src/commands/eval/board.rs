@@ -62,7 +62,12 @@ fn verdict(result: &SuiteResult) -> String {
     for scenario in &result.scenarios {
         let falls = 100.0 * scenario.fall_share.mean;
         let verdict = show::verdict(scenario).unwrap_or_default();
-        text += &format!("- {}: falls in {falls:.1} %; {verdict}\n", scenario.name);
+        let verdict = if verdict.is_empty() {
+            verdict
+        } else {
+            format!("; {verdict}")
+        };
+        text += &format!("- {}: falls in {falls:.1} %{verdict}\n", scenario.name);
     }
     text
 }

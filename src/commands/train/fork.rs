@@ -120,6 +120,19 @@ impl<'a> Fork<'a> {
 
 /// Refuses a configuration under which a run would not go on as it began.
 pub fn same_training(before: &Config, now: &Config) -> Result<(), Failure> {
+    if before.robot_path() != now.robot_path() {
+        let [was, is] = [before, now].map(|config| files::robot(&config.robot_path()));
+        let (was, is) = (was?, is?);
+        if was.hash() != is.hash() {
+            let message = format!(
+                "a run that goes on keeps its robot: it is `{}` of {}",
+                was.name(),
+                before.robot_path().display()
+            );
+            return Err(Failure::message(ExitCode::BadConfig, message)
+                .hint("another robot is another run: leave --resume and --from out"));
+        }
+    }
     if before.hash() == now.hash() {
         return Ok(());
     }
