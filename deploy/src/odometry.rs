@@ -275,10 +275,12 @@ mod tests {
         let mut legs = DeadReckoning::new(model());
         let straight = legs.add(&tick(0.0, Some([0.0; 3]), 0.0)).unwrap();
         let mut bent = tick(0.02, Some([0.0; 3]), 0.0);
-        let names = model().actuated_names();
-        let spine = |name: &&str| name.starts_with("spine");
-        let joints = names.iter().enumerate().filter(|(_, name)| spine(name));
-        joints.for_each(|(j, _)| bent.pos_rad[j] += 0.2);
+        let robot = model();
+        for (joint, name) in robot.actuated_names().iter().enumerate() {
+            if name.starts_with("spine") {
+                bent.pos_rad[joint] += 0.2;
+            }
+        }
         let here = legs.add(&bent).unwrap();
         let level = |pose: &Pose| {
             let (site, pos) = (model().imu_site().cloned().unwrap(), bent.pos_rad);
