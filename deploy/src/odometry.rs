@@ -95,18 +95,8 @@ impl DeadReckoning {
             Some((hind, front)) => sub(place(front), place(hind)),
             None => [1.0, 0.0, 0.0],
         };
-        let level = |v: [f64; 3]| sub(v, up.map(|u| u * dot(v, up)));
-        let along = level(along);
-        // The gyroscope turns with the IMU's link, and a spine bends between that and the heading.
-        let axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-        let steep = |axis: &[f64; 3]| dot(base_from_imu.rotate(*axis), up).abs();
-        let [a, b, c] = axes;
-        let flattest = [a, b, c]
-            .into_iter()
-            .min_by(|a, b| steep(a).total_cmp(&steep(b)));
-        let axis = *self.axis.get_or_insert(flattest.unwrap_or(a));
-        let axis = level(base_from_imu.rotate(axis));
-        let bend_rad = dot(cross(axis, along), up).atan2(dot(axis, along));
+        let along = sub(along, up.map(|u| u * dot(along, up)));
+        let bend_rad = self.bend_rad(&base_from_imu, up, along);
         if self.time_s.is_none() {
             self.yaw_rad = -bend_rad;
         }
@@ -166,6 +156,20 @@ impl DeadReckoning {
             angular_radps: turn_radps,
             twist_variance: [speed, speed, UNKNOWN, gyro, gyro, gyro],
         })
+    }
+
+    /// How far `along` is to the left of the IMU's axis about `up`: the gyroscope turns with the IMU's link, and a
+    /// spine bends between that and the heading.
+    fn bend_rad(&mut self, base_from_imu: &Pose, up: [f64; 3], along: [f64; 3]) -> f64 {
+        let axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        let steep = |axis: &[f64; 3]| dot(base_from_imu.rotate(*axis), up).abs();
+        let flattest = axes
+            .into_iter()
+            .min_by(|a, b| steep(a).total_cmp(&steep(b)));
+        let axis = *self.axis.get_or_insert(flattest.unwrap_or(axes[0]));
+        let axis = base_from_imu.rotate(axis);
+        let axis = sub(axis, up.map(|u| u * dot(axis, up)));
+        dot(cross(axis, along), up).atan2(dot(axis, along))
     }
 
     /// Moves on to `time_s` with forward and sideways velocities of the heading, if these are told, and the turning

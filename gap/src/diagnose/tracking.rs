@@ -193,11 +193,10 @@ impl Tracking {
         let angles = Angles::of(context, &context.first_look().data);
         let off = angles.residuals(&[Variant::new()])?.swap_remove(0);
         let robot = context.replayer.model();
-        let explained = |a: usize, error: f64| error < COUNTS * robot.servo(a).encoder_lsb_rad();
-        let is_off = |a: usize| angles.measured(a) && !explained(a, mean_abs(&off[a]));
-        let far = (0..off.len()).any(is_off)
-            && first.cross_rad < BUILT * angles.mean(|a| mean_abs(&off[a]));
-        if !gap && !far {
+        let lsb_rad = |a: usize| robot.servo(a).encoder_lsb_rad();
+        let is_off = |a: usize, error: f64| angles.measured(a) && error >= COUNTS * lsb_rad(a);
+        let far = first.cross_rad < BUILT * angles.mean(|a| mean_abs(&off[a]));
+        if !gap && !(far && (0..off.len()).any(|a| is_off(a, mean_abs(&off[a])))) {
             return Ok(());
         }
         let mut model = first.joints;
@@ -205,9 +204,7 @@ impl Tracking {
         let (mut errors, _) = angles.cross(&model, &linear);
         self.keep(&angles, &model, &linear);
         let standard: Vec<usize> = model.own.iter().map(Vec::len).collect();
-        let mut open: Vec<bool> = (0..errors.len())
-            .map(|a| angles.measured(a) && !explained(a, errors[a]))
-            .collect();
+        let mut open: Vec<bool> = (0..errors.len()).map(|a| is_off(a, errors[a])).collect();
         let mut pool: Option<Vec<BTreeSet<&str>>> = None;
         for depth in 1..=MOST_ADDED {
             progress(Progress::new(Stage::Tracking, depth, "joint by joint"));
@@ -246,7 +243,7 @@ impl Tracking {
             linear = angles.fit(&mut model, 1, None)?;
             errors = angles.cross(&model, &linear).0;
             for a in 0..errors.len() {
-                open[a] &= !explained(a, errors[a]);
+                open[a] &= is_off(a, errors[a]);
             }
             self.keep(&angles, &model, &linear);
         }

@@ -50,6 +50,8 @@ fn trains_end_to_end(transport: &str) {
         "learner.publish_every=1",
         "--set",
         "evaluation.robot_run_s=1",
+        "--set",
+        "evaluation.episodes=1",
     ];
     let report = ended_well(&finish(train(&out, &flags).unwrap()).unwrap());
     account_holds(&report);
@@ -81,11 +83,13 @@ fn trains_end_to_end(transport: &str) {
     // the learner's, and the evaluation's
     let events = files_like(&out, "events.out.tfevents");
     assert_eq!(events.len(), 2);
-    let tells_speed = |file: &&PathBuf| {
+    let tells_falls = |file: &&PathBuf| {
         let bytes = std::fs::read(file).unwrap();
-        bytes.windows(18).any(|tag| tag == b"Evaluation/vx_mps\x15")
+        bytes
+            .windows(22)
+            .any(|tag| tag == b"Evaluation/fall_share\x15")
     };
-    assert_eq!(events.iter().filter(tells_speed).count(), 1);
+    assert_eq!(events.iter().filter(tells_falls).count(), 1);
     assert!(!files_like(&out.join("curves"), ".svg").is_empty());
     assert_eq!(
         json_file(&out.join("report.json")).unwrap()["policy"],
