@@ -196,8 +196,7 @@ impl Tracking {
         let lsb_rad = |a: usize| robot.servo(a).encoder_lsb_rad();
         let is_off = |a: usize, error: f64| angles.measured(a) && error >= COUNTS * lsb_rad(a);
         let nearer = first.cross_rad < BUILT * angles.mean(|a| mean_abs(&off[a]));
-        let worth = nearer && (0..off.len()).any(|a| is_off(a, mean_abs(&off[a])));
-        if !gap && !worth {
+        if !(gap || nearer && (0..off.len()).any(|a| is_off(a, mean_abs(&off[a])))) {
             return Ok(());
         }
         let mut model = first.joints;
