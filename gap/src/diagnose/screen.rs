@@ -120,7 +120,7 @@ fn plan(context: &Context, around: &State, parents: &[&State]) -> Vec<Tried> {
         let all = effect.places(model);
         let wanted = |p: &Place| parents.iter().any(|s| open(context, s, effect, p));
         let together: Vec<Vec<Place>> = match effect.domain {
-            Domain::Joints => vec![all[..1].to_vec()],
+            Domain::Joints => vec![all.iter().take(1).cloned().collect()],
             Domain::Links => side_by_side(context, all.iter().filter(|p| wanted(p))),
             _ => all.iter().map(|p| vec![p.clone()]).collect(),
         };

@@ -61,12 +61,7 @@ fn verdict(result: &SuiteResult) -> String {
     text += "\n";
     for scenario in &result.scenarios {
         let falls = 100.0 * scenario.fall_share.mean;
-        let verdict = show::verdict(scenario).unwrap_or_default();
-        let verdict = if verdict.is_empty() {
-            verdict
-        } else {
-            format!("; {verdict}")
-        };
+        let verdict = show::verdict(scenario).map_or(String::new(), |v| format!("; {v}"));
         text += &format!("- {}: falls in {falls:.1} %{verdict}\n", scenario.name);
     }
     text
