@@ -67,29 +67,32 @@ impl ActionFilter {
     }
 
     /// Where the smoothed action would have the joints, rad, whatever their limits.
-    pub fn unlimited_rad(&self, config: &ActionConfig, joints: &JointTable) -> PerJoint {
-        PerJoint::from_fn(joints.len(), |i| {
-            joints.nominal_rad[i] + config.scale * self.smoothed[i]
-        })
+    pub fn unlimited_rad(&self, config: &ActionConfig, joints: &JointTable, out: &mut PerJoint) {
+        out.refill(joints.len(), |i| self.target_rad(config, joints, i));
     }
 
-    /// Takes one action and gives the position targets, rad, within the joint limits.
+    /// Takes one action, [clipped](ActionConfig::clipped), and writes the position targets, rad, within the
+    /// joint limits. Both of the robot's length.
     pub fn apply(
         &mut self,
         config: &ActionConfig,
         action: &[f32],
         joints: &JointTable,
-    ) -> PerJoint {
-        let action = config.clipped(action);
+        targets_rad: &mut [f32],
+    ) {
         for (smoothed, action) in self.smoothed.iter_mut().zip(action) {
             *smoothed += config.filter_alpha * (action - *smoothed);
         }
-        let mut targets = self.unlimited_rad(config, joints);
-        for i in 0..targets.len() {
+        for (i, target) in targets_rad.iter_mut().enumerate() {
+            let wanted = self.target_rad(config, joints, i);
             // Not `clamp`: that panics on reversed limits; here the upper limit would win.
-            targets[i] = targets[i].max(joints.lower_rad[i]).min(joints.upper_rad[i]);
+            *target = wanted.max(joints.lower_rad[i]).min(joints.upper_rad[i]);
         }
-        targets
+    }
+
+    #[inline]
+    fn target_rad(&self, config: &ActionConfig, joints: &JointTable, joint: usize) -> f32 {
+        joints.nominal_rad[joint] + config.scale * self.smoothed[joint]
     }
 }
 
@@ -98,6 +101,12 @@ mod tests {
     use super::*;
 
     const ACT_DIM: usize = 16;
+
+    fn applied(filter: &mut ActionFilter, config: &ActionConfig, action: f32) -> [f32; ACT_DIM] {
+        let (action, mut targets) = (config.clipped(&[action; ACT_DIM]), [0.0; ACT_DIM]);
+        filter.apply(config, &action, &joints(), &mut targets);
+        targets
+    }
 
     fn joints() -> JointTable {
         JointTable {
@@ -119,7 +128,7 @@ mod tests {
         // y2 = 0.2 + 0.25·(0.8 − 0.2) = 0.35; target 0.1 + 0.5·0.35 = 0.275
         // y3 = 0.35 + 0.25·(−0.8 − 0.35) = 0.0625; target 0.13125
         for (action, expected) in [(0.8, 0.2), (0.8, 0.275), (-0.8, 0.13125)] {
-            let targets = filter.apply(&config, &[action; ACT_DIM], &joints());
+            let targets = applied(&mut filter, &config, action);
             for target in targets {
                 assert!((target - expected).abs() < 1e-6, "{target} for {expected}");
             }
@@ -136,20 +145,14 @@ mod tests {
         };
         let mut filter = ActionFilter::new(ACT_DIM);
         // 100 is cut to 2: y = 2, target 2.1, upper limit 0.4.
-        assert_eq!(
-            filter.apply(&config, &[100.0; ACT_DIM], &joints()),
-            [0.4; ACT_DIM]
-        );
+        assert_eq!(applied(&mut filter, &config, 100.0), [0.4; ACT_DIM]);
         assert_eq!(filter.smoothed, [2.0; ACT_DIM]);
         assert_eq!(
-            filter.apply(&config, &[f32::NEG_INFINITY; ACT_DIM], &joints()),
+            applied(&mut filter, &config, f32::NEG_INFINITY),
             [-0.5; ACT_DIM]
         );
         // Not a number counts as no offset.
-        assert_eq!(
-            filter.apply(&config, &[f32::NAN; ACT_DIM], &joints()),
-            [0.1; ACT_DIM]
-        );
+        assert_eq!(applied(&mut filter, &config, f32::NAN), [0.1; ACT_DIM]);
     }
 
     #[test]

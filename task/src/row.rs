@@ -34,6 +34,15 @@ impl<T: Copy + Default, const MAX: usize> Row<T, MAX> {
         row
     }
 
+    /// Becomes what [`Self::from_fn`] gives; writes no more than these values.
+    #[inline]
+    pub fn refill(&mut self, len: usize, mut of: impl FnMut(usize) -> T) {
+        self.len = len.min(MAX);
+        for (i, value) in self.iter_mut().enumerate() {
+            *value = of(i);
+        }
+    }
+
     /// `len` times the same value; at most `MAX` times.
     #[inline]
     pub const fn filled(len: usize, value: T) -> Self {
@@ -166,6 +175,11 @@ mod tests {
         assert_eq!(row.into_iter().sum::<f32>(), 3.0);
         assert_ne!(row, PerFoot::filled(2, 0.0));
         assert_eq!(PerFoot::filled(100, 1.0).len(), MAX_FEET);
+        let mut row = row;
+        row.refill(2, |i| 5.0 - i as f32);
+        assert_eq!(row, [5.0, 4.0]);
+        row.refill(100, |i| i as f32);
+        assert_eq!(row[..], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
     }
 
     #[test]

@@ -124,7 +124,7 @@ impl Lane {
 
     /// Puts a clipped action in front of the past ones.
     pub fn remember(&mut self, action: PerJoint) {
-        self.actions.rotate_right(1);
+        self.actions.copy_within(..ACTION_HISTORY - 1, 1);
         self.actions[0] = action;
     }
 

@@ -135,8 +135,8 @@ struct Water {
 }
 
 impl Reader {
-    /// Reads lane `lane`.
-    pub fn read(&self, engine: &dyn Engine, lane: usize) -> Truth {
+    /// Reads lane `lane` into `truth`.
+    pub fn read(&self, engine: &dyn Engine, lane: usize, truth: &mut Truth) {
         let terrain = engine.terrain();
         let state = engine.state();
         let water = terrain.water_level_m().map(|level_m| {
@@ -149,7 +149,7 @@ impl Reader {
             }
         });
         let ground_m = |[x, y, _]: [f32; 3]| terrain.height_m(x, y);
-        self.read_state(state, water, &ground_m, lane)
+        self.read_state(state, water, &ground_m, lane, truth);
     }
 
     /// `ground_m`: height of the ground under a place.
@@ -159,13 +159,14 @@ impl Reader {
         water: Option<Water>,
         ground_m: &dyn Fn([f32; 3]) -> f32,
         lane: usize,
-    ) -> Truth {
+        truth: &mut Truth,
+    ) {
         let joints = state.joints;
         let pos = &state.joint_pos_rad[lane * joints..][..joints];
         let vel = &state.joint_vel_radps[lane * joints..][..joints];
         let feet = state.feet;
         let foot_pos = vectors(&state.foot_pos_m, lane, feet);
-        let foot_height_m: PerFoot = values(&state.foot_height_m, lane, feet);
+        let foot_height_m = values(&state.foot_height_m, lane, feet);
         let com: [f32; 3] = row(&state.com_pos_m, lane);
         let body_ground_m = if feet == 0 { ground_m(com) } else { 0.0 };
         let ground_m = PerFoot::from_fn(feet, |j| match self.foot_is_ball[j] {
@@ -198,25 +199,27 @@ impl Reader {
             let girdle_m = com[2] - self.girdles_ahead_m[girdle] * gravity[0];
             f32::from(girdle_m - water.girdle_ground_m[girdle] <= self.feet_reach_m)
         };
-        Truth {
-            joint_pos_rad: pick(pos, &self.actuated),
-            joint_vel_radps: pick(vel, &self.actuated),
-            motor_torque_nm: values(&state.motor_torque_nm, lane, state.actuated),
-            mech_power_w: values(&state.mech_power_w, lane, state.actuated),
-            heading_rad: state.heading_rad[lane],
-            com_vel_mps: into_heading(row(&state.com_vel_mps, lane), state.heading_rad[lane]),
-            yaw_rate_radps: state.com_angvel_radps[3 * lane + 2],
-            com_height_m: com[2] - mean_ground_m,
-            gyro_radps: row(&state.imu_gyro_radps, lane),
-            gravity,
-            foot_height_m,
-            foot_vel_mps: vectors(&state.foot_vel_mps, lane, feet),
-            foot_force_n: vectors(&state.foot_force_n, lane, feet),
-            trunk_force_n: state.trunk_force_n[lane],
-            submerged: f32::from(submerged),
-            afloat: f32::from(afloat),
-            on_ground: PerFoot::from_fn(feet, on_ground),
-        }
+        pick(pos, &self.actuated, &mut truth.joint_pos_rad);
+        pick(vel, &self.actuated, &mut truth.joint_vel_radps);
+        let torque_nm = values(&state.motor_torque_nm, lane, state.actuated);
+        fill(torque_nm, &mut truth.motor_torque_nm);
+        let power_w = values(&state.mech_power_w, lane, state.actuated);
+        fill(power_w, &mut truth.mech_power_w);
+        truth.heading_rad = state.heading_rad[lane];
+        truth.com_vel_mps = into_heading(row(&state.com_vel_mps, lane), truth.heading_rad);
+        truth.yaw_rate_radps = state.com_angvel_radps[3 * lane + 2];
+        truth.com_height_m = com[2] - mean_ground_m;
+        truth.gyro_radps = row(&state.imu_gyro_radps, lane);
+        truth.gravity = gravity;
+        fill(foot_height_m, &mut truth.foot_height_m);
+        let foot_vel_mps = vectors(&state.foot_vel_mps, lane, feet);
+        fill(foot_vel_mps, &mut truth.foot_vel_mps);
+        let foot_force_n = vectors(&state.foot_force_n, lane, feet);
+        fill(foot_force_n, &mut truth.foot_force_n);
+        truth.trunk_force_n = state.trunk_force_n[lane];
+        truth.submerged = f32::from(submerged);
+        truth.afloat = f32::from(afloat);
+        truth.on_ground.refill(feet, on_ground);
     }
 }
 
@@ -235,7 +238,9 @@ impl WaterSensor {
 
     /// Whether lane `lane` of `engine` swims.
     pub fn in_water(&self, engine: &dyn Engine, lane: usize) -> bool {
-        self.0.read(engine, lane).afloat > 0.0
+        let mut truth = Truth::default();
+        self.0.read(engine, lane, &mut truth);
+        truth.afloat > 0.0
     }
 }
 
@@ -318,14 +323,19 @@ fn into_heading(v: [f32; 3], heading_rad: f32) -> [f32; 3] {
     [cos * v[0] + sin * v[1], cos * v[1] - sin * v[0], v[2]]
 }
 
-/// The values at the given places.
-fn pick(values: &[f32], places: &PerJoint<usize>) -> PerJoint {
-    PerJoint::from_fn(places.len(), |i| values[places[i]])
+/// Makes `out` the values at the given places.
+fn pick(values: &[f32], places: &PerJoint<usize>, out: &mut PerJoint) {
+    out.refill(places.len(), |i| values[places[i]]);
+}
+
+/// Makes `out` the given values.
+fn fill<T: Copy + Default, const MAX: usize>(values: &[T], out: &mut Row<T, MAX>) {
+    out.refill(values.len(), |i| values[i]);
 }
 
 /// Row `lane` of a `[N, count]` array.
-fn values<const MAX: usize>(all: &[f32], lane: usize, count: usize) -> Row<f32, MAX> {
-    Row::of(&all[lane * count..][..count])
+fn values(all: &[f32], lane: usize, count: usize) -> &[f32] {
+    &all[lane * count..][..count]
 }
 
 /// Row `lane` of a `[N, K]` array.
@@ -336,8 +346,8 @@ fn row<const K: usize>(values: &[f32], lane: usize) -> [f32; K] {
 }
 
 /// Row `lane` of a `[N, count, 3]` array.
-fn vectors(all: &[f32], lane: usize, count: usize) -> PerFoot<[f32; 3]> {
-    PerFoot::of(all[lane * count * 3..][..count * 3].as_chunks::<3>().0)
+fn vectors(all: &[f32], lane: usize, count: usize) -> &[[f32; 3]] {
+    all[lane * count * 3..][..count * 3].as_chunks::<3>().0
 }
 
 #[cfg(test)]
@@ -360,6 +370,12 @@ mod tests {
         }
     }
 
+    fn read_lane(reader: &Reader, state: &State, water: Option<Water>, lane: usize) -> Truth {
+        let mut truth = Truth::default();
+        reader.read_state(state, water, &|_| 0.0, lane, &mut truth);
+        truth
+    }
+
     fn state() -> State {
         State::zeros(2, 18, ACT_DIM, FEET)
     }
@@ -371,15 +387,12 @@ mod tests {
         state.heading_rad[1] = FRAC_PI_2;
         state.com_vel_mps[3..].copy_from_slice(&[0.1, 0.3, 0.05]);
         state.com_angvel_radps[3..].copy_from_slice(&[7.0, 8.0, 0.4]);
-        let truth = reader().read_state(&state, None, &|_| 0.0, 1);
+        let truth = read_lane(&reader(), &state, None, 1);
         for (found, expected) in truth.com_vel_mps.iter().zip([0.3, -0.1, 0.05]) {
             assert!((found - expected).abs() < 1e-6, "{:?}", truth.com_vel_mps);
         }
         assert_eq!(truth.yaw_rate_radps, 0.4);
-        assert_eq!(
-            reader().read_state(&state, None, &|_| 0.0, 0).com_vel_mps,
-            [0.0; 3]
-        );
+        assert_eq!(read_lane(&reader(), &state, None, 0).com_vel_mps, [0.0; 3]);
     }
 
     #[test]
@@ -389,7 +402,7 @@ mod tests {
             state.joint_pos_rad[18 + j] = j as f32;
             state.joint_vel_radps[18 + j] = -(j as f32);
         }
-        let truth = reader().read_state(&state, None, &|_| 0.0, 1);
+        let truth = read_lane(&reader(), &state, None, 1);
         assert_eq!(truth.joint_pos_rad[5], 6.0);
         assert_eq!(truth.joint_vel_radps[15], -17.0);
         assert_eq!(truth.readings().joint_pos_rad, truth.joint_pos_rad);
@@ -405,7 +418,7 @@ mod tests {
         }
         state.foot_height_m[..4].copy_from_slice(&[0.1, 0.1, 0.0, 0.0]);
         state.com_pos_m[2] = 0.57;
-        let truth = reader().read_state(&state, None, &|_| 0.0, 0);
+        let truth = read_lane(&reader(), &state, None, 0);
         assert!((truth.com_height_m - 0.12).abs() < 1e-6);
     }
 
@@ -422,16 +435,16 @@ mod tests {
             |s| &mut s.foot_force_n[11],
             |s| &mut s.trunk_force_n[0],
         ];
-        assert!(reader().read_state(&state(), None, &|_| 0.0, 0).is_finite());
+        assert!(read_lane(&reader(), &state(), None, 0).is_finite());
         for (i, part) in parts.iter().enumerate() {
             for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
                 let mut state = state();
                 *part(&mut state) = bad;
                 assert!(
-                    !reader().read_state(&state, None, &|_| 0.0, 0).is_finite(),
+                    !read_lane(&reader(), &state, None, 0).is_finite(),
                     "part {i} {bad}"
                 );
-                assert!(reader().read_state(&state, None, &|_| 0.0, 1).is_finite());
+                assert!(read_lane(&reader(), &state, None, 1).is_finite());
             }
         }
     }
@@ -462,7 +475,7 @@ mod tests {
                 surface_m,
                 girdle_ground_m: [girdle_ground_m, 0.0],
             });
-            let truth = reader().read_state(&state, water, &|_| 0.0, 0);
+            let truth = read_lane(&reader(), &state, water, 0);
             (truth.submerged, truth.afloat)
         };
         let read = |com_m, shallow_m, surface_m| read_near(0.3, com_m, shallow_m, surface_m);
@@ -489,9 +502,7 @@ mod tests {
                 surface_m,
                 girdle_ground_m: [front_ground_m, 0.2],
             };
-            reader
-                .read_state(&state, Some(water), &|_| 0.0, 0)
-                .on_ground
+            read_lane(&reader, &state, Some(water), 0).on_ground
         };
         // The ground 0.08 under the fore girdle and 0.2 under the hind one.
         assert_eq!(read(0.32, 0.0, 0.45), [1.0, 1.0, 0.0, 0.0]);

@@ -9,7 +9,7 @@ use crate::{EnvError, VecEnv};
 
 impl VecEnv {
     pub(crate) fn observe_start(&mut self, lane: usize) -> Result<(), EnvError> {
-        let truth = self.reader.read(self.engine.as_ref(), lane);
+        let truth = self.truth(lane);
         self.observe(lane, &truth, true)
     }
 
@@ -22,7 +22,7 @@ impl VecEnv {
     ) -> Result<(), EnvError> {
         let now = &mut self.lanes[lane];
         let mut readings = truth.readings();
-        for (pos, offset) in readings.joint_pos_rad.iter_mut().zip(now.joint_offset_rad) {
+        for (pos, offset) in readings.joint_pos_rad.iter_mut().zip(&now.joint_offset_rad) {
             *pos += offset;
         }
         if let Some(sensors) = &self.sensors {
@@ -43,9 +43,10 @@ impl VecEnv {
         let out = &mut self.observations[lane * dim..][..dim];
         let more = self.critic.dim();
         if self.sees_truth || more > 0 {
-            let target_rad = now.filter.unlimited_rad(&self.task.action, &self.joints);
             let (task, joints, body) = (&self.task, &self.joints, &self.body);
-            let state = reward_input(task, joints, body, &target_rad, now, truth);
+            let target_rad = &mut self.target_rad;
+            now.filter.unlimited_rad(&task.action, joints, target_rad);
+            let state = reward_input(task, joints, body, target_rad, now, truth);
             let signals = StateSignals::new(&state, task.reward.contact_force_n);
             self.observer.write(&input, Some(&signals), fresh, out)?;
             let privileged = &mut self.privileged[lane * more..][..more];

@@ -11,7 +11,8 @@ use caudata_task::reward::own::{Programs, StateSignals};
 use caudata_task::reward::{self, PerTerm, TERM_COUNT};
 use caudata_task::termination::{self, TerminationInput, TerminationReason};
 use caudata_task::{
-    BodyPlan, Critic, JointTable, Mirror, ObservationLayout, PerFoot, PolicyContract, TaskConfig,
+    BodyPlan, Critic, JointTable, Mirror, ObservationLayout, PerFoot, PerJoint, PolicyContract,
+    TaskConfig,
 };
 
 use crate::EnvError;
@@ -57,6 +58,8 @@ pub struct VecEnv {
     buffers: OutputBuffers,
     /// `[N, A]`, rad.
     targets_rad: Vec<f32>,
+    /// Where the lane that is looked at would have its joints, whatever their limits. `[A]`
+    pub(crate) target_rad: PerJoint,
     /// `[N, 6]`, force (N) and torque (N·m).
     wrenches: Vec<f32>,
     /// Lanes whose episode ended in this step.
@@ -128,6 +131,7 @@ impl VecEnv {
             physics: PhysicsDraws::new(&model),
             buffers: OutputBuffers::new(lanes),
             targets_rad: vec![0.0; lanes * joints.len()],
+            target_rad: PerJoint::default(),
             wrenches: vec![0.0; lanes * 6],
             ended: Vec::with_capacity(lanes),
             held_commands: Vec::new(),
@@ -192,7 +196,9 @@ impl VecEnv {
 
     /// The true state of one lane, in the task's order and frames.
     pub fn truth(&self, lane: usize) -> Truth {
-        self.reader.read(self.engine.as_ref(), lane)
+        let mut truth = Truth::default();
+        self.reader.read(self.engine.as_ref(), lane, &mut truth);
+        truth
     }
 
     /// Present command of a lane: vx, vy (m/s), yaw rate (rad/s).
@@ -281,8 +287,10 @@ impl VecEnv {
         self.engine.step(&self.targets_rad, &self.wrenches)?;
         self.physics_time += began.elapsed();
         self.ended.clear();
+        let mut truth = Truth::default();
         for lane in 0..self.lanes.len() {
-            self.settle(lane)?;
+            self.reader.read(self.engine.as_ref(), lane, &mut truth);
+            self.settle(lane, &truth)?;
         }
         seen(self);
         for i in 0..self.ended.len() {
@@ -304,9 +312,10 @@ impl VecEnv {
         for (i, lane) in self.lanes.iter_mut().enumerate() {
             let row = i * width..(i + 1) * width;
             let action = &actions[row.clone()];
-            let targets = lane.filter.apply(&self.task.action, action, &self.joints);
-            self.targets_rad[row].copy_from_slice(&targets);
             lane.remember(self.task.action.clipped(action));
+            let (action, targets_rad) = (&lane.actions[0], &mut self.targets_rad[row]);
+            let filter = &mut lane.filter;
+            filter.apply(&self.task.action, action, &self.joints, targets_rad);
             let force = lane.push.next_force(
                 &self.task.push,
                 strength,
@@ -319,10 +328,8 @@ impl VecEnv {
     }
 
     /// After the engine's step: reward, end of episode, next command, observation of one lane.
-    fn settle(&mut self, lane: usize) -> Result<(), EnvError> {
-        let state = self.engine.state();
-        let truth = self.reader.read(self.engine.as_ref(), lane);
-        let diverged = state.diverged[lane] || !truth.is_finite();
+    fn settle(&mut self, lane: usize, truth: &Truth) -> Result<(), EnvError> {
+        let diverged = self.engine.state().diverged[lane] || !truth.is_finite();
         let now = &mut self.lanes[lane];
         let control_period_s = self.task.control_period_s as f32;
         now.step += 1;
@@ -331,15 +338,10 @@ impl VecEnv {
         let mut terms = PerTerm::filled(TERM_COUNT + self.own_rewards.len(), 0.0);
         let (mut reward, mut own_end) = (0.0, false);
         if !diverged {
-            let target_rad = now.filter.unlimited_rad(&self.task.action, &self.joints);
-            let input = reward_input(
-                &self.task,
-                &self.joints,
-                &self.body,
-                &target_rad,
-                now,
-                &truth,
-            );
+            let (task, joints, body) = (&self.task, &self.joints, &self.body);
+            let target_rad = &mut self.target_rad;
+            now.filter.unlimited_rad(&task.action, joints, target_rad);
+            let input = reward_input(task, joints, body, target_rad, now, truth);
             let cost_scale = self.task.reward.cost_scale(self.progress);
             let config = &self.task.reward;
             let own = &mut self.own_rewards;
@@ -356,7 +358,7 @@ impl VecEnv {
                 own_end = self.own_ends.first(&signals).is_some();
             }
             let (command, least_n) = (now.command, config.contact_force_n);
-            now.tally.add(reward, &terms, &truth, &command, least_n);
+            now.tally.add(reward, &terms, truth, &command, least_n);
         }
         self.buffers.output.rewards[lane] = reward;
 
@@ -379,7 +381,7 @@ impl VecEnv {
             now.clock.set_command(&self.task.phase, &now.command.value);
         }
         if reason != Some(TerminationReason::Diverged) {
-            self.observe(lane, &truth, false)?;
+            self.observe(lane, truth, false)?;
         }
         self.lanes[lane].joint_vel_radps = truth.joint_vel_radps;
         if ended {
