@@ -16,9 +16,8 @@ fn main() {
 /// who gives flags of their own may have chosen one.
 fn links_with_lld() -> bool {
     let (target, flags) = (var("TARGET"), var("CARGO_ENCODED_RUSTFLAGS"));
-    let sysroot = Command::new(var("RUSTC").unwrap_or_default())
-        .args(["--print", "sysroot"])
-        .output();
+    let sysroot =
+        Command::new(var("RUSTC").unwrap_or_default()).args(["--print", "sysroot"]).output();
     let (Ok(target), Ok(sysroot)) = (target, sysroot) else {
         return false;
     };

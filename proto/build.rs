@@ -16,19 +16,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     compiler.include_source_info(true).include_imports(true);
     compiler.open_files(FILES)?;
     let out_dir = PathBuf::from(std::env::var("OUT_DIR")?);
-    std::fs::write(
-        out_dir.join("descriptors.bin"),
-        compiler.encode_file_descriptor_set(),
-    )?;
+    std::fs::write(out_dir.join("descriptors.bin"), compiler.encode_file_descriptor_set())?;
     let mut registry = tonic_prost_build::configure();
     // What the policy server keeps in files, as it keeps it there.
-    for message in [
-        "Manifest",
-        "Signature",
-        "LabelState",
-        "QuarantineState",
-        "RobotReport",
-    ] {
+    for message in ["Manifest", "Signature", "LabelState", "QuarantineState", "RobotReport"] {
         registry = registry.type_attribute(
             format!("{REGISTRY}.{message}"),
             "#[derive(serde::Serialize, serde::Deserialize)]",
@@ -38,10 +29,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         ("Manifest.sha256", "with = \"crate::hex\""),
         ("Manifest.contract_hash", "with = \"crate::hex\""),
         ("Manifest.robot_hash", "with = \"crate::hex\""),
-        (
-            "Manifest.reverts_to",
-            "skip_serializing_if = \"Option::is_none\"",
-        ),
+        ("Manifest.reverts_to", "skip_serializing_if = \"Option::is_none\""),
         ("Signature.signature", "with = \"crate::hex\""),
         ("RobotReport.sha256", "with = \"crate::hex\""),
         ("RobotReport.state", "with = \"crate::disk::state_word\""),

@@ -96,9 +96,7 @@ fn main() -> std::process::ExitCode {
         // On a terminal the progress line belongs to the user; the children's logs are in files.
         args.log.log = QUIET_DEFAULT_OF.1.to_owned();
     }
-    Process::run("caudata", &args.log, |process| {
-        dispatch(&args.command, process)
-    })
+    Process::run("caudata", &args.log, |process| dispatch(&args.command, process))
 }
 
 /// The shared default filter, and what the command line makes of it.
@@ -140,12 +138,7 @@ mod tests {
         use std::fmt::Write;
         let help = command.render_help().to_string();
         let lines: Vec<&str> = help.lines().map(str::trim_end).collect();
-        write!(
-            out,
-            "\n## {path}\n\n```text\n{}\n```\n",
-            lines.join("\n").trim()
-        )
-        .unwrap();
+        write!(out, "\n## {path}\n\n```text\n{}\n```\n", lines.join("\n").trim()).unwrap();
         for inner in command
             .get_subcommands_mut()
             .filter(|inner| inner.get_name() != "help" && !inner.is_hide_set())
@@ -159,10 +152,7 @@ mod tests {
     /// `CAUDATA_WRITE_DOCS=1`, read what has changed, and commit it.
     #[test]
     fn the_help_reads_as_it_is_documented() {
-        let path = concat!(
-            env!("CARGO_MANIFEST_DIR"),
-            "/docs/reference/command-line.md"
-        );
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/reference/command-line.md");
         let mut page = String::from(
             "# Command line\n\nWhat `-h` prints; `--help` says more. Made by a test in `src/main.rs`; edit the flags there.\n",
         );

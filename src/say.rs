@@ -63,14 +63,7 @@ impl Share {
             bar.with_message(what)
         });
         let now = Instant::now();
-        Self {
-            bar,
-            what,
-            total,
-            done: 0,
-            began: now,
-            told: now,
-        }
+        Self { bar, what, total, done: 0, began: now, told: now }
     }
 
     /// One more part is done.
@@ -83,10 +76,7 @@ impl Share {
             let (done, total, what) = (self.done, self.total, self.what);
             let part_s = self.began.elapsed().as_secs_f64() / done as f64;
             let left_s = part_s * total.saturating_sub(done) as f64;
-            let _ = writeln!(
-                std::io::stderr(),
-                "{done}/{total} {what}, {left_s:.0} s left"
-            );
+            let _ = writeln!(std::io::stderr(), "{done}/{total} {what}, {left_s:.0} s left");
         }
     }
 
@@ -205,9 +195,7 @@ fn aligned(rows: impl Iterator<Item = Vec<String>>) {
     let widths: Vec<usize> = (0..columns).map(width).collect();
     for row in &rows {
         let cells = row.iter().zip(&widths);
-        let cells: Vec<String> = cells
-            .map(|(cell, width)| format!("{cell:<width$}"))
-            .collect();
+        let cells: Vec<String> = cells.map(|(cell, width)| format!("{cell:<width$}")).collect();
         line(cells.join("  ").trim_end());
     }
 }
@@ -228,22 +216,9 @@ mod tests {
             ["a", "b"],
             true
         ]);
-        let cells: Vec<String> = cells
-            .as_array()
-            .unwrap()
-            .iter()
-            .map(|value| cell("", value))
-            .collect();
-        let wanted = [
-            "0.3333",
-            "123457",
-            "12",
-            "-",
-            "abc",
-            "000000000000",
-            "a b",
-            "true",
-        ];
+        let cells: Vec<String> =
+            cells.as_array().unwrap().iter().map(|value| cell("", value)).collect();
+        let wanted = ["0.3333", "123457", "12", "-", "abc", "000000000000", "a b", "true"];
         assert_eq!(cells, wanted);
     }
 

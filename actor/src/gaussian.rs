@@ -37,9 +37,7 @@ impl Density {
             let log_std = f64::from(log_std);
             ((-log_std).exp(), log_std)
         };
-        Self {
-            components: log_std.iter().map(component).collect(),
-        }
+        Self { components: log_std.iter().map(component).collect() }
     }
 
     /// Log-probability density of `action` around `mean`.

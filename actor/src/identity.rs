@@ -18,8 +18,7 @@ pub fn named_actor_id(name: &str) -> u32 {
 /// The incarnation of an actor that starts at `now`, seconds since 1970: a later start has a larger number,
 /// on whichever host. Whoever starts actors must leave a second between two starts of one.
 pub fn clock_incarnation(now: SystemTime) -> u64 {
-    now.duration_since(UNIX_EPOCH)
-        .map_or(0, |since| since.as_secs())
+    now.duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs())
 }
 
 /// The name of this host, or of this container.

@@ -24,11 +24,7 @@ impl Ledger {
     /// # Errors
     /// When the file cannot be created or written.
     pub fn create(path: &Path) -> io::Result<Self> {
-        let file = OpenOptions::new()
-            .create(true)
-            .truncate(true)
-            .write(true)
-            .open(path)?;
+        let file = OpenOptions::new().create(true).truncate(true).write(true).open(path)?;
         let ledger = Self { file };
         ledger.write(0)?;
         Ok(ledger)
@@ -78,11 +74,7 @@ pub fn ledgers_in(folder: &Path) -> Vec<LedgerCount> {
             let (actor_id, incarnation) = key_of(entry.file_name().to_str()?)?;
             let empty = entry.metadata().is_ok_and(|metadata| metadata.len() == 0);
             let sent = read_ledger(&entry.path()).ok().or(empty.then_some(0));
-            Some(LedgerCount {
-                actor_id,
-                incarnation,
-                sent,
-            })
+            Some(LedgerCount { actor_id, incarnation, sent })
         })
         .collect();
     found.sort_unstable();
@@ -123,10 +115,8 @@ mod tests {
         std::fs::write(ledger_path(dir.path(), 1, 0), [1, 2]).unwrap();
         std::fs::write(ledger_path(dir.path(), 1, 1), []).unwrap();
         std::fs::write(dir.path().join("actor-x-0.ledger"), [0; 8]).unwrap();
-        let found: Vec<_> = ledgers_in(dir.path())
-            .iter()
-            .map(|l| (l.actor_id, l.incarnation, l.sent))
-            .collect();
+        let found: Vec<_> =
+            ledgers_in(dir.path()).iter().map(|l| (l.actor_id, l.incarnation, l.sent)).collect();
         let whole = [(2, 9, 7), (2, 11, 5), (10, 0, 3)].map(|(a, i, n)| (a, i, Some(n)));
         assert_eq!(found[..2], [(1, 0, None), (1, 1, Some(0))]);
         assert_eq!(found[2..], whole);

@@ -74,28 +74,13 @@ mod tests {
     #[test]
     fn the_section_s_defaults_are_the_transport_s_and_survive_the_command_line() {
         for (kind, expected) in [
-            (
-                TransportKind::Inproc,
-                TransportConfig::Inproc(InprocConfig::default()),
-            ),
-            (
-                TransportKind::Iceoryx2,
-                TransportConfig::Iceoryx2(Iceoryx2Config::default()),
-            ),
-            (
-                TransportKind::Zenoh,
-                TransportConfig::Zenoh(ZenohConfig::default()),
-            ),
+            (TransportKind::Inproc, TransportConfig::Inproc(InprocConfig::default())),
+            (TransportKind::Iceoryx2, TransportConfig::Iceoryx2(Iceoryx2Config::default())),
+            (TransportKind::Zenoh, TransportConfig::Zenoh(ZenohConfig::default())),
         ] {
-            let config = transport_config(&TransportSection {
-                kind,
-                ..Default::default()
-            });
+            let config = transport_config(&TransportSection { kind, ..Default::default() });
             assert_eq!(config, expected);
-            assert_eq!(
-                decode_transport(&encode_transport(&config)).unwrap(),
-                config
-            );
+            assert_eq!(decode_transport(&encode_transport(&config)).unwrap(), config);
         }
         assert!(decode_transport("{\"kind\":\"smoke-signals\"}").is_err());
     }

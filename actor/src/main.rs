@@ -35,12 +35,7 @@ struct Args {
     actor_id: u32,
     /// Instead of a number: a name that no other actor of the run has, for instance a pod's; `@host` takes
     /// this host's
-    #[arg(
-        long,
-        value_name = "NAME",
-        env = "CAUDATA_ACTOR_NAME",
-        conflicts_with = "actor_id"
-    )]
+    #[arg(long, value_name = "NAME", env = "CAUDATA_ACTOR_NAME", conflicts_with = "actor_id")]
     actor_name: Option<String>,
     /// How many times this actor was started before; otherwise 0, or with a name the time of the clock
     #[arg(long)]
@@ -71,10 +66,8 @@ fn act(args: &Args, process: &Process) -> Result<(), Failure> {
     let transport = match &args.transport {
         None => transport_of(&config, ROLE),
         Some(text) => {
-            let told = decode_transport(text).or_exit_with(
-                ExitCode::BadConfig,
-                || "--transport is not what a learner prints",
-            )?;
+            let told = decode_transport(text)
+                .or_exit_with(ExitCode::BadConfig, || "--transport is not what a learner prints")?;
             with_certificates(told, &config, ROLE)
         }
     };
@@ -89,21 +82,14 @@ fn act(args: &Args, process: &Process) -> Result<(), Failure> {
             .hint("give --actor-id, or set actors.lockstep=false"));
     }
     let robot_path = config.robot_path();
-    let model = RobotModel::load(&robot_path).or_exit_with(ExitCode::BadInput, || {
-        format!("robot file {}", robot_path.display())
-    })?;
+    let model = RobotModel::load(&robot_path)
+        .or_exit_with(ExitCode::BadInput, || format!("robot file {}", robot_path.display()))?;
 
     let registry = Metrics::new();
     let metrics = ActorMetrics::register(&registry);
     let instance = format!("actor {actor_id}, incarnation {incarnation}");
-    let traces = tracer_of(
-        &config,
-        (ROLE, "caudata-actor"),
-        instance,
-        &args.run_id,
-        &registry,
-    )
-    .or_exit(ExitCode::BadConfig)?;
+    let traces = tracer_of(&config, (ROLE, "caudata-actor"), instance, &args.run_id, &registry)
+        .or_exit(ExitCode::BadConfig)?;
     let pulse = Pulse::new();
     let patience = Duration::from_secs_f64(config.cluster.hang_timeout_s);
     let stop = &process.stop;
@@ -144,9 +130,7 @@ fn identity(args: &Args) -> Result<(u32, u64), Failure> {
         }
         name => name.to_owned(),
     };
-    let incarnation = args
-        .incarnation
-        .unwrap_or_else(|| clock_incarnation(SystemTime::now()));
+    let incarnation = args.incarnation.unwrap_or_else(|| clock_incarnation(SystemTime::now()));
     let id = named_actor_id(&name);
     tracing::info!(name, id, incarnation, "this actor");
     Ok((id, incarnation))

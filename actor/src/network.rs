@@ -56,11 +56,7 @@ impl Network {
         self.seen.resize(lanes * side.width(), 0.0);
         let how = (&self.mean[..], &self.std[..], self.clip);
         normalise(observations, how, side, &mut self.seen);
-        let inputs = Inputs {
-            rows: lanes,
-            values: &self.seen,
-            side,
-        };
+        let inputs = Inputs { rows: lanes, values: &self.seen, side };
         let rows = self.layers.forward(inputs, &mut self.tape, &mut |_| ());
         let rows = rows.chunks_exact(output.width().max(1));
         for (mean, row) in means.chunks_exact_mut(output.len().max(1)).zip(rows) {
@@ -84,10 +80,7 @@ fn folds(spec: &MlpSpec, mirror: Option<&Mirror>) -> Vec<Side> {
             layers.all(|(layer, pair)| commutes(layer, &pair[0], &pair[1]))
         });
     match sides {
-        Some(sides) => sides
-            .iter()
-            .map(|side| Side::new(&side.source, &side.sign))
-            .collect(),
+        Some(sides) => sides.iter().map(|side| Side::new(&side.source, &side.sign)).collect(),
         None => [spec.obs_mean.len()]
             .into_iter()
             .chain(outputs.iter().copied())
@@ -99,17 +92,12 @@ fn folds(spec: &MlpSpec, mirror: Option<&Mirror>) -> Vec<Side> {
 /// Whether mirroring the layer's inputs mirrors its outputs.
 fn commutes(layer: &Dense, input: &SignedPermutation, output: &SignedPermutation) -> bool {
     let row = |o: usize| &layer.weight[o * layer.input..][..layer.input];
-    output
-        .source
-        .iter()
-        .zip(&output.sign)
-        .enumerate()
-        .all(|(o, (&from, sign))| {
-            let image = row(from);
-            let mut pairs = row(o).iter().zip(input.source.iter().zip(&input.sign));
-            layer.bias[o] == sign * layer.bias[from]
-                && pairs.all(|(w, (&i, input_sign))| *w == sign * input_sign * image[i])
-        })
+    output.source.iter().zip(&output.sign).enumerate().all(|(o, (&from, sign))| {
+        let image = row(from);
+        let mut pairs = row(o).iter().zip(input.source.iter().zip(&input.sign));
+        layer.bias[o] == sign * layer.bias[from]
+            && pairs.all(|(w, (&i, input_sign))| *w == sign * input_sign * image[i])
+    })
 }
 
 #[cfg(test)]
@@ -120,9 +108,7 @@ mod tests {
     use caudata_task::{PolicyContract, TaskConfig};
 
     fn numbers(count: usize, scale: f32) -> Vec<f32> {
-        (0..count)
-            .map(|i| scale * (0.37 * i as f32 + 1.0).sin())
-            .collect()
+        (0..count).map(|i| scale * (0.37 * i as f32 + 1.0).sin()).collect()
     }
 
     /// The mean of a layer and its mirror image.
@@ -141,19 +127,14 @@ mod tests {
 
     #[test]
     fn the_network_answers_as_onnx_runtime_does() {
-        let robot = concat!(
-            env!("CARGO_MANIFEST_DIR"),
-            "/../robots/polymander.robot.toml"
-        );
+        let robot = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/polymander.robot.toml");
         let model = RobotModel::load(robot.as_ref()).unwrap();
         let contract = PolicyContract::new(&model, &TaskConfig::default()).unwrap();
         let sizes = [contract.obs_dim(), 50, 33, contract.act_dim()];
         let mirror = Mirror::new(&model, &contract.observation).unwrap();
         let mirrored = sides(&mirror.observation, &sizes[1..3], &mirror.action);
         let mut kept: Option<Network> = None;
-        let both = Activation::ALL
-            .into_iter()
-            .flat_map(|a| [(a, false), (a, true)]);
+        let both = Activation::ALL.into_iter().flat_map(|a| [(a, false), (a, true)]);
         for (activation, symmetric) in both {
             let dense = |pair: &[usize]| Dense {
                 input: pair[0],
@@ -188,20 +169,15 @@ mod tests {
             let file = PolicyFile::parse(build_onnx(&spec, &metadata).unwrap().into()).unwrap();
             let lanes = 13;
             let seen = numbers(lanes * sizes[0], 3.0);
-            let (mut own, mut runtime) = (
-                vec![f32::NAN; lanes * sizes[3]],
-                vec![0.0; lanes * sizes[3]],
-            );
+            let (mut own, mut runtime) =
+                (vec![f32::NAN; lanes * sizes[3]], vec![0.0; lanes * sizes[3]]);
             // The room of another policy is as good as fresh.
             let network = kept.get_or_insert_with(|| Network::new(file.spec(), None));
             network.replace(file.spec(), Some(&mirror));
             // Folded where it commutes with the mirror, and only there.
             assert_eq!(network.layers.output().counts()[1] > 0, symmetric);
             network.run(&seen, lanes, &mut own);
-            Inference::new(&file, 1)
-                .unwrap()
-                .run(&seen, lanes, &mut runtime)
-                .unwrap();
+            Inference::new(&file, 1).unwrap().run(&seen, lanes, &mut runtime).unwrap();
             let off = own.iter().zip(&runtime).map(|(a, b)| (a - b).abs());
             let off = off.fold(0.0, f32::max);
             assert!(off < 2e-5, "{activation:?}, symmetric {symmetric}: {off}");

@@ -44,10 +44,7 @@ impl LoadedPolicy {
         file.check_contract(expected).map_err(refused)?;
         let metadata = file.metadata();
         if metadata.version != version {
-            return Err(ActorError::PolicyVersion {
-                announced: version,
-                found: metadata.version,
-            });
+            return Err(ActorError::PolicyVersion { announced: version, found: metadata.version });
         }
         let log_std = metadata.log_std.clone();
         let std = log_std.iter().map(|x| x.exp()).collect();

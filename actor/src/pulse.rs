@@ -27,11 +27,7 @@ pub struct PulsedLink {
 impl PulsedLink {
     /// `inner`, with `pulse` beating, and `joined` raised by the first policy.
     pub fn new(inner: Box<dyn ActorLink>, pulse: Pulse, joined: Arc<AtomicBool>) -> Self {
-        Self {
-            inner,
-            pulse,
-            joined,
-        }
+        Self { inner, pulse, joined }
     }
 }
 

@@ -18,18 +18,12 @@ pub struct Quota {
 impl Quota {
     /// No policy yet, so nothing may be collected. `per_version` is at least 1.
     pub fn new(per_version: u32, max_lead: u32) -> Self {
-        Self {
-            per_version: per_version.max(1),
-            max_lead,
-            credits: 0,
-            newest: None,
-        }
+        Self { per_version: per_version.max(1), max_lead, credits: 0, newest: None }
     }
 
     /// The most credits that can be held.
     fn cap(&self) -> u32 {
-        self.per_version
-            .saturating_mul(self.max_lead.saturating_add(1))
+        self.per_version.saturating_mul(self.max_lead.saturating_add(1))
     }
 
     /// A policy arrived. The first one fills the account; later ones pay per version, a repeated one nothing.
@@ -41,9 +35,7 @@ impl Quota {
             Some(versions) => versions,
         };
         let paid = u64::from(self.per_version).saturating_mul(versions);
-        let credits = u64::from(self.credits)
-            .saturating_add(paid)
-            .min(u64::from(self.cap()));
+        let credits = u64::from(self.credits).saturating_add(paid).min(u64::from(self.cap()));
         // At most the cap, which is a u32.
         self.credits = credits as u32;
         self.newest = Some(version);
@@ -72,11 +64,7 @@ impl Quota {
     /// As it was when saved: with these credits and this newest version.
     #[must_use]
     pub fn restored(self, credits: u32, newest: Option<u64>) -> Self {
-        Self {
-            credits: credits.min(self.cap()),
-            newest,
-            ..self
-        }
+        Self { credits: credits.min(self.cap()), newest, ..self }
     }
 }
 

@@ -45,9 +45,6 @@ mod tests {
         retunes.add(5, task(0.4));
         retunes.add(5, task(0.5));
         let share = |version| retunes.under(version).map(|task| task.command.zero_share);
-        assert_eq!(
-            [2, 3, 4, 5, 9].map(share),
-            [None, Some(0.3), Some(0.3), Some(0.5), Some(0.5)]
-        );
+        assert_eq!([2, 3, 4, 5, 9].map(share), [None, Some(0.3), Some(0.3), Some(0.5), Some(0.5)]);
     }
 }

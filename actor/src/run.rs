@@ -45,11 +45,8 @@ pub fn run(
     snapshots: Option<&SnapshotPort>,
     resume: Option<&ActorSnapshot>,
 ) -> Result<ActorReport, ActorError> {
-    let span = tracing::info_span!(
-        "actor",
-        id = settings.actor_id,
-        incarnation = settings.incarnation
-    );
+    let span =
+        tracing::info_span!("actor", id = settings.actor_id, incarnation = settings.incarnation);
     let _in_span = span.enter();
     let ledger = settings.ledger.as_deref().map(Ledger::create).transpose();
     let ledger = ledger.map_err(|source| ledger_error(settings, source))?;
@@ -87,11 +84,7 @@ pub fn run(
     actor.say_goodbye(&reason);
     let steps = actor.sent * (settings.chunk_steps * actor.env.lanes()) as u64;
     tracing::info!(sent = actor.sent, steps, reason, "the actor ends");
-    result.map(|reason| ActorReport {
-        sent: actor.sent,
-        steps,
-        reason,
-    })
+    result.map(|reason| ActorReport { sent: actor.sent, steps, reason })
 }
 
 struct Actor<'a> {
@@ -133,12 +126,10 @@ impl Packed {
             Self::Frame(frame) => link.send(frame, WAIT_SLICE),
             Self::Value(chunk) => match chunk.take() {
                 None => Ok(()),
-                Some(value) => link
-                    .send_value(value, WAIT_SLICE)
-                    .map_err(|(error, value)| {
-                        *chunk = Some(value);
-                        error
-                    }),
+                Some(value) => link.send_value(value, WAIT_SLICE).map_err(|(error, value)| {
+                    *chunk = Some(value);
+                    error
+                }),
             },
         }
     }
@@ -228,9 +219,7 @@ impl Actor<'_> {
         if let Some(task) = self.settings.retunes.under(policy.version) {
             self.env.retune(&task);
         }
-        self.metrics
-            .policy_version
-            .set(i64::try_from(policy.version).unwrap_or(i64::MAX));
+        self.metrics.policy_version.set(i64::try_from(policy.version).unwrap_or(i64::MAX));
         tracing::debug!(version = policy.version, "policy");
         self.policy = Some(policy);
         Ok(true)
@@ -239,9 +228,7 @@ impl Actor<'_> {
     fn wait_for_policy(&mut self) -> Result<(), ActorError> {
         let started = Instant::now();
         let result = self.wait_for_policy_since(started);
-        self.metrics
-            .wait_seconds
-            .inc_by(started.elapsed().as_secs_f64());
+        self.metrics.wait_seconds.inc_by(started.elapsed().as_secs_f64());
         result
     }
 
@@ -258,10 +245,7 @@ impl Actor<'_> {
     fn still_patient(&self, what: &'static str, started: Instant) -> Result<(), ActorError> {
         let waited = started.elapsed();
         if waited > self.settings.policy_timeout {
-            return Err(ActorError::Starved {
-                what,
-                waited_s: waited.as_secs_f64(),
-            });
+            return Err(ActorError::Starved { what, waited_s: waited.as_secs_f64() });
         }
         Ok(())
     }
@@ -274,9 +258,7 @@ impl Actor<'_> {
         // Written before: a process killed in between has counted one chunk too many, which shows as lost.
         self.write_ledger(self.sent + 1)?;
         let result = self.hand_over(chunk, started);
-        self.metrics
-            .send_seconds
-            .inc_by(started.elapsed().as_secs_f64());
+        self.metrics.send_seconds.inc_by(started.elapsed().as_secs_f64());
         match result? {
             Handed::Taken => {
                 self.sent += 1;
@@ -356,10 +338,7 @@ impl Actor<'_> {
         };
         let frame = encode(&Envelope::Bye(bye));
         let left = || deadline.saturating_duration_since(Instant::now());
-        let farewell = self
-            .link
-            .send(&frame, left())
-            .and_then(|()| self.link.flush(left()));
+        let farewell = self.link.send(&frame, left()).and_then(|()| self.link.flush(left()));
         if let Err(error) = farewell {
             tracing::warn!(%error, "the learner may not have had the goodbye");
         }
@@ -394,34 +373,23 @@ impl Actor<'_> {
     fn write_ledger(&self, count: u64) -> Result<(), ActorError> {
         match &self.ledger {
             None => Ok(()),
-            Some(ledger) => ledger
-                .write(count)
-                .map_err(|source| ledger_error(self.settings, source)),
+            Some(ledger) => {
+                ledger.write(count).map_err(|source| ledger_error(self.settings, source))
+            }
         }
     }
 }
 
 fn ledger_error(settings: &ActorSettings, source: std::io::Error) -> ActorError {
-    let path = settings
-        .ledger
-        .as_deref()
-        .map(|path| path.display().to_string());
-    ActorError::Ledger {
-        path: path.unwrap_or_default(),
-        source,
-    }
+    let path = settings.ledger.as_deref().map(|path| path.display().to_string());
+    ActorError::Ledger { path: path.unwrap_or_default(), source }
 }
 
 /// At most 256 bytes without line breaks, as the wire format has it.
 fn one_line(text: &str) -> String {
     const BYTES_MAX: usize = 256;
-    let mut line: String = text
-        .chars()
-        .map(|c| if c.is_control() { ' ' } else { c })
-        .collect();
-    let end = (0..=BYTES_MAX.min(line.len()))
-        .rev()
-        .find(|&at| line.is_char_boundary(at));
+    let mut line: String = text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
+    let end = (0..=BYTES_MAX.min(line.len())).rev().find(|&at| line.is_char_boundary(at));
     line.truncate(end.unwrap_or(0));
     line
 }

@@ -127,14 +127,7 @@ pub fn build_env(
     )
     .map_err(|error| ActorError::Env(error.into()))?;
     let (actor, first_lane) = stream_keys(config, actor_key);
-    Ok(VecEnv::from_lane(
-        model,
-        config.task.clone(),
-        engine,
-        config.run.seed,
-        actor,
-        first_lane,
-    )?)
+    Ok(VecEnv::from_lane(model, config.task.clone(), engine, config.run.seed, actor, first_lane)?)
 }
 
 #[cfg(test)]
@@ -144,9 +137,7 @@ mod tests {
     #[test]
     fn in_lockstep_lanes_are_numbered_through() {
         let keys = |lockstep: &str, id, incarnation| {
-            let source = caudata_config::Source::default()
-                .set("actors.lanes=8")
-                .set(lockstep);
+            let source = caudata_config::Source::default().set("actors.lanes=8").set(lockstep);
             stream_keys(&Config::load(&source).unwrap(), actor_key(id, incarnation))
         };
         assert_eq!(keys("actors.lockstep=true", 0, 0), (0, 0));

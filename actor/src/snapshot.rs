@@ -48,13 +48,7 @@ impl ActorSnapshot {
             return None;
         }
         let policy_version = (known == 1).then_some(version);
-        Some(Self {
-            actor_id,
-            actor_key,
-            policy_version,
-            credits,
-            env: rest.to_vec(),
-        })
+        Some(Self { actor_id, actor_key, policy_version, credits, env: rest.to_vec() })
     }
 }
 
@@ -114,12 +108,8 @@ impl SnapshotPort {
                 *request = Request::None;
                 return Err(format!("the actor did not answer within {timeout:?}"));
             }
-            request = self
-                .shared
-                .1
-                .wait_timeout(request, left)
-                .unwrap_or_else(PoisonError::into_inner)
-                .0;
+            request =
+                self.shared.1.wait_timeout(request, left).unwrap_or_else(PoisonError::into_inner).0;
         }
     }
 
@@ -165,11 +155,7 @@ mod tests {
         let bytes = snapshot.to_bytes();
         assert_eq!(ActorSnapshot::from_bytes(&bytes), Some(snapshot));
         for cut in 0..bytes.len() {
-            assert_eq!(
-                ActorSnapshot::from_bytes(&bytes[..cut]),
-                None,
-                "cut at {cut}"
-            );
+            assert_eq!(ActorSnapshot::from_bytes(&bytes[..cut]), None, "cut at {cut}");
         }
         let mut longer = bytes.clone();
         longer.push(0);
@@ -186,16 +172,8 @@ mod tests {
         }
         port.answer(|| Ok(example()));
         assert_eq!(thread.join().unwrap(), Ok(example()));
-        assert!(
-            port.take(Duration::from_millis(1))
-                .unwrap_err()
-                .contains("did not answer")
-        );
+        assert!(port.take(Duration::from_millis(1)).unwrap_err().contains("did not answer"));
         port.close();
-        assert!(
-            port.take(Duration::from_secs(60))
-                .unwrap_err()
-                .contains("ended")
-        );
+        assert!(port.take(Duration::from_secs(60)).unwrap_err().contains("ended"));
     }
 }

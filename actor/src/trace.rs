@@ -45,8 +45,7 @@ impl ChunkTrace {
     /// An inference for all lanes has just ended.
     pub fn inferred(&mut self, took: Duration) {
         self.inference += took;
-        self.first_inference_ns
-            .get_or_insert_with(|| just_now(took));
+        self.first_inference_ns.get_or_insert_with(|| just_now(took));
     }
 
     /// A simulator step of all lanes has just ended.
@@ -82,10 +81,7 @@ impl ChunkTrace {
             part("policy inference", self.first_inference_ns, self.inference),
             part("simulator step", self.first_step_ns, self.simulation),
         ];
-        parts
-            .into_iter()
-            .flatten()
-            .for_each(|span| tracer.record(span));
+        parts.into_iter().flatten().for_each(|span| tracer.record(span));
         tracer.record(Span {
             name: "collect chunk",
             kind: Kind::Internal,

@@ -47,9 +47,7 @@ fn model(config: &Config) -> Arc<RobotModel> {
 fn policy(contract: &PolicyContract, version: u64) -> PolicyUpdate {
     let (inputs, outputs) = (contract.obs_dim(), contract.act_dim());
     let wave = |n: usize, phase: f32| -> Vec<f32> {
-        (0..n)
-            .map(|i| 0.1 * (i as f32 * 0.7 + phase + version as f32).sin())
-            .collect()
+        (0..n).map(|i| 0.1 * (i as f32 * 0.7 + phase + version as f32).sin()).collect()
     };
     let spec = MlpSpec {
         obs_mean: vec![0.0; inputs],
@@ -57,12 +55,7 @@ fn policy(contract: &PolicyContract, version: u64) -> PolicyUpdate {
         obs_clip: Some(10.0),
         activation: Activation::Elu,
         layers: vec![
-            Dense {
-                input: inputs,
-                out: 8,
-                weight: wave(8 * inputs, 0.0),
-                bias: wave(8, 1.0),
-            },
+            Dense { input: inputs, out: 8, weight: wave(8 * inputs, 0.0), bias: wave(8, 1.0) },
             Dense {
                 input: 8,
                 out: outputs,
@@ -84,21 +77,11 @@ fn policy(contract: &PolicyContract, version: u64) -> PolicyUpdate {
         evaluation: None,
     };
     let bytes: Arc<[u8]> = build_onnx(&spec, &metadata).unwrap().into();
-    PolicyUpdate {
-        version,
-        sha256: Sha256::digest(&bytes).into(),
-        bytes,
-        control: Control::Run,
-    }
+    PolicyUpdate { version, sha256: Sha256::digest(&bytes).into(), bytes, control: Control::Run }
 }
 
 fn stop_update(version: u64) -> PolicyUpdate {
-    PolicyUpdate {
-        version,
-        sha256: [0; 32],
-        bytes: Arc::new([]),
-        control: Control::Stop,
-    }
+    PolicyUpdate { version, sha256: [0; 32], bytes: Arc::new([]), control: Control::Stop }
 }
 
 /// An actor on a thread of its own, and the learner's end.
@@ -121,9 +104,7 @@ impl Bench {
         let (learner, link) = (hub.learner().unwrap(), hub.actor().unwrap());
         let mut settings = ActorSettings::from_config(config, "test", 0, 0);
         change(&mut settings);
-        let key = resume
-            .as_ref()
-            .map_or(actor_key(0, 0), |saved| saved.actor_key);
+        let key = resume.as_ref().map_or(actor_key(0, 0), |saved| saved.actor_key);
         let env = build_env(config, model(config), key).unwrap();
         let contract = env.contract().clone();
         let port = SnapshotPort::new();
@@ -131,22 +112,9 @@ impl Bench {
         let actor = std::thread::spawn(move || {
             let metrics = ActorMetrics::register(&Metrics::new());
             let stop = StopFlag::new();
-            run(
-                &settings,
-                env,
-                link,
-                &stop,
-                &metrics,
-                Some(&actor_port),
-                resume.as_ref(),
-            )
+            run(&settings, env, link, &stop, &metrics, Some(&actor_port), resume.as_ref())
         });
-        Self {
-            contract,
-            learner,
-            port,
-            actor,
-        }
+        Self { contract, learner, port, actor }
     }
 
     fn publish(&mut self, version: u64) {
@@ -219,10 +187,7 @@ fn in_sync_mode_same_seed_gives_the_same_chunks_bit_for_bit() {
     let first = three_chunks(&[]);
     assert_eq!(first, three_chunks(&["actors.threads=2"]), "on two threads");
     assert_ne!(first, three_chunks(&["run.seed=2"]), "with another seed");
-    let versions: Vec<_> = first
-        .iter()
-        .map(|c| (c.sequence, c.policy_version))
-        .collect();
+    let versions: Vec<_> = first.iter().map(|c| (c.sequence, c.policy_version)).collect();
     assert_eq!(versions, [(0, 0), (1, 1), (2, 2)]);
 }
 
@@ -233,42 +198,22 @@ fn a_chunk_says_what_happened() {
     let (row, act) = (LANES * chunk.obs_dim, chunk.act_dim);
     assert_eq!(chunk.observations.len(), (STEPS + 1) * row);
     // The bootstrap row of a chunk is the first row of the next one.
-    assert_eq!(
-        chunk.observations[STEPS * row..],
-        chunks[1].observations[..row]
-    );
-    assert_eq!(
-        chunk.moments,
-        moments_of(&chunk.observations[..STEPS * row], chunk.obs_dim)
-    );
+    assert_eq!(chunk.observations[STEPS * row..], chunks[1].observations[..row]);
+    assert_eq!(chunk.moments, moments_of(&chunk.observations[..STEPS * row], chunk.obs_dim));
     for cell in 0..STEPS * LANES {
         let range = cell * act..(cell + 1) * act;
         let (action, mean) = (&chunk.actions[range.clone()], &chunk.action_means[range]);
-        assert_eq!(
-            chunk.log_probs[cell],
-            gaussian::log_prob(action, mean, &chunk.log_std)
-        );
-        assert!(
-            action.iter().zip(mean).all(|(a, m)| a != m),
-            "exploration noise"
-        );
+        assert_eq!(chunk.log_probs[cell], gaussian::log_prob(action, mean, &chunk.log_std));
+        assert!(action.iter().zip(mean).all(|(a, m)| a != m), "exploration noise");
     }
     // Read back, a chunk names its past actions only where they were left out: these follow from the actions,
     // over the ends of episodes too.
     assert!(chunks.iter().all(|c| c.action_history.is_some()));
     // Episodes last 4 steps: within 15 steps of 3 lanes some end by the time limit.
-    let truncated = chunks
-        .iter()
-        .flat_map(|c| &c.truncated)
-        .filter(|&&t| t)
-        .count();
+    let truncated = chunks.iter().flat_map(|c| &c.truncated).filter(|&&t| t).count();
     let finals: usize = chunks.iter().map(|c| c.final_observations.len()).sum();
     let episodes: usize = chunks.iter().map(|c| c.episodes.len()).sum();
-    let terminated = chunks
-        .iter()
-        .flat_map(|c| &c.terminated)
-        .filter(|&&t| t)
-        .count();
+    let terminated = chunks.iter().flat_map(|c| &c.terminated).filter(|&&t| t).count();
     assert!(truncated > 0);
     assert_eq!((finals, episodes), (truncated, truncated + terminated));
 }
@@ -280,17 +225,11 @@ fn the_goodbye_the_ledger_and_the_report_agree() {
     let path = ledger.clone();
     let mut bench = Bench::start(&config(&[]), |s| s.ledger = Some(path), None);
     let hello = bench.hello();
-    assert_eq!(
-        (hello.lanes, hello.contract_hash),
-        (LANES, bench.contract.hash())
-    );
+    assert_eq!((hello.lanes, hello.contract_hash), (LANES, bench.contract.hash()));
     bench.publish(7);
     assert_eq!(bench.chunk().policy_version, 7);
     let (bye, report) = bench.stop(8);
-    assert_eq!(
-        (bye.sent, report.sent, read_ledger(&ledger).unwrap()),
-        (1, 1, 1)
-    );
+    assert_eq!((bye.sent, report.sent, read_ledger(&ledger).unwrap()), (1, 1, 1));
     assert_eq!(report.steps, (STEPS * LANES) as u64);
     assert_eq!(bye.reason, "the learner said stop");
 }
@@ -355,10 +294,7 @@ fn bytes_that_are_not_those_announced_are_refused() {
     bench.learner.publish_policy(update).unwrap();
     bench.bye();
     let error = bench.actor.join().unwrap().unwrap_err();
-    assert!(
-        matches!(error, ActorError::PolicyHash { version: 0 }),
-        "{error}"
-    );
+    assert!(matches!(error, ActorError::PolicyHash { version: 0 }), "{error}");
 }
 
 #[test]

@@ -61,10 +61,7 @@ impl RunFolder {
     /// # Errors
     /// [`DeployError::Folder`]; [`DeployError::Exposed`] where others may use it.
     pub fn open(path: &Path) -> Result<Self, DeployError> {
-        let made = fs::DirBuilder::new()
-            .recursive(true)
-            .mode(0o700)
-            .create(path);
+        let made = fs::DirBuilder::new().recursive(true).mode(0o700).create(path);
         let found = made.and_then(|()| fs::metadata(path));
         let found = found.map_err(DeployError::folder(path))?;
         let (mode, owner) = (found.mode() & 0o7777, found.uid());
@@ -201,10 +198,7 @@ impl Place {
         fs::create_dir_all(&folder).map_err(DeployError::folder(&folder))?;
         durable::remove_leftovers(&folder)?;
         let last = waiting(&folder).last().map_or(0, |(number, _)| *number);
-        Ok(Self {
-            folder,
-            next: last + 1,
-        })
+        Ok(Self { folder, next: last + 1 })
     }
 
     fn tell(&mut self, text: &[u8]) -> Result<(), DeployError> {
@@ -239,10 +233,7 @@ impl Teller {
             2 => alone_in(&in_state)?,
             _ => alone_in(&in_run)?,
         };
-        Ok(Self {
-            places,
-            _alone: alone,
-        })
+        Ok(Self { places, _alone: alone })
     }
 
     /// Writes an event down; it is on the disk, or where there is none in the run folder, when this returns.
@@ -277,20 +268,15 @@ pub struct Told {
 impl Told {
     /// Watches the folders of this state and run, whether or not they are there yet.
     pub fn of(state: &Path, run: &RunFolder) -> Self {
-        Self {
-            folders: told(state, run),
-            stuck: BTreeSet::new(),
-        }
+        Self { folders: told(state, run), stuck: BTreeSet::new() }
     }
 
     /// Takes what the loop told, oldest first: each event goes to `note` and is then forgotten. What cannot
     /// be understood is put aside. Answers how many there were.
     pub fn take(&mut self, mut note: impl FnMut(PolicyEvent)) -> usize {
         let all = self.folders.iter().flat_map(|folder| waiting(folder));
-        let new: Vec<PathBuf> = all
-            .map(|(_, path)| path)
-            .filter(|path| !self.stuck.contains(path))
-            .collect();
+        let new: Vec<PathBuf> =
+            all.map(|(_, path)| path).filter(|path| !self.stuck.contains(path)).collect();
         for path in &new {
             let event = small_file(path).and_then(|text| serde_json::from_slice(&text).ok());
             let away = match event {
@@ -334,9 +320,7 @@ fn small_file(path: &Path) -> Option<Vec<u8>> {
 }
 
 fn json(value: &impl Serialize) -> Result<Vec<u8>, DeployError> {
-    serde_json::to_vec_pretty(value).map_err(|e| DeployError::Internal {
-        what: e.to_string(),
-    })
+    serde_json::to_vec_pretty(value).map_err(|e| DeployError::Internal { what: e.to_string() })
 }
 
 /// The agent's end of the commands.
@@ -357,10 +341,7 @@ impl CommandSender {
             Ok(socket)
         });
         let socket = opened.map_err(DeployError::system("a socket"))?;
-        Ok(Self {
-            socket,
-            to: folder.commands(),
-        })
+        Ok(Self { socket, to: folder.commands() })
     }
 
     /// Passes on what the link shows now. A loop that is not there misses it; the next one comes in 20 ms.
@@ -416,10 +397,7 @@ impl CommandLink for LocalLink {
         // By when it came to this computer, not by when it is read: what has waited here since the loop was
         // down is old.
         let age = |came: Duration| now().saturating_sub(came);
-        LinkView {
-            age: self.came.map_or(Duration::MAX, age),
-            ..self.newest
-        }
+        LinkView { age: self.came.map_or(Duration::MAX, age), ..self.newest }
     }
 }
 
@@ -433,9 +411,7 @@ fn now() -> Duration {
 fn encode(view: &LinkView) -> [u8; COMMAND_BYTES] {
     let mut out = [0; COMMAND_BYTES];
     let came = now().checked_sub(view.age);
-    let came_us = came.map_or(NEVER_US, |came| {
-        u64::try_from(came.as_micros()).unwrap_or(NEVER_US)
-    });
+    let came_us = came.map_or(NEVER_US, |came| u64::try_from(came.as_micros()).unwrap_or(NEVER_US));
     out[0] = KILLED * u8::from(view.killed) + RELEASED * u8::from(view.released);
     out[1..9].copy_from_slice(&came_us.to_le_bytes());
     for (place, value) in out[9..].chunks_exact_mut(4).zip(view.command) {
@@ -492,10 +468,7 @@ mod tests {
         let (_folder, state, run) = folders();
         let mut teller = Teller::open(&state, &run).unwrap();
         teller.tell(&PolicyEvent::Begun(policy(1))).unwrap();
-        let good = PolicyEvent::Good {
-            policy: policy(1),
-            walked_s: 10.0,
-        };
+        let good = PolicyEvent::Good { policy: policy(1), walked_s: 10.0 };
         teller.tell(&good).unwrap();
         drop(teller);
         // The loop died and came back; one event was torn on its way.
@@ -565,10 +538,7 @@ mod tests {
             format: STAGED_FORMAT.to_owned(),
             number: 3,
             run: 7,
-            answer: Answer::Policy {
-                policy: policy(2),
-                proved: true,
-            },
+            answer: Answer::Policy { policy: policy(2), proved: true },
         };
         staged.write(&run).unwrap();
         assert_eq!(Staged::read(&run), Some(staged.clone()));
@@ -661,12 +631,7 @@ mod tests {
         let (seen, came) = decode(&encode(&view)).unwrap();
         assert!(seen.released && !seen.killed && came.is_some());
         assert_eq!(seen.command, view.command);
-        let never = LinkView {
-            age: Duration::MAX,
-            released: false,
-            killed: true,
-            ..view
-        };
+        let never = LinkView { age: Duration::MAX, released: false, killed: true, ..view };
         let (seen, came) = decode(&encode(&never)).unwrap();
         assert!(!seen.released && seen.killed && came.is_none());
     }

@@ -84,10 +84,7 @@ impl Commander {
     /// earlier, which counts up more slowly.
     pub fn begin() -> Self {
         let since = std::time::UNIX_EPOCH.elapsed().unwrap_or_default();
-        Self {
-            sequence: u64::try_from(since.as_millis()).unwrap_or(0),
-            ..Self::default()
-        }
+        Self { sequence: u64::try_from(since.as_millis()).unwrap_or(0), ..Self::default() }
     }
 
     /// Whether the robot has answered.
@@ -119,12 +116,7 @@ impl Commander {
             (false, false, Some(true)) => Kind::Held,
             (false, false, Some(false)) => Kind::Released,
         };
-        Message {
-            kind,
-            nonce: self.nonce,
-            sequence: self.sequence,
-            command: self.command,
-        }
+        Message { kind, nonce: self.nonce, sequence: self.sequence, command: self.command }
     }
 }
 
@@ -180,21 +172,12 @@ impl Receiver {
         now: Duration,
     ) -> Option<Message> {
         let message = Message::read(bytes).filter(|message| {
-            let came = Datagram {
-                bytes,
-                key,
-                message,
-                receiver: self,
-            };
+            let came = Datagram { bytes, key, message, receiver: self };
             !checks.iter().any(|check| (check.refuse)(&came))
         });
         let sane = |command: &[f32]| command.iter().all(|v| v.abs() <= COMMAND_MAX);
         match message {
-            Some(Message {
-                kind: Kind::Ask,
-                sequence,
-                ..
-            }) => {
+            Some(Message { kind: Kind::Ask, sequence, .. }) => {
                 return Some(Message {
                     kind: Kind::Tell,
                     nonce: self.nonce,
@@ -243,10 +226,7 @@ type DatagramCheck = fn(&Datagram<'_>) -> bool;
 /// What a datagram must be to count.
 const DATAGRAM_CHECKS: &[Check<DatagramCheck>] = &[
     // It was made with the link's key.
-    Check {
-        name: "command tag",
-        refuse: |came| !came.key.made(came.bytes),
-    },
+    Check { name: "command tag", refuse: |came| !came.key.made(came.bytes) },
     // For this start of the robot.
     Check {
         name: "command nonce",
@@ -306,14 +286,7 @@ impl UdpLink {
             .spawn(listen)
             .map_err(refused)?;
         tracing::info!(%address, "listening for commands");
-        Ok(Self {
-            start,
-            receiver,
-            last: first,
-            stop,
-            thread: Some(thread),
-            address,
-        })
+        Ok(Self { start, receiver, last: first, stop, thread: Some(thread), address })
     }
 
     /// Where it listens.
@@ -335,11 +308,7 @@ struct Door {
 impl Door {
     fn open(socket: UdpSocket, start: Instant) -> io::Result<Self> {
         socket.set_read_timeout(Some(LISTEN_LOOK))?;
-        Ok(Self {
-            socket,
-            start,
-            empty_at: start.elapsed(),
-        })
+        Ok(Self { socket, start, empty_at: start.elapsed() })
     }
 
     /// Waits for a datagram, for [`LISTEN_LOOK`] at most, and takes all that are there. `each` gets its bytes
@@ -429,21 +398,13 @@ mod tests {
             "5bdcc146bf60754e6a042426089575c75a003f089d2739839dec58b964ec3843"
         );
         assert_eq!(
-            of(
-                &[0xaa; 131],
-                b"Test Using Larger Than Block-Size Key - Hash Key First"
-            ),
+            of(&[0xaa; 131], b"Test Using Larger Than Block-Size Key - Hash Key First"),
             "60e431591ee0b67f0d8a26aacbf5b77f8e0bc6213728c5140546040f0ee37f54"
         );
     }
 
     fn velocity(nonce: u64, sequence: u64, vx: f32) -> [u8; DATAGRAM] {
-        let message = Message {
-            kind: Kind::Velocity,
-            nonce,
-            sequence,
-            command: [vx, 0.0, 0.0],
-        };
+        let message = Message { kind: Kind::Velocity, nonce, sequence, command: [vx, 0.0, 0.0] };
         message.encode(&key())
     }
 
@@ -483,9 +444,7 @@ mod tests {
         // Replayed, older, of an earlier start, of another key, not a number, too fast, cut short: none of
         // them counts.
         let other = made_of(b"another key of 16+");
-        let forged = Message::decode(&velocity(77, 6, 0.9), &key())
-            .unwrap()
-            .encode(&other);
+        let forged = Message::decode(&velocity(77, 6, 0.9), &key()).unwrap().encode(&other);
         let mut flipped = velocity(77, 6, 0.9);
         flipped[21] ^= 1;
         for bytes in [
@@ -505,21 +464,14 @@ mod tests {
         assert_eq!((link.view(200 * MS).age, link.ignored), (100 * MS, 9));
         // A flood in order: the newest wins.
         for sequence in 6..1006 {
-            link.take(
-                &velocity(77, sequence, 0.001 * sequence as f32),
-                &key(),
-                300 * MS,
-            );
+            link.take(&velocity(77, sequence, 0.001 * sequence as f32), &key(), 300 * MS);
         }
         assert!((link.view(300 * MS).command[0] - 1.005).abs() < 1e-6);
     }
 
     #[test]
     fn a_robot_with_a_new_nonce_is_found_again_and_old_answers_do_not_count() {
-        let mut commander = Commander {
-            command: [0.2, 0.0, 0.0],
-            ..Commander::default()
-        };
+        let mut commander = Commander { command: [0.2, 0.0, 0.0], ..Commander::default() };
         let mut robot = Receiver::new(5);
         let round = |commander: &mut Commander, robot: &mut Receiver| {
             let message = commander.next_message().encode(&key());
@@ -564,12 +516,8 @@ mod tests {
         let mut commander = Commander::begin();
         let asked: Vec<Message> = (0..3).map(|_| commander.next_message()).collect();
         let tell = |sequence, nonce| {
-            let message = Message {
-                kind: Kind::Tell,
-                nonce,
-                sequence,
-                command: [0.0; COMMAND_DIM],
-            };
+            let message =
+                Message { kind: Kind::Tell, nonce, sequence, command: [0.0; COMMAND_DIM] };
             message.encode(&key())
         };
         commander.hear(&tell(asked[2].sequence + 1, 9), &key());
@@ -582,12 +530,7 @@ mod tests {
     #[test]
     fn a_button_that_is_let_go_of_stands_the_robot_and_one_that_is_asked_for_must_be_held() {
         let said = |sequence, kind| {
-            let message = Message {
-                kind,
-                nonce: 7,
-                sequence,
-                command: [0.2, 0.0, 0.0],
-            };
+            let message = Message { kind, nonce: 7, sequence, command: [0.2, 0.0, 0.0] };
             message.encode(&key())
         };
         let mut link = Receiver::new(7);
@@ -653,12 +596,7 @@ mod tests {
     #[test]
     fn a_kill_stays() {
         let mut link = Receiver::new(1);
-        let kill = Message {
-            kind: Kind::Kill,
-            nonce: 1,
-            sequence: 1,
-            command: [0.0; 3],
-        };
+        let kill = Message { kind: Kind::Kill, nonce: 1, sequence: 1, command: [0.0; 3] };
         link.take(&kill.encode(&key()), &key(), MS);
         link.take(&velocity(1, 2, 0.2), &key(), 2 * MS);
         assert!(link.view(2 * MS).killed);
@@ -666,12 +604,7 @@ mod tests {
 
     #[test]
     fn a_kill_counts_whatever_others_have_sent_but_not_from_before_a_restart() {
-        let kill = |nonce| Message {
-            kind: Kind::Kill,
-            nonce,
-            sequence: 1,
-            command: [0.0; 3],
-        };
+        let kill = |nonce| Message { kind: Kind::Kill, nonce, sequence: 1, command: [0.0; 3] };
         let mut link = Receiver::new(7);
         link.take(&velocity(7, 1000, 0.2), &key(), MS);
         link.take(&kill(6).encode(&key()), &key(), 2 * MS);
@@ -703,15 +636,8 @@ mod tests {
         let mut link = UdpLink::listen("127.0.0.1:0".parse().unwrap(), key(), false).unwrap();
         let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
         socket.connect(link.address()).unwrap();
-        socket
-            .set_read_timeout(Some(Duration::from_secs(20)))
-            .unwrap();
-        let ask = Message {
-            kind: Kind::Ask,
-            nonce: 0,
-            sequence: 1,
-            command: [0.0; 3],
-        };
+        socket.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+        let ask = Message { kind: Kind::Ask, nonce: 0, sequence: 1, command: [0.0; 3] };
         socket.send(&ask.encode(&key())).unwrap();
         let mut buffer = [0; DATAGRAM];
         socket.recv(&mut buffer).unwrap();

@@ -192,8 +192,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
     /// # Errors
     /// [`DeployError::Bus`] where the robot is lost; the torque was switched off as far as that was possible.
     pub fn run(&mut self, stop: &StopFlag) -> Result<Ended, DeployError> {
-        self.updates
-            .tell(PolicyEvent::Begun(self.runner.policy().clone()));
+        self.updates.tell(PolicyEvent::Begun(self.runner.policy().clone()));
         self.notifier.say(Word::Ready);
         let policy = self.runner.policy();
         tracing::info!(stream = policy.stream, version = policy.version, "rising");
@@ -224,10 +223,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         self.counts.saturated = self.gate.saturated();
         if matches!(
             (&result, self.ended),
-            (
-                Ok(()),
-                None | Some(Ended::Time | Ended::Signal | Ended::Interrupted | Ended::Killed)
-            )
+            (Ok(()), None | Some(Ended::Time | Ended::Signal | Ended::Interrupted | Ended::Killed))
         ) {
             let policy = self.runner.policy().clone();
             self.updates.tell(PolicyEvent::Ended(policy));
@@ -347,25 +343,20 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
                 self.metrics.late_readings.inc();
                 Ok(None)
             }
-            Err(BusError::Timeout { .. }) => Err(BusError::Lost {
-                reason: format!("no readings for {LATE_IN_A_ROW_MAX} ticks"),
+            Err(BusError::Timeout { .. }) => {
+                Err(BusError::Lost { reason: format!("no readings for {LATE_IN_A_ROW_MAX} ticks") }
+                    .into())
             }
-            .into()),
             Err(error) => Err(error.into()),
         }
     }
 
     /// Time over, asked to stop, or fallen.
     fn watch_for_the_end(&mut self, stop: &StopFlag, sensed: &Sensed) {
-        let walked_s = self
-            .walk_start_s
-            .map_or(0.0, |start| sensed.servos.time_s - start);
+        let walked_s = self.walk_start_s.map_or(0.0, |start| sensed.servos.time_s - start);
         // Half a period early is nearer than half a period late.
         let margin_s = 0.5 * self.plan.period.as_secs_f64();
-        let over = self
-            .plan
-            .walk_s
-            .is_some_and(|wanted| walked_s + margin_s >= wanted);
+        let over = self.plan.walk_s.is_some_and(|wanted| walked_s + margin_s >= wanted);
         if self.motion.stage() == Stage::Walk && self.walk_start_s.is_some() && over {
             self.ended.get_or_insert(Ended::Time);
             self.motion.halt();
@@ -452,9 +443,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         };
         let begun = self.clock.now();
         let acted = self.runner.act(&view);
-        self.counts
-            .inference_latency
-            .add(self.clock.now().saturating_sub(begun));
+        self.counts.inference_latency.add(self.clock.now().saturating_sub(begun));
         match acted {
             Some(targets) => {
                 self.gate.good();

@@ -101,15 +101,7 @@ impl Courier {
         if let Some((_, file)) = &metrics {
             let _ = std::fs::remove_file(file);
         }
-        Self {
-            folder,
-            teller,
-            loader,
-            run,
-            seen: 0,
-            loaded: None,
-            metrics,
-        }
+        Self { folder, teller, loader, run, seen: 0, loaded: None, metrics }
     }
 
     /// Says that the robot is there, and waits for the first policy; `None` when asked to stop before.
@@ -203,10 +195,7 @@ impl Courier {
         let loaded = self.loader.load(&policy, proved);
         if let Err(DeployError::Refused { refusal, .. }) = &loaded {
             // As it was staged: what lies there now may be something else, which nobody staged.
-            let unfit = PolicyEvent::Unfit {
-                policy: policy.clone(),
-                reason: refusal.to_string(),
-            };
+            let unfit = PolicyEvent::Unfit { policy: policy.clone(), reason: refusal.to_string() };
             if let Err(error) = self.teller.tell(&unfit) {
                 tracing::error!(%error, "a refusal is lost");
             }
@@ -232,10 +221,7 @@ mod tests {
 
     #[test]
     fn a_policy_that_observes_water_is_refused_where_nothing_tells() {
-        let task = TaskConfig {
-            observe_medium: true,
-            ..TaskConfig::default()
-        };
+        let task = TaskConfig { observe_medium: true, ..TaskConfig::default() };
         let bytes = policy_file(1, |spec, metadata| {
             metadata.contract = PolicyContract::new(&model(), &task).unwrap();
             spec.obs_mean.push(0.0);

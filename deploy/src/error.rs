@@ -273,10 +273,7 @@ pub enum DeployError {
 impl DeployError {
     /// [`DeployError::System`] of what the system says.
     pub(crate) fn system<E: Into<io::Error>>(what: &'static str) -> impl FnOnce(E) -> Self + Copy {
-        move |source| Self::System {
-            what,
-            source: source.into(),
-        }
+        move |source| Self::System { what, source: source.into() }
     }
 
     /// [`DeployError::Folder`] of what the system says.
@@ -288,10 +285,7 @@ impl DeployError {
     /// The exit code that the error stands for.
     pub fn exit_code(&self) -> ExitCode {
         match self {
-            Self::Robot {
-                source: ModelError::Read { .. },
-                ..
-            }
+            Self::Robot { source: ModelError::Read { .. }, .. }
             | Self::BlobMissing { .. }
             | Self::Runtime(_) => ExitCode::NoInput,
             Self::Wiring(WiringError::Read { .. })

@@ -74,12 +74,7 @@ impl FlightLog {
             .name("flight-log".into())
             .spawn(move || write(log, &columns, queue))
             .map_err(DeployError::system("a thread"))?;
-        Ok(Self {
-            rows,
-            oldest,
-            writer,
-            dropped: 0,
-        })
+        Ok(Self { rows, oldest, writer, dropped: 0 })
     }
 
     /// Hands a row over; never waits.
@@ -96,21 +91,13 @@ impl FlightLog {
     /// # Errors
     /// [`DeployError::Log`]: the first failure of the writer.
     pub fn finish(self) -> Result<LogCounts, DeployError> {
-        let Self {
-            rows,
-            oldest,
-            writer,
-            dropped,
-        } = self;
+        let Self { rows, oldest, writer, dropped } = self;
         drop(rows);
         let ended = writer.join().map_err(|_| DeployError::Internal {
             what: "the flight log's thread panicked".to_owned(),
         })?;
         drop(oldest);
-        Ok(LogCounts {
-            written: ended?,
-            dropped,
-        })
+        Ok(LogCounts { written: ended?, dropped })
     }
 }
 
@@ -125,9 +112,7 @@ pub fn write_rows<'a>(
     rows: impl Iterator<Item = &'a LogRow>,
 ) -> Result<u64, DeployError> {
     let mut rows = rows.peekable();
-    let truth = rows
-        .peek()
-        .map_or_else(GroundTruth::default, |row| row.truth);
+    let truth = rows.peek().map_or_else(GroundTruth::default, |row| row.truth);
     let columns = Columns::new(model, &truth);
     let log = LogWriter::create(folder, &columns.signals, meta)?;
     Ok(write(log, &columns, rows.copied())?)
@@ -191,12 +176,7 @@ impl Columns {
     fn new(model: &RobotModel, truth: &GroundTruth) -> Self {
         let mut signals = Vec::new();
         let names = model.actuated_names();
-        for kind in [
-            Signal::Command,
-            Signal::Position,
-            Signal::Velocity,
-            Signal::Current,
-        ] {
+        for kind in [Signal::Command, Signal::Position, Signal::Velocity, Signal::Current] {
             signals.extend(Signal::each(kind, &names));
         }
         signals.push(Signal::Voltage);
@@ -213,26 +193,16 @@ impl Columns {
             None => &[],
         };
         signals.extend(feet.iter().map(|foot| Signal::Contact(foot.name.clone())));
-        Self {
-            signals,
-            base,
-            feet: feet.len(),
-        }
+        Self { signals, base, feet: feet.len() }
     }
 
     fn fill(&self, row: &LogRow, values: &mut Vec<Option<f64>>) {
         fn numbers(values: &[f32]) -> impl Iterator<Item = Option<f64>> + '_ {
-            values
-                .iter()
-                .map(|v| v.is_finite().then_some(f64::from(*v)))
+            values.iter().map(|v| v.is_finite().then_some(f64::from(*v)))
         }
         values.clear();
         values.extend(numbers(&row.command_rad).map(|v| v.filter(|_| row.torque)));
-        for part in [
-            &row.servos.pos_rad,
-            &row.servos.vel_radps,
-            &row.servos.current_a,
-        ] {
+        for part in [&row.servos.pos_rad, &row.servos.vel_radps, &row.servos.current_a] {
             values.extend(numbers(part));
         }
         values.extend(numbers(&[row.servos.supply_v]));

@@ -75,10 +75,7 @@ impl Follower {
             .name("follower".into())
             .spawn(move || runtime.block_on(following.until(stopped)))
             .map_err(DeployError::system("a thread"))?;
-        Ok(Self {
-            stop,
-            thread: Some(thread),
-        })
+        Ok(Self { stop, thread: Some(thread) })
     }
 }
 
@@ -201,11 +198,7 @@ impl Following {
     /// Asks where the label leads, and gets that ready where it is something else than what was offered last.
     async fn consider(&mut self) {
         let Follow { stream, label, .. } = self.follow.clone();
-        let manifest = match self
-            .keeper
-            .announced(&mut self.client, &stream, &label)
-            .await
-        {
+        let manifest = match self.keeper.announced(&mut self.client, &stream, &label).await {
             Ok(manifest) => manifest,
             Err(error) => {
                 tracing::warn!(%error, "the policy at hand goes on");
@@ -264,10 +257,7 @@ impl Following {
         let stale = since > STALE_AFTER;
         if stale && self.metrics.stale.get() == 0 {
             let since_s = since.as_secs();
-            tracing::error!(
-                since_s,
-                "no policy server says what is newest; what runs goes on"
-            );
+            tracing::error!(since_s, "no policy server says what is newest; what runs goes on");
         }
         self.metrics.stale.set(i64::from(stale));
     }
@@ -310,17 +300,8 @@ mod tests {
         let address = listener.local_addr().unwrap();
         let metrics = ServerMetrics::register(&caudata_telemetry::Metrics::new());
         let (stop, stopped) = watch::channel(false);
-        let options = ServeOptions {
-            fresh_key: Some(Arc::new(key)),
-            ..ServeOptions::default()
-        };
-        tokio::spawn(serve_with(
-            listener,
-            SharedStore::new(store),
-            metrics,
-            stopped,
-            options,
-        ));
+        let options = ServeOptions { fresh_key: Some(Arc::new(key)), ..ServeOptions::default() };
+        tokio::spawn(serve_with(listener, SharedStore::new(store), metrics, stopped, options));
         let mut client = RegistryClient::new(&address.to_string()).unwrap();
         let file = PolicyFile::parse(standing(1).into()).unwrap();
         let mut manifest = manifest_of(stream(), &file, 5).unwrap();
@@ -361,10 +342,7 @@ mod tests {
 
     #[test]
     fn fault_17_ten_minutes_without_an_answer_that_counts_raise_an_alarm() {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()
-            .unwrap();
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         runtime.block_on(async {
             let folder = tempfile::tempdir().unwrap();
             let begun = Instant::now();

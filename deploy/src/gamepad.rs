@@ -28,10 +28,7 @@ pub struct Gamepad {
 
 impl Default for Gamepad {
     fn default() -> Self {
-        Self {
-            axes: [0.0; MANY],
-            buttons: [false; MANY],
-        }
+        Self { axes: [0.0; MANY], buttons: [false; MANY] }
     }
 }
 
@@ -76,11 +73,7 @@ impl Gamepad {
             0.0 => 0.0,
             way => -way * speed,
         };
-        [
-            along(1, full.linear_mps),
-            along(0, full.linear_mps),
-            along(3, full.yaw_radps),
-        ]
+        [along(1, full.linear_mps), along(0, full.linear_mps), along(3, full.yaw_radps)]
     }
 }
 
@@ -104,10 +97,7 @@ mod tests {
 
     #[test]
     fn sticks_are_speeds_and_buttons_are_held() {
-        let full = Speeds {
-            linear_mps: 0.4,
-            yaw_radps: 0.8,
-        };
+        let full = Speeds { linear_mps: 0.4, yaw_radps: 0.8 };
         let mut pad = Gamepad::default();
         assert_eq!(pad.command(full), [0.0; 3]);
         // Left stick all the way up and a little to the left, right stick half to the right.
@@ -137,19 +127,13 @@ mod tests {
         assert!(!pad.is_down(4));
         // Sticks that lie somewhere do lie there.
         pad.take(event(AXIS | INITIAL, 1, 32_767));
-        let full = Speeds {
-            linear_mps: 1.0,
-            yaw_radps: 1.0,
-        };
+        let full = Speeds { linear_mps: 1.0, yaw_radps: 1.0 };
         assert_eq!(pad.command(full)[0], -1.0);
     }
 
     #[test]
     fn whatever_a_device_says_nothing_panics_and_speeds_stay_in_range() {
-        let full = Speeds {
-            linear_mps: 0.3,
-            yaw_radps: 0.6,
-        };
+        let full = Speeds { linear_mps: 0.3, yaw_radps: 0.6 };
         let mut pad = Gamepad::default();
         for kind in 0..=255 {
             for number in [0, 1, 3, 31, 32, 255] {

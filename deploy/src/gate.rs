@@ -140,9 +140,7 @@ mod tests {
     fn targets_stay_within_the_limits() {
         let mut gate = gate();
         // 0 → 9: limited to 1.0 by the joint, reached in steps of 0.25.
-        let sent: Vec<f32> = (0..5)
-            .map(|_| gate.pass(PerJoint::filled(16, 9.0))[3])
-            .collect();
+        let sent: Vec<f32> = (0..5).map(|_| gate.pass(PerJoint::filled(16, 9.0))[3]).collect();
         assert_eq!(sent, [0.25, 0.5, 0.75, 1.0, 1.0]);
         assert_eq!(gate.rate_limited(), 3, "the last two steps were 0.25 and 0");
         for _ in 0..10 {

@@ -64,12 +64,7 @@ pub struct Guard {
 impl Guard {
     /// A guard; without `limits` (a simulated robot has none) supply, heat and current are not judged.
     pub fn new(limits: Option<Limits>) -> Self {
-        Self {
-            limits,
-            supply_ticks: 0,
-            heat_ticks: 0,
-            current_ticks: 0,
-        }
+        Self { limits, supply_ticks: 0, heat_ticks: 0, current_ticks: 0 }
     }
 
     /// Judges one tick; the worst that applies.
@@ -105,26 +100,14 @@ impl Guard {
             *ticks = if out { *ticks + 1 } else { 0 };
             *ticks >= DEBOUNCE
         };
-        let current_a = servos
-            .current_a
-            .iter()
-            .fold(0.0, |m: f32, c| m.max(c.abs()));
+        let current_a = servos.current_a.iter().fold(0.0, |m: f32, c| m.max(c.abs()));
         let faults = [
+            (count(&mut self.supply_ticks, !supply.contains(&servos.supply_v)), Fault::Supply),
             (
-                count(&mut self.supply_ticks, !supply.contains(&servos.supply_v)),
-                Fault::Supply,
-            ),
-            (
-                count(
-                    &mut self.heat_ticks,
-                    health.hottest_c >= limits.temperature_max_c,
-                ),
+                count(&mut self.heat_ticks, health.hottest_c >= limits.temperature_max_c),
                 Fault::Heat,
             ),
-            (
-                count(&mut self.current_ticks, current_a > limits.current_max_a),
-                Fault::Current,
-            ),
+            (count(&mut self.current_ticks, current_a > limits.current_max_a), Fault::Current),
         ];
         faults
             .iter()
@@ -163,12 +146,7 @@ mod tests {
 
     #[test]
     fn silence_goes_down_the_ladder() {
-        let silent = |ticks| {
-            on(Health {
-                silent_ticks: ticks,
-                ..Health::default()
-            })
-        };
+        let silent = |ticks| on(Health { silent_ticks: ticks, ..Health::default() });
         assert_eq!([silent(0), silent(2)], [Verdict::Fine; 2]);
         assert_eq!(silent(3), Verdict::Stand(Fault::ServoSilent));
         assert_eq!(silent(9), Verdict::Stand(Fault::ServoSilent));
@@ -177,37 +155,21 @@ mod tests {
 
     #[test]
     fn alerts_reboots_and_the_watchdog() {
-        let alert = Health {
-            alert: Some((3, 0x20)),
-            ..Health::default()
-        };
+        let alert = Health { alert: Some((3, 0x20)), ..Health::default() };
         assert_eq!(on(alert), Verdict::Stand(Fault::ServoAlert));
-        let restarted = Health {
-            restarted: Some(3),
-            ..Health::default()
-        };
+        let restarted = Health { restarted: Some(3), ..Health::default() };
         assert_eq!(on(restarted), Verdict::Damp(Fault::ServoRestarted));
         // An overload switches the torque off by itself: the alert is the cause.
-        let both = Health {
-            restarted: Some(3),
-            ..alert
-        };
+        let both = Health { restarted: Some(3), ..alert };
         assert_eq!(on(both), Verdict::Stand(Fault::ServoAlert));
-        let fired = Health {
-            watchdog_fired: Some(0),
-            ..both
-        };
+        let fired = Health { watchdog_fired: Some(0), ..both };
         assert_eq!(on(fired), Verdict::Damp(Fault::WatchdogFired));
     }
 
     #[test]
     fn a_stale_or_frozen_imu_stands() {
         let imu = |stale, same| {
-            on(Health {
-                imu_stale_ticks: stale,
-                imu_same_ticks: same,
-                ..Health::default()
-            })
+            on(Health { imu_stale_ticks: stale, imu_same_ticks: same, ..Health::default() })
         };
         assert_eq!([imu(2, 0), imu(0, 99)], [Verdict::Fine; 2]);
         assert_eq!([imu(3, 0), imu(0, 100)], [Verdict::Stand(Fault::Imu); 2]);
@@ -219,10 +181,7 @@ mod tests {
         low.supply_v = 10.4;
         let mut stalled = readings();
         stalled.current_a[5] = -2.1;
-        let hot = Health {
-            hottest_c: 68,
-            ..Health::default()
-        };
+        let hot = Health { hottest_c: 68, ..Health::default() };
         for (health, servos, fault) in [
             (Health::default(), low, Fault::Supply),
             (Health::default(), stalled, Fault::Current),

@@ -106,9 +106,7 @@ impl Keeper {
         label: &LabelName,
     ) -> Result<Manifest, DeployError> {
         let missing = |error: ClientError| match error.is_not_found() {
-            true => DeployError::NoPolicy {
-                stream: stream.to_string(),
-            },
+            true => DeployError::NoPolicy { stream: stream.to_string() },
             false => error.into(),
         };
         let stale = |reason: String| DeployError::Stale {
@@ -119,34 +117,18 @@ impl Keeper {
         let asked = Facts::of_stream(stream);
         let Some(trust) = self.trust.as_ref().filter(|t| t.knows_fresh_keys()) else {
             let manifest = client.labelled(stream, label).await.map_err(missing)?;
-            asked
-                .answered_by(&manifest)
-                .map_err(|why| stale(why.to_string()))?;
+            asked.answered_by(&manifest).map_err(|why| stale(why.to_string()))?;
             return Ok(manifest);
         };
         // The proof first: what it names is then asked for by its number, so that a label that moves
         // meanwhile does no harm.
         let nonce = new_nonce()?;
-        let answer = client
-            .freshness(nonce, stream, label)
-            .await
-            .map_err(missing)?;
-        trust
-            .check_fresh(&answer, &nonce, stream, label)
-            .map_err(|why| stale(why.to_string()))?;
+        let answer = client.freshness(nonce, stream, label).await.map_err(missing)?;
+        trust.check_fresh(&answer, &nonce, stream, label).map_err(|why| stale(why.to_string()))?;
         let proved = answer.said;
-        let manifest = client
-            .manifest(stream, Some(proved.version))
-            .await
-            .map_err(missing)?;
-        let asked = Facts {
-            version: Some(proved.version),
-            sha256: Some(&proved.sha256),
-            ..asked
-        };
-        asked
-            .answered_by(&manifest)
-            .map_err(|why| stale(why.to_string()))?;
+        let manifest = client.manifest(stream, Some(proved.version)).await.map_err(missing)?;
+        let asked = Facts { version: Some(proved.version), sha256: Some(&proved.sha256), ..asked };
+        asked.answered_by(&manifest).map_err(|why| stale(why.to_string()))?;
         let mut store = self.store();
         if store.is_torn() {
             store.recover(stream.as_str(), proved.version, trust.version())?;
@@ -186,11 +168,8 @@ impl Keeper {
             },
             Decision::Fetch => {}
         }
-        let announcement = Announcement {
-            manifest,
-            trust: self.trust.as_deref(),
-            model: &self.model,
-        };
+        let announcement =
+            Announcement { manifest, trust: self.trust.as_deref(), model: &self.model };
         match announcement.check(ANNOUNCEMENT) {
             Ok(()) => {}
             // Not recorded: whoever can make up announcements must not be able to fill the records with them.
@@ -230,19 +209,14 @@ impl Keeper {
             return Err(self.quarantine(policy.clone(), refusal));
         }
         let mut attempts = 0;
-        let counted = self
-            .store()
-            .update(|state| attempts = state.begin(policy.sha256));
+        let counted = self.store().update(|state| attempts = state.begin(policy.sha256));
         match counted {
             Ok(()) => {}
             // A card that takes nothing more must not keep a good policy from running; one on trial it does.
             Err(error) if attempts == 0 => tracing::error!(%error, "cannot write the state"),
             Err(error) => return Err(error),
         }
-        let news = News {
-            attempts,
-            ..News::default()
-        };
+        let news = News { attempts, ..News::default() };
         self.tell(policy, Word::Armed, news);
         Ok(attempts == 0)
     }
@@ -333,28 +307,16 @@ impl Keeper {
                 Ok(())
             }
             PolicyEvent::Begun(policy) => {
-                let news = News {
-                    attempts: attempts(&policy),
-                    ..News::default()
-                };
+                let news = News { attempts: attempts(&policy), ..News::default() };
                 self.tell(&policy, Word::Trial, news);
                 Ok(())
             }
             PolicyEvent::Good { policy, walked_s } => {
-                let news = News {
-                    walked_s,
-                    attempts: attempts(&policy),
-                    ..News::default()
-                };
+                let news = News { walked_s, attempts: attempts(&policy), ..News::default() };
                 self.tell(&policy, Word::Good, news);
                 self.store().update(|state| state.confirm(policy.sha256))
             }
-            PolicyEvent::Bad {
-                policy,
-                reason,
-                walked_s,
-                fell,
-            } => {
+            PolicyEvent::Bad { policy, reason, walked_s, fell } => {
                 self.metrics.refused.inc();
                 let news = News {
                     reason: reason.clone(),
@@ -363,8 +325,7 @@ impl Keeper {
                     attempts: attempts(&policy),
                 };
                 self.tell(&policy, Word::Failed, news);
-                self.store()
-                    .update(|state| state.quarantine(policy, reason, Blame::Policy))
+                self.store().update(|state| state.quarantine(policy, reason, Blame::Policy))
             }
             PolicyEvent::Ended(policy) => self.store().update(|s| s.end_in_order(policy.sha256)),
             // Neither is about what is kept.
@@ -422,20 +383,11 @@ impl Keeper {
     fn refused(&self, policy: PolicyRef, refusal: Refusal) -> DeployError {
         self.metrics.refused.inc();
         // What the server knows itself, or never offered, needs no report.
-        if !matches!(
-            refusal,
-            Refusal::Older { .. } | Refusal::Before(_) | Refusal::Withdrawn(_)
-        ) {
-            let news = News {
-                reason: refusal.to_string(),
-                ..News::default()
-            };
+        if !matches!(refusal, Refusal::Older { .. } | Refusal::Before(_) | Refusal::Withdrawn(_)) {
+            let news = News { reason: refusal.to_string(), ..News::default() };
             self.tell(&policy, Word::Refused, news);
         }
-        DeployError::Refused {
-            policy,
-            refusal: Box::new(refusal),
-        }
+        DeployError::Refused { policy, refusal: Box::new(refusal) }
     }
 
     fn robot(&self) -> Sha256Digest {
@@ -453,16 +405,11 @@ impl Keeper {
 /// # Errors
 /// As [`Keeper::falling_back_on`].
 pub fn read_factory(path: &Path, model: &RobotModel) -> Result<Verified, DeployError> {
-    let missing = |source| DeployError::BlobMissing {
-        path: path.to_owned(),
-        source,
-    };
+    let missing = |source| DeployError::BlobMissing { path: path.to_owned(), source };
     let bytes = caudata_durable::read_at_most(path, MAX_FILE_BYTES as u64);
     let bytes: Arc<[u8]> = bytes
         .map_err(|error| match error.kind() {
-            std::io::ErrorKind::FileTooLarge => DeployError::BlobDamaged {
-                path: path.to_owned(),
-            },
+            std::io::ErrorKind::FileTooLarge => DeployError::BlobDamaged { path: path.to_owned() },
             _ => missing(error),
         })?
         .into();

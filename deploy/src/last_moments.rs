@@ -23,11 +23,7 @@ impl LastMoments {
     pub fn new(period: Duration) -> Self {
         let rows = (REMEMBERED_S / period.as_secs_f64().max(1e-3)).round() as usize;
         let capacity = rows.clamp(1, REMEMBERED_ROWS_MAX);
-        Self {
-            rows: Vec::with_capacity(capacity),
-            capacity,
-            oldest: 0,
-        }
+        Self { rows: Vec::with_capacity(capacity), capacity, oldest: 0 }
     }
 
     /// Remembers a row; the oldest is forgotten.
@@ -63,11 +59,7 @@ mod tests {
                 current_a: [0.0; 16].into(),
                 supply_v: 12.0,
             },
-            imu: ImuReading {
-                gyro_radps: [0.0; 3],
-                acc_mps2: [0.0; 3],
-                gravity: None,
-            },
+            imu: ImuReading { gyro_radps: [0.0; 3], acc_mps2: [0.0; 3], gravity: None },
             gravity: [0.0, 0.0, -1.0],
             truth: GroundTruth::default(),
         }

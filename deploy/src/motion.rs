@@ -266,9 +266,7 @@ mod tests {
     #[test]
     fn the_policy_is_blended_in_over_25_ticks() {
         let mut motion = walking();
-        let sent: Vec<f32> = (0..26)
-            .map(|_| motion.targets(POLICY, ZERO, ZERO)[0])
-            .collect();
+        let sent: Vec<f32> = (0..26).map(|_| motion.targets(POLICY, ZERO, ZERO)[0]).collect();
         // Tick k of 25 gives k/25 of 0.5.
         assert!((sent[0] - 0.02).abs() < 1e-6);
         assert!((sent[11] - 0.24).abs() < 1e-6);
@@ -312,10 +310,7 @@ mod tests {
         motion.damp();
         let mut sent = ZERO;
         assert_eq!(run(&mut motion, &mut sent), 50);
-        assert_eq!(
-            (motion.stage(), sent),
-            (Stage::Off, PerJoint::filled(16, 0.3))
-        );
+        assert_eq!((motion.stage(), sent), (Stage::Off, PerJoint::filled(16, 0.3)));
         motion.damp();
         assert_eq!(motion.stage(), Stage::Off);
     }

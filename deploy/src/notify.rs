@@ -86,9 +86,8 @@ impl Notifier {
         let Some(name) = name else {
             return Ok(Self::default());
         };
-        Self::to(&name.to_string_lossy()).map_err(DeployError::system(
-            "a word to the supervisor (NOTIFY_SOCKET)",
-        ))
+        Self::to(&name.to_string_lossy())
+            .map_err(DeployError::system("a word to the supervisor (NOTIFY_SOCKET)"))
     }
 
     /// To the socket `name`; `@name` is an abstract one, as systemd writes it.
@@ -100,10 +99,7 @@ impl Notifier {
         let socket = UnixDatagram::unbound()?;
         socket.set_nonblocking(true)?;
         socket.connect_addr(&address)?;
-        Ok(Self {
-            socket: Some(socket),
-            said: AtomicU8::new(0),
-        })
+        Ok(Self { socket: Some(socket), said: AtomicU8::new(0) })
     }
 
     /// Says `word`, and every state of before once more. A watcher that is gone or busy misses the datagram,
@@ -238,20 +234,14 @@ mod tests {
         notifier.say(Word::Kill);
         let heard = ear.listen();
         assert!(heard.alive && heard.ready && heard.kill && !heard.brakes);
-        assert_eq!(
-            ear.listen(),
-            Heard::default(),
-            "each datagram is heard once"
-        );
+        assert_eq!(ear.listen(), Heard::default(), "each datagram is heard once");
         notifier.say(Word::Brakes);
         let heard = ear.listen();
         assert!(heard.ready && heard.kill && heard.brakes);
         assert!(!heard.alive, "a state is no sign of life");
         // What systemd or another program may add harms nobody.
         let other = UnixDatagram::unbound().unwrap();
-        other
-            .send_to(b"STATUS=walking\nWATCHDOG=1", folder.path().join("ear"))
-            .unwrap();
+        other.send_to(b"STATUS=walking\nWATCHDOG=1", folder.path().join("ear")).unwrap();
         assert!(ear.listen().alive);
         // A flood fills the socket's queue; the speaker does not wait for it to be read.
         for _ in 0..10_000 {

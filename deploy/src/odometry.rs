@@ -107,10 +107,7 @@ impl DeadReckoning {
         };
         let going = tick.going.map(|going| going.map(f64::from));
         let [vx, vy, yaw_radps] = going.unwrap_or([0.0, 0.0, dot(turn_radps, up)]);
-        if ![vx, vy, yaw_radps, norm(turn_radps)]
-            .iter()
-            .all(|x| x.is_finite())
-        {
+        if ![vx, vy, yaw_radps, norm(turn_radps)].iter().all(|x| x.is_finite()) {
             return None;
         }
         let heights = self.robot.feet().iter().flat_map(|foot| {
@@ -124,17 +121,11 @@ impl DeadReckoning {
         self.go_on(tick.time_s, [vx, vy, yaw_radps], bend_rad, going.is_some());
 
         let turned = quat_from_axis_angle([0.0, 0.0, 1.0], self.yaw_rad + bend_rad);
-        let odom_from_imu = Pose {
-            pos_m: [0.0; 3],
-            quat_wxyz: turned,
-        };
+        let odom_from_imu = Pose { pos_m: [0.0; 3], quat_wxyz: turned };
         let base = odom_from_imu.compose(&base_from_heading.inverse());
         let [x, y] = *self.place_m.get_or_insert([-base.pos_m[0], -base.pos_m[1]]);
         let z = dot(base_from_heading.pos_m, up) - lowest_m;
-        let pose = Pose {
-            pos_m: add(base.pos_m, [x, y, z]),
-            ..base
-        };
+        let pose = Pose { pos_m: add(base.pos_m, [x, y, z]), ..base };
         let linear = base_from_heading.rotate([vx, vy, 0.0]);
         let place = (WAY_SHARE * self.way_m).powi(2) + self.aside_m.powi(2) + self.untold_m.powi(2);
         let speed = match going {
@@ -144,14 +135,7 @@ impl DeadReckoning {
         let [level, gyro] = [LEVEL_RAD.powi(2), GYRO_RADPS.powi(2)];
         Some(Reckoned {
             pose,
-            pose_variance: [
-                place,
-                place,
-                UNKNOWN,
-                level,
-                level,
-                self.yaw_error_rad.powi(2),
-            ],
+            pose_variance: [place, place, UNKNOWN, level, level, self.yaw_error_rad.powi(2)],
             linear_mps: sub(linear, cross(turn_radps, base_from_heading.pos_m)),
             angular_radps: turn_radps,
             twist_variance: [speed, speed, UNKNOWN, gyro, gyro, gyro],
@@ -163,9 +147,7 @@ impl DeadReckoning {
     fn bend_rad(&mut self, base_from_imu: &Pose, up: [f64; 3], along: [f64; 3]) -> f64 {
         let axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
         let steep = |axis: &[f64; 3]| dot(base_from_imu.rotate(*axis), up).abs();
-        let flattest = axes
-            .into_iter()
-            .min_by(|a, b| steep(a).total_cmp(&steep(b)));
+        let flattest = axes.into_iter().min_by(|a, b| steep(a).total_cmp(&steep(b)));
         let axis = *self.axis.get_or_insert(flattest.unwrap_or(axes[0]));
         let axis = base_from_imu.rotate(axis);
         let axis = sub(axis, up.map(|u| u * dot(axis, up)));
@@ -183,11 +165,7 @@ impl DeadReckoning {
             self.untold_m = ANYWHERE_M;
             return;
         }
-        let seen_s = if passed_s > APART_MAX_S {
-            0.0
-        } else {
-            passed_s
-        };
+        let seen_s = if passed_s > APART_MAX_S { 0.0 } else { passed_s };
         let middle_rad = self.yaw_rad + bend_rad + 0.5 * yaw_radps * seen_s;
         self.yaw_rad += yaw_radps * seen_s;
         // nothing shows a bias about the vertical
@@ -264,10 +242,7 @@ mod tests {
         // the IMU goes round with radius v/ω, from (0, 0) to (r, r)
         let radius_m = 0.2 / f64::from(rate);
         let went = sub(imu(&here), begun);
-        assert!(
-            (went[0] - radius_m).abs() < 1e-3 && (went[1] - radius_m).abs() < 1e-3,
-            "{went:?}"
-        );
+        assert!((went[0] - radius_m).abs() < 1e-3 && (went[1] - radius_m).abs() < 1e-3, "{went:?}");
         // 1 m: a tenth of it, and what the yaw's error does
         let sd_m = here.pose_variance[0].sqrt();
         assert!((0.1..0.11).contains(&sd_m), "{sd_m}");
@@ -312,22 +287,13 @@ mod tests {
         let swims = (2..=101).map(|k| legs.add(&tick(0.02 * f64::from(k), None, 0.0)).unwrap());
         let swims = swims.last().unwrap();
         assert_eq!(swims.pose, walks.pose);
-        assert!(
-            (swims.pose_variance[0].sqrt() - 1.0).abs() < 0.01,
-            "{swims:?}"
-        );
-        assert_eq!(
-            (swims.linear_mps, swims.twist_variance[0]),
-            ([0.0; 3], UNKNOWN)
-        );
+        assert!((swims.pose_variance[0].sqrt() - 1.0).abs() < 0.01, "{swims:?}");
+        assert_eq!((swims.linear_mps, swims.twist_variance[0]), ([0.0; 3], UNKNOWN));
         // a minute that nobody saw
         let later = legs.add(&tick(62.02, Some([0.3, 0.0, 0.0]), 0.0)).unwrap();
         assert_eq!(later.pose, walks.pose);
         assert!(later.pose_variance[0].sqrt() > 30.0 && later.pose_variance[5].sqrt() > 3.0);
         // readings that are no numbers are no place
-        assert_eq!(
-            legs.add(&tick(62.04, Some([f32::NAN, 0.0, 0.0]), 0.0)),
-            None
-        );
+        assert_eq!(legs.add(&tick(62.04, Some([f32::NAN, 0.0, 0.0]), 0.0)), None);
     }
 }

@@ -72,11 +72,7 @@ fn unit(v: [f32; 3]) -> Option<[f32; 3]> {
 }
 
 fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// `v` turned by the rotation vector `r` (Rodrigues).
@@ -108,19 +104,11 @@ mod tests {
     #[test]
     fn at_rest_gravity_is_against_the_specific_force() {
         let mut filter = GravityFilter::new();
-        close(
-            filter.update([0.0; 3], [0.0, 0.0, G_MPS2], DT),
-            [0.0, 0.0, -1.0],
-            1e-6,
-        );
+        close(filter.update([0.0; 3], [0.0, 0.0, G_MPS2], DT), [0.0, 0.0, -1.0], 1e-6);
         // Nose down by 30°: the specific force, up in the world, has −sin 30° along the body's x.
         let acc = [-0.5 * G_MPS2, 0.0, 0.75_f32.sqrt() * G_MPS2];
         let mut tilted = GravityFilter::new();
-        close(
-            tilted.update([0.0; 3], acc, DT),
-            [0.5, 0.0, -0.866_025],
-            1e-5,
-        );
+        close(tilted.update([0.0; 3], acc, DT), [0.5, 0.0, -0.866_025], 1e-5);
     }
 
     #[test]
@@ -175,11 +163,7 @@ mod tests {
             gravity = filter.update([0.0, 0.017_45, 0.0], [0.0, 0.0, G_MPS2], DT);
         }
         close(gravity, [0.0, 0.0, -1.0], 1e-3);
-        assert!(
-            (filter.bias_radps()[1] - 0.017_45).abs() < 1e-3,
-            "{:?}",
-            filter.bias_radps()
-        );
+        assert!((filter.bias_radps()[1] - 0.017_45).abs() < 1e-3, "{:?}", filter.bias_radps());
         assert!(filter.bias_radps()[2].abs() < 1e-6);
     }
 

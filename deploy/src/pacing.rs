@@ -20,9 +20,7 @@ pub struct SystemClock {
 impl SystemClock {
     /// A clock that shows 0 now.
     pub fn new() -> Self {
-        Self {
-            zero: Instant::now(),
-        }
+        Self { zero: Instant::now() }
     }
 }
 
@@ -68,11 +66,7 @@ pub struct Pacer {
 impl Pacer {
     /// A grid whose first tick is due at `start`. `period` must not be zero.
     pub fn new(start: Duration, period: Duration) -> Self {
-        Self {
-            period,
-            next: start,
-            overruns: 0,
-        }
+        Self { period, next: start, overruns: 0 }
     }
 
     /// The next tick, seen from `now`.

@@ -33,11 +33,7 @@ const WORDS_MAX: u64 = 16 << 10;
 pub fn limit_this_process() -> Result<(), DeployError> {
     let limits = [
         (Resource::RLIMIT_AS, CHILD_SPACE_BYTES, "a limit of memory"),
-        (
-            Resource::RLIMIT_CPU,
-            CHILD_CPU_S,
-            "a limit of processor time",
-        ),
+        (Resource::RLIMIT_CPU, CHILD_CPU_S, "a limit of processor time"),
         (Resource::RLIMIT_CORE, 0, "a limit of core files"),
     ];
     for (resource, limit, what) in limits {
@@ -194,11 +190,7 @@ mod tests {
         shell.args(["-c", "printf %s \"$1\" > \"$0\" && chmod 700 \"$0\""]);
         shell.arg(&program).arg(format!("#!/bin/sh\n{text}\n"));
         assert!(shell.status().unwrap().success());
-        let probe = ProbeProgram {
-            program,
-            robot: "r.toml".into(),
-            deadline,
-        };
+        let probe = ProbeProgram { program, robot: "r.toml".into(), deadline };
         let policy = PolicyRef {
             stream: "s".into(),
             version: 1,
@@ -272,28 +264,13 @@ mod tests {
     fn fault_31_a_candidate_that_crashes_or_hangs_the_child_is_found_out() {
         assert_eq!(script("cat > /dev/null", LONG), Probed::Passed);
         let crash = script("kill -SEGV $$", LONG);
-        assert!(
-            matches!(&crash, Probed::Died(how) if how.contains("11")),
-            "{crash:?}"
-        );
+        assert!(matches!(&crash, Probed::Died(how) if how.contains("11")), "{crash:?}");
         let abort = script("kill -ABRT $$", LONG);
-        assert!(
-            matches!(&abort, Probed::Died(how) if how.contains('6')),
-            "{abort:?}"
-        );
+        assert!(matches!(&abort, Probed::Died(how) if how.contains('6')), "{abort:?}");
         let hang = script("exec sleep 1000", Duration::from_millis(300));
-        assert!(
-            matches!(&hang, Probed::Died(how) if how.contains("0.3 s")),
-            "{hang:?}"
-        );
-        let refused = script(
-            "echo 'error: policy s version 1 refused: bad' >&2; exit 77",
-            LONG,
-        );
-        assert_eq!(
-            refused,
-            Probed::Refused("policy s version 1 refused: bad".into())
-        );
+        assert!(matches!(&hang, Probed::Died(how) if how.contains("0.3 s")), "{hang:?}");
+        let refused = script("echo 'error: policy s version 1 refused: bad' >&2; exit 77", LONG);
+        assert_eq!(refused, Probed::Refused("policy s version 1 refused: bad".into()));
         assert!(matches!(script("exit 66", LONG), Probed::Unable(_)));
     }
 }

@@ -61,16 +61,16 @@ impl PolicyRunner {
     /// [`DeployError::Internal`] where the contract lacks joints, which verification excludes.
     pub fn new(verified: Verified, carry_on: Option<&PhaseClock>) -> Result<Self, DeployError> {
         let contract = &verified.file.metadata().contract;
-        let joints = contract.joint_table().ok_or(DeployError::Internal {
-            what: "a verified policy lacks joints".to_owned(),
-        })?;
+        let joints = contract
+            .joint_table()
+            .ok_or(DeployError::Internal { what: "a verified policy lacks joints".to_owned() })?;
         let [low_hz, high_hz] = contract.phase.frequency_hz;
         let command = &contract.command;
         let phase_rad = carry_on.map_or(0.0, PhaseClock::phase_rad);
         Ok(Self {
-            observer: contract.observer().map_err(|error| DeployError::Internal {
-                what: error.to_string(),
-            })?,
+            observer: contract
+                .observer()
+                .map_err(|error| DeployError::Internal { what: error.to_string() })?,
             fresh: true,
             joints,
             action_config: contract.action,
@@ -152,10 +152,7 @@ impl PolicyRunner {
         };
         let mut action = PerJoint::filled(self.joints.len(), 0.0);
         let fresh = std::mem::take(&mut self.fresh);
-        if let Err(error) = self
-            .observer
-            .write(&observation, None, fresh, &mut self.obs)
-        {
+        if let Err(error) = self.observer.write(&observation, None, fresh, &mut self.obs) {
             tracing::error!(%error, "no observation");
             return None;
         }
@@ -168,9 +165,6 @@ impl PolicyRunner {
         }
         self.actions.rotate_right(1);
         self.actions[0] = self.action_config.clipped(&action);
-        Some(
-            self.filter
-                .apply(&self.action_config, &action, &self.joints),
-        )
+        Some(self.filter.apply(&self.action_config, &action, &self.joints))
     }
 }

@@ -49,10 +49,8 @@ impl SimLink {
         model: &RobotModel,
         control_period_s: f64,
     ) -> Result<Self, BusError> {
-        let stream = connect(address).map_err(|reason| BusError::Connect {
-            address: address.to_owned(),
-            reason,
-        })?;
+        let stream = connect(address)
+            .map_err(|reason| BusError::Connect { address: address.to_owned(), reason })?;
         let mut link = Self {
             address: address.to_owned(),
             stream,
@@ -76,11 +74,8 @@ impl SimLink {
     }
 
     fn send(&mut self, message: &RobotMessage) -> Result<(), BusError> {
-        write_frame(&mut self.stream, &encode(message), MAX_MESSAGE_BYTES).map_err(|e| {
-            BusError::Lost {
-                reason: e.to_string(),
-            }
-        })
+        write_frame(&mut self.stream, &encode(message), MAX_MESSAGE_BYTES)
+            .map_err(|e| BusError::Lost { reason: e.to_string() })
     }
 
     /// The next message, waiting at most `deadline` for all of it.
@@ -91,9 +86,7 @@ impl SimLink {
             let left = end.saturating_duration_since(Instant::now());
             // The system takes a time-out of zero for none at all.
             let left = left.max(Duration::from_micros(1));
-            self.stream
-                .set_read_timeout(Some(left))
-                .map_err(|e| lost(e.to_string()))?;
+            self.stream.set_read_timeout(Some(left)).map_err(|e| lost(e.to_string()))?;
             match self.reader.read(&mut self.stream) {
                 Ok(Some(payload)) => {
                     let message = decode(payload).map_err(|e| e.to_string());
@@ -128,17 +121,12 @@ impl SimLink {
     }
 
     fn protocol(&self, reason: impl Into<String>) -> BusError {
-        BusError::Protocol {
-            address: self.address.clone(),
-            reason: reason.into(),
-        }
+        BusError::Protocol { address: self.address.clone(), reason: reason.into() }
     }
 
     fn newest(&self) -> Result<&Sensors, BusError> {
         let newest = self.sensors.as_ref().map(|(sensors, _)| sensors.as_ref());
-        newest.ok_or(BusError::Lost {
-            reason: "no readings yet".to_owned(),
-        })
+        newest.ok_or(BusError::Lost { reason: "no readings yet".to_owned() })
     }
 }
 

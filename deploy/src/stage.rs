@@ -43,11 +43,7 @@ impl Stage {
                 Answer::Nothing { .. } => None,
             }),
         };
-        Self {
-            keeper,
-            folder,
-            inner: Arc::new(Mutex::new(inner)),
-        }
+        Self { keeper, folder, inner: Arc::new(Mutex::new(inner)) }
     }
 
     /// What a loop runs already.
@@ -102,9 +98,7 @@ impl Stage {
         };
         let mut next = inner.chosen.clone().filter(|chosen| !is_unfit(chosen));
         for _ in 0..TRIES_MAX {
-            let found = next
-                .take()
-                .map_or_else(|| self.keeper.best(), |policy| Ok(Some(policy)));
+            let found = next.take().map_or_else(|| self.keeper.best(), |policy| Ok(Some(policy)));
             let policy = match found {
                 Ok(Some(policy)) if !is_unfit(&policy) => policy,
                 Ok(_) => break,
@@ -147,12 +141,8 @@ impl Stage {
     }
 
     fn put(&self, inner: &mut Inner, run: u64, answer: Answer) -> Result<(), DeployError> {
-        let staged = Staged {
-            format: STAGED_FORMAT.to_owned(),
-            number: inner.number + 1,
-            run,
-            answer,
-        };
+        let staged =
+            Staged { format: STAGED_FORMAT.to_owned(), number: inner.number + 1, run, answer };
         staged.write(&self.folder)?;
         inner.number = staged.number;
         Ok(())
@@ -223,19 +213,13 @@ mod tests {
             disk.fail_writes_at(disk.steps(), error);
             // Version 2 is on trial: without a count of its attempts it might take the program down for ever.
             stage.hear(PolicyEvent::Ready { run: 7 });
-            let answer = Answer::Policy {
-                policy: policy(1),
-                proved: true,
-            };
+            let answer = Answer::Policy { policy: policy(1), proved: true };
             assert_eq!(staged(&run), answer);
             // With space again version 2 has its turn.
             disk.heal();
             stage.choose(policy(2));
             stage.hear(PolicyEvent::Ready { run: 8 });
-            let answer = Answer::Policy {
-                policy: policy(2),
-                proved: false,
-            };
+            let answer = Answer::Policy { policy: policy(2), proved: false };
             assert_eq!(staged(&run), answer);
         }
     }
@@ -246,10 +230,7 @@ mod tests {
         let (keeper, disk) = keeper(&folder.path().join("state"));
         let file = PolicyFile::parse(standing(3).into()).unwrap();
         let manifest = manifest_of(StreamName::new("s").unwrap(), &file, 5).unwrap();
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()
-            .unwrap();
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         runtime.block_on(async {
             // Nobody is there: whoever asks the network finds that out.
             let mut client = RegistryClient::new("127.0.0.1:1").unwrap();
@@ -272,10 +253,7 @@ mod tests {
         assert!(matches!(staged(&run), Answer::Nothing { .. }));
         // The loop's own refusal of what was staged is the reason that it hears.
         stage.choose(policy(5));
-        stage.hear(PolicyEvent::Unfit {
-            policy: policy(5),
-            reason: "joint 2 differs".to_owned(),
-        });
+        stage.hear(PolicyEvent::Unfit { policy: policy(5), reason: "joint 2 differs".to_owned() });
         let Answer::Nothing { reason } = staged(&run) else {
             panic!("something is staged");
         };

@@ -212,9 +212,7 @@ pub const OFFER: &[Check<OfferCheck>] = &[
                 e.policy.sha256 == offer.policy.sha256 && e.holds_on(offer.robot)
             };
             match offer.state.quarantined.iter().find(of_it) {
-                Some(entry) => Err(Decision::Refused {
-                    reason: entry.reason.clone(),
-                }),
+                Some(entry) => Err(Decision::Refused { reason: entry.reason.clone() }),
                 None => Ok(()),
             }
         },
@@ -279,19 +277,15 @@ impl Offer<'_> {
 pub type TrialCheck = fn(u32) -> bool;
 
 /// What keeps a policy from being begun with once more.
-pub const TRIAL: &[Check<TrialCheck>] = &[Check {
-    name: "attempts",
-    refuse: |attempts| attempts >= ATTEMPTS_MAX,
-}];
+pub const TRIAL: &[Check<TrialCheck>] =
+    &[Check { name: "attempts", refuse: |attempts| attempts >= ATTEMPTS_MAX }];
 
 /// Looks at the highest version of a trust file that was in force, and at the one that is to be.
 pub type TrustCheck = fn(u64, u64) -> bool;
 
 /// What keeps a trust file from being in force.
-pub const TRUST: &[Check<TrustCheck>] = &[Check {
-    name: "trust version",
-    refuse: |seen, version| version < seen,
-}];
+pub const TRUST: &[Check<TrustCheck>] =
+    &[Check { name: "trust version", refuse: |seen, version| version < seen }];
 
 settings! {
     /// What the robot knows about policies; `state.json`.
@@ -338,8 +332,7 @@ impl RobotState {
 
     /// `policy` passed every check: it is the one to run from now on.
     pub fn adopt(&mut self, policy: PolicyRef) {
-        self.quarantined
-            .retain(|e| e.policy.sha256 != policy.sha256);
+        self.quarantined.retain(|e| e.policy.sha256 != policy.sha256);
         self.saw(&policy);
         self.active = Some(policy);
         self.generation += 1;
@@ -385,9 +378,7 @@ impl RobotState {
 
     /// Whether a trust file of this version may be in force: not where a newer one was.
     pub fn takes_trust(&self, version: u64) -> bool {
-        !TRUST
-            .iter()
-            .any(|check| (check.refuse)(self.trust_version, version))
+        !TRUST.iter().any(|check| (check.refuse)(self.trust_version, version))
     }
 
     /// The trust file of this version is in force. Version 1 is not written down: there is none below it, and
@@ -506,12 +497,7 @@ mod tests {
             let offer = |state, policy: &PolicyRef| {
                 let lost = name == "lost state";
                 let robot = HERE;
-                let offer = Offer {
-                    state,
-                    lost,
-                    policy,
-                    robot,
-                };
+                let offer = Offer { state, lost, policy, robot };
                 match offer.decide(checks) {
                     Decision::Fetch | Decision::HaveIt => Ok(()),
                     other => Err(other),
@@ -530,9 +516,8 @@ mod tests {
         let trials = each_left_out(TRIAL, |_, checks| {
             refused(checks.iter().any(|c| (c.refuse)(ATTEMPTS_MAX)))
         });
-        let trust = each_left_out(TRUST, |_, checks| {
-            refused(checks.iter().any(|c| (c.refuse)(2, 1)))
-        });
+        let trust =
+            each_left_out(TRUST, |_, checks| refused(checks.iter().any(|c| (c.refuse)(2, 1))));
         // Seen with --nocapture: `make mutants`.
         for table in [offers, trials, trust] {
             eprintln!("{}", table.unwrap_or_else(|wrong| panic!("\n{wrong}")));
@@ -540,12 +525,7 @@ mod tests {
     }
 
     fn decide(state: &RobotState, policy: &PolicyRef, robot: Sha256Digest) -> Decision {
-        let offer = Offer {
-            state,
-            lost: false,
-            policy,
-            robot,
-        };
+        let offer = Offer { state, lost: false, policy, robot };
         offer.decide(OFFER)
     }
 
@@ -554,17 +534,11 @@ mod tests {
         let state = state();
         assert_eq!(decide(&state, &policy(3), HERE), Decision::Fetch);
         assert_eq!(decide(&state, &policy(2), HERE), Decision::HaveIt);
-        assert_eq!(
-            decide(&state, &policy(1), HERE),
-            Decision::Older { have: 2 }
-        );
+        assert_eq!(decide(&state, &policy(1), HERE), Decision::Older { have: 2 });
         let mut elsewhere = policy(1);
         elsewhere.stream = "rough".to_owned();
         assert_eq!(decide(&state, &elsewhere, HERE), Decision::Fetch);
-        assert_eq!(
-            decide(&RobotState::default(), &policy(1), HERE),
-            Decision::Fetch
-        );
+        assert_eq!(decide(&RobotState::default(), &policy(1), HERE), Decision::Fetch);
     }
 
     #[test]
@@ -585,9 +559,7 @@ mod tests {
         assert_eq!(state.active, Some(policy(1)));
         assert_eq!(
             decide(&state, &policy(2), HERE),
-            Decision::Refused {
-                reason: "joint 3 differs".to_owned()
-            }
+            Decision::Refused { reason: "joint 3 differs".to_owned() }
         );
         // Even the good one can turn out bad: then there is nothing.
         state.quarantine(policy(1), "not finite".to_owned(), Blame::Policy);
@@ -600,14 +572,8 @@ mod tests {
         state.confirm(policy(2).sha256);
         let wrong = Sha256Digest([8; 32]);
         state.quarantine(policy(2), "other model".to_owned(), Blame::Robot(wrong));
-        assert_eq!(
-            (&state.active, &state.last_good),
-            (&Some(policy(2)), &Some(policy(2)))
-        );
-        assert!(matches!(
-            decide(&state, &policy(2), wrong),
-            Decision::Refused { .. }
-        ));
+        assert_eq!((&state.active, &state.last_good), (&Some(policy(2)), &Some(policy(2))));
+        assert!(matches!(decide(&state, &policy(2), wrong), Decision::Refused { .. }));
         assert_eq!(decide(&state, &policy(2), HERE), Decision::HaveIt);
         // Each robot model has an entry of its own; the policy's own fault replaces them all.
         state.quarantine(policy(2), "other model".to_owned(), Blame::Robot(HERE));
@@ -650,13 +616,7 @@ mod tests {
     fn digests_read_back_and_paths_are_not_digests() {
         let text = "00ff".repeat(16);
         assert_eq!(text.parse::<Sha256Digest>().unwrap().to_string(), text);
-        for bad in [
-            "",
-            "../state",
-            &"0".repeat(63),
-            &"G".repeat(64),
-            &"0F".repeat(32),
-        ] {
+        for bad in ["", "../state", &"0".repeat(63), &"G".repeat(64), &"0F".repeat(32)] {
             assert!(bad.parse::<Sha256Digest>().is_err(), "{bad}");
         }
     }
@@ -668,10 +628,7 @@ mod tests {
         // again.
         state.quarantine(policy(2), "falls".into(), Blame::Policy);
         assert_eq!(state.active, Some(policy(1)));
-        let older = PolicyRef {
-            sha256: Sha256Digest([9; 32]),
-            ..policy(1)
-        };
+        let older = PolicyRef { sha256: Sha256Digest([9; 32]), ..policy(1) };
         assert_eq!(decide(&state, &older, HERE), Decision::Older { have: 2 });
         assert_eq!(decide(&state, &policy(1), HERE), Decision::HaveIt);
         assert_eq!(decide(&state, &policy(3), HERE), Decision::Fetch);
@@ -679,18 +636,9 @@ mod tests {
 
     #[test]
     fn fault_19_a_version_at_the_end_of_all_numbers_is_refused() {
-        let last = PolicyRef {
-            version: u64::MAX,
-            ..policy(3)
-        };
-        assert!(matches!(
-            decide(&state(), &last, HERE),
-            Decision::Refused { .. }
-        ));
-        let far = PolicyRef {
-            version: 2 + VERSION_JUMP_MAX,
-            ..policy(3)
-        };
+        let last = PolicyRef { version: u64::MAX, ..policy(3) };
+        assert!(matches!(decide(&state(), &last, HERE), Decision::Refused { .. }));
+        let far = PolicyRef { version: 2 + VERSION_JUMP_MAX, ..policy(3) };
         assert_eq!(decide(&state(), &far, HERE), Decision::Fetch);
     }
 
@@ -706,10 +654,7 @@ mod tests {
         calm.end_in_order(policy(2).sha256);
         assert_eq!(calm.attempts(policy(2).sha256), 0);
         after.confirm(policy(2).sha256);
-        assert_eq!(
-            (after.attempts(policy(2).sha256), after.trial.clone()),
-            (0, None)
-        );
+        assert_eq!((after.attempts(policy(2).sha256), after.trial.clone()), (0, None));
         // Another one begins from nothing.
         state.adopt(policy(3));
         assert_eq!(state.begin(policy(3).sha256), 1);

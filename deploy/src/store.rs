@@ -167,12 +167,7 @@ impl PolicyStore {
 
     /// What to do about `offered` on the robot model with hash `robot`.
     pub fn decide(&self, offered: &PolicyRef, robot: Sha256Digest) -> Decision {
-        let offer = Offer {
-            state: &self.state,
-            lost: self.torn,
-            policy: offered,
-            robot,
-        };
+        let offer = Offer { state: &self.state, lost: self.torn, policy: offered, robot };
         offer.decide(OFFER)
     }
 
@@ -245,11 +240,7 @@ impl PolicyStore {
     /// [`DeployError::Durable`].
     pub fn put_manifest(&self, manifest: &Manifest) -> Result<(), DeployError> {
         let path = manifest_file(&self.folder, &PolicyRef::from(manifest));
-        Ok(durable::replace_on(
-            &*self.disk,
-            &path,
-            &manifest.to_bytes(),
-        )?)
+        Ok(durable::replace_on(&*self.disk, &path, &manifest.to_bytes())?)
     }
 
     /// [`read_policy`] of this folder.
@@ -264,10 +255,8 @@ impl PolicyStore {
     /// same bytes can be announced in many streams and under many numbers.
     fn remove_unneeded(&self) {
         let on_disk = self.state.on_disk();
-        let announced: Vec<PathBuf> = on_disk
-            .iter()
-            .map(|policy| manifest_file(&self.folder, policy))
-            .collect();
+        let announced: Vec<PathBuf> =
+            on_disk.iter().map(|policy| manifest_file(&self.folder, policy)).collect();
         let Ok(entries) = fs::read_dir(self.folder.join("blobs")) else {
             return;
         };
@@ -310,9 +299,7 @@ pub const STORED: &[Check<StoredCheck>] = &[
             let found = Sha256Digest(Sha256::digest(&stored.bytes).into());
             match found == stored.policy.sha256 {
                 true => Ok(()),
-                false => Err(DeployError::BlobDamaged {
-                    path: stored.path.clone(),
-                }),
+                false => Err(DeployError::BlobDamaged { path: stored.path.clone() }),
             }
         },
     },
@@ -358,28 +345,16 @@ fn read_policy_by(
     trust: Option<&Trust>,
 ) -> Result<Arc<[u8]>, DeployError> {
     let path = blob(folder, policy.sha256);
-    let stored = Stored {
-        folder,
-        policy,
-        trust,
-        bytes: read_bounded(&path, MAX_FILE_BYTES as u64)?,
-        path,
-    };
-    checks
-        .iter()
-        .try_for_each(|check| (check.refuse)(&stored))?;
+    let stored =
+        Stored { folder, policy, trust, bytes: read_bounded(&path, MAX_FILE_BYTES as u64)?, path };
+    checks.iter().try_for_each(|check| (check.refuse)(&stored))?;
     Ok(stored.bytes.into())
 }
 
 fn read_bounded(path: &Path, bytes_max: u64) -> Result<Vec<u8>, DeployError> {
-    let missing = |source| DeployError::BlobMissing {
-        path: path.to_owned(),
-        source,
-    };
+    let missing = |source| DeployError::BlobMissing { path: path.to_owned(), source };
     if fs::metadata(path).map_err(missing)?.len() > bytes_max {
-        return Err(DeployError::BlobDamaged {
-            path: path.to_owned(),
-        });
+        return Err(DeployError::BlobDamaged { path: path.to_owned() });
     }
     fs::read(path).map_err(missing)
 }
@@ -422,10 +397,7 @@ pub fn check_without_trust(state: &RobotState, folder: &Path) -> Result<(), Depl
     if state.takes_trust(0) {
         return Ok(());
     }
-    Err(DeployError::TrustLeftOut {
-        folder: folder.to_owned(),
-        seen: state.trust_version,
-    })
+    Err(DeployError::TrustLeftOut { folder: folder.to_owned(), seen: state.trust_version })
 }
 
 #[cfg(test)]

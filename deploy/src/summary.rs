@@ -21,10 +21,7 @@ pub struct Latencies {
 
 impl Default for Latencies {
     fn default() -> Self {
-        Self {
-            counts: vec![0; BUCKETS],
-            total: 0,
-        }
+        Self { counts: vec![0; BUCKETS], total: 0 }
     }
 }
 
@@ -108,12 +105,7 @@ impl Odometer {
     }
 
     fn close_window(&mut self) {
-        let Window {
-            start_m,
-            cos_sum,
-            sin_sum,
-            ..
-        } = self.window;
+        let Window { start_m, cos_sum, sin_sum, .. } = self.window;
         let size = cos_sum.hypot(sin_sum);
         if size > 0.0 {
             let (cos, sin) = (cos_sum / size, sin_sum / size);
@@ -121,10 +113,7 @@ impl Odometer {
             self.forward_m += cos * dx + sin * dy;
             self.left_m += cos * dy - sin * dx;
         }
-        self.window = Window {
-            start_m: self.last_m,
-            ..Window::default()
-        };
+        self.window = Window { start_m: self.last_m, ..Window::default() };
     }
 
     /// Mean forward and sideways velocity (m/s) and yaw rate (rad/s), and the distance from start to end as
@@ -278,11 +267,7 @@ mod tests {
         let mut odometer = Odometer::default();
         for k in 0..201 {
             let k = k as f32;
-            odometer.add(
-                [-0.001 * k, 0.002 * k, 0.3],
-                about_z(std::f64::consts::FRAC_PI_2),
-                0.02,
-            );
+            odometer.add([-0.001 * k, 0.002 * k, 0.3], about_z(std::f64::consts::FRAC_PI_2), 0.02);
         }
         let (velocity, distance) = odometer.result().unwrap();
         assert!((velocity.vx_mps - 0.1).abs() < 1e-4, "{velocity:?}");

@@ -65,9 +65,7 @@ pub struct Tick {
 /// [`DeployError::System`].
 pub fn start(folder: &RunFolder) -> Result<Sender<Tick>, DeployError> {
     let socket = UnixDatagram::unbound().map_err(DeployError::system("a socket"))?;
-    socket
-        .set_nonblocking(true)
-        .map_err(DeployError::system("a socket"))?;
+    socket.set_nonblocking(true).map_err(DeployError::system("a socket"))?;
     let to = folder.file("tap.sock");
     let (sender, ticks) = bounded::<Tick>(TICKS_WAITING_MAX);
     let work = move || {

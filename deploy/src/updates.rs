@@ -63,11 +63,7 @@ pub struct Slot(Arc<Mutex<Option<Verified>>>);
 impl Slot {
     /// Puts a policy there.
     pub fn put(&self, verified: Verified) {
-        let old = self
-            .0
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .replace(verified);
+        let old = self.0.lock().unwrap_or_else(PoisonError::into_inner).replace(verified);
         drop(old);
     }
 

@@ -192,12 +192,8 @@ pub const ANNOUNCEMENT: &[Check<AnnouncementCheck>] = &[
     Check {
         name: "robot",
         refuse: |found| {
-            let here = Facts {
-                robot: Some(found.model.name()),
-                ..Facts::default()
-            };
-            here.answered_by(found.manifest)
-                .map_err(Refusal::OtherRobot)
+            let here = Facts { robot: Some(found.model.name()), ..Facts::default() };
+            here.answered_by(found.manifest).map_err(Refusal::OtherRobot)
         },
     },
     // And for this model of it.
@@ -205,12 +201,8 @@ pub const ANNOUNCEMENT: &[Check<AnnouncementCheck>] = &[
         name: "robot model",
         refuse: |found| {
             let hash = found.model.hash();
-            let here = Facts {
-                model: Some(&hash),
-                ..Facts::default()
-            };
-            here.answered_by(found.manifest)
-                .map_err(Refusal::OtherRobot)
+            let here = Facts { model: Some(&hash), ..Facts::default() };
+            here.answered_by(found.manifest).map_err(Refusal::OtherRobot)
         },
     },
 ];
@@ -331,27 +323,13 @@ fn verify_by(
     policy: &PolicyRef,
     model: &RobotModel,
 ) -> Result<Verified, VerifyError> {
-    let candidate = Candidate {
-        policy,
-        model,
-        bytes,
-        file: OnceCell::new(),
-        tried: OnceCell::new(),
-    };
-    checks
-        .iter()
-        .try_for_each(|check| (check.refuse)(&candidate))?;
-    let Candidate {
-        bytes, file, tried, ..
-    } = candidate;
+    let candidate =
+        Candidate { policy, model, bytes, file: OnceCell::new(), tried: OnceCell::new() };
+    checks.iter().try_for_each(|check| (check.refuse)(&candidate))?;
+    let Candidate { bytes, file, tried, .. } = candidate;
     let file = file.into_inner().map_or_else(|| read(bytes), Ok)?;
     let (inference, _) = tried.into_inner().map_or_else(|| try_out(&file), Ok)?;
-    Ok(Verified {
-        policy: policy.clone(),
-        file,
-        inference,
-        proved: false,
-    })
+    Ok(Verified { policy: policy.clone(), file, inference, proved: false })
 }
 
 impl Candidate<'_> {
@@ -380,11 +358,9 @@ impl Candidate<'_> {
         problem: impl Fn(&Action) -> String,
     ) -> Result<(), VerifyError> {
         match self.actions()?.iter().find(|action| wrong(action)) {
-            Some(action) => Err(Refusal::Probe {
-                index: action.index,
-                problem: problem(action),
+            Some(action) => {
+                Err(Refusal::Probe { index: action.index, problem: problem(action) }.into())
             }
-            .into()),
             None => Ok(()),
         }
     }
@@ -405,9 +381,7 @@ pub fn expected_contract(
         phase: policy.phase.config(),
         observation: ObservationConfig::from(&policy.observation),
         observe_medium: !policy.observation.range(Part::Medium).is_empty(),
-        afloat_above_m: policy
-            .afloat_above_m
-            .unwrap_or(TaskConfig::default().afloat_above_m),
+        afloat_above_m: policy.afloat_above_m.unwrap_or(TaskConfig::default().afloat_above_m),
         command: CommandConfig {
             vx_mps: policy.command.vx_mps,
             vy_mps: policy.command.vy_mps,
@@ -418,10 +392,7 @@ pub fn expected_contract(
     };
     let mut expected = PolicyContract::new(model, &task)?;
     // which feet step together is the policy's business
-    expected
-        .phase
-        .offsets_rad
-        .clone_from(&policy.phase.offsets_rad);
+    expected.phase.offsets_rad.clone_from(&policy.phase.offsets_rad);
     expected.observer()?.check_sensed(&expected.observation)?;
     Ok(expected)
 }

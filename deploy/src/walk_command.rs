@@ -32,9 +32,7 @@ impl FromStr for WalkCommand {
         if values.iter().all(|v| v.abs() <= COMMAND_MAX) {
             return Ok(Self(values));
         }
-        Err(format!(
-            "`{text}` must be within ±{COMMAND_MAX} m/s and rad/s"
-        ))
+        Err(format!("`{text}` must be within ±{COMMAND_MAX} m/s and rad/s"))
     }
 }
 
@@ -48,9 +46,7 @@ pub struct CommandTable {
 impl CommandTable {
     /// One command for good.
     pub fn constant(command: WalkCommand) -> Self {
-        Self {
-            rows: vec![(0.0, command)],
-        }
+        Self { rows: vec![(0.0, command)] }
     }
 
     /// Reads a CSV file with the header `t,vx,vy,yaw_rate` (s, m/s, m/s, rad/s), `t` increasing.
@@ -58,16 +54,9 @@ impl CommandTable {
     /// # Errors
     /// [`DeployError::Commands`] with the line, [`DeployError::Folder`] where it cannot be read.
     pub fn read(path: &Path) -> Result<Self, DeployError> {
-        let text = caudata_durable::read_text_at_most(path, FILE_BYTES_MAX).map_err(|e| {
-            DeployError::Commands {
-                path: path.to_owned(),
-                reason: e.to_string(),
-            }
-        })?;
-        Self::parse(&text).map_err(|reason| DeployError::Commands {
-            path: path.to_owned(),
-            reason,
-        })
+        let text = caudata_durable::read_text_at_most(path, FILE_BYTES_MAX)
+            .map_err(|e| DeployError::Commands { path: path.to_owned(), reason: e.to_string() })?;
+        Self::parse(&text).map_err(|reason| DeployError::Commands { path: path.to_owned(), reason })
     }
 
     fn parse(text: &str) -> Result<Self, String> {
@@ -78,13 +67,10 @@ impl CommandTable {
         let mut rows: Vec<(f64, WalkCommand)> = Vec::new();
         for (index, line) in lines.enumerate() {
             let at = |problem: String| format!("line {}: {problem}", index + 2);
-            let (time, command) = line
-                .split_once(',')
-                .ok_or_else(|| at("four numbers are due".to_owned()))?;
-            let time: f64 = time
-                .trim()
-                .parse()
-                .map_err(|_| at(format!("`{time}` is not a time")))?;
+            let (time, command) =
+                line.split_once(',').ok_or_else(|| at("four numbers are due".to_owned()))?;
+            let time: f64 =
+                time.trim().parse().map_err(|_| at(format!("`{time}` is not a time")))?;
             let after_last = rows.last().is_none_or(|(last, _)| time > *last);
             if !(time.is_finite() && time >= 0.0 && after_last) {
                 return Err(at("t must be at least 0 and increase".to_owned()));
@@ -103,9 +89,7 @@ impl CommandTable {
     /// The command `time_s` after walking began; zero before the first row.
     pub fn at(&self, time_s: f64) -> [f32; COMMAND_DIM] {
         let later = self.rows.partition_point(|(start, _)| *start <= time_s);
-        later
-            .checked_sub(1)
-            .map_or([0.0; COMMAND_DIM], |i| self.rows[i].1.0)
+        later.checked_sub(1).map_or([0.0; COMMAND_DIM], |i| self.rows[i].1.0)
     }
 }
 
@@ -132,14 +116,8 @@ mod tests {
             ("t,vx\n", "first line"),
             ("t,vx,vy,yaw_rate\n", "no rows"),
             ("t,vx,vy,yaw_rate\n0,0.1,0,0\n0,0.1,0,0\n", "line 3: t must"),
-            (
-                "t,vx,vy,yaw_rate\n0,0.1,0\n",
-                "line 2: `0.1,0` must be three",
-            ),
-            (
-                "t,vx,vy,yaw_rate\n0,nan,0,0\n",
-                "line 2: `nan,0,0` must be within",
-            ),
+            ("t,vx,vy,yaw_rate\n0,0.1,0\n", "line 2: `0.1,0` must be three"),
+            ("t,vx,vy,yaw_rate\n0,nan,0,0\n", "line 2: `nan,0,0` must be within"),
             ("t,vx,vy,yaw_rate\nx,0,0,0\n", "line 2: `x` is not a time"),
         ] {
             let error = CommandTable::parse(text).unwrap_err();

@@ -1,11 +1,6 @@
 //! A tick of the loop asks the allocator for nothing, but for the two small pieces that the binding of ONNX
 //! Runtime makes for every run.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 // Only the allocator sees every allocation; an allocator cannot be written without `unsafe`.
 #![allow(unsafe_code)]
 
@@ -111,11 +106,7 @@ impl ServoBus for Still {
 
 impl Imu for Still {
     fn reading(&mut self) -> Result<ImuReading, BusError> {
-        Ok(ImuReading {
-            gyro_radps: [0.0; 3],
-            acc_mps2: [0.0, 0.0, 9.81],
-            gravity: None,
-        })
+        Ok(ImuReading { gyro_radps: [0.0; 3], acc_mps2: [0.0, 0.0, 9.81], gravity: None })
     }
 }
 
@@ -141,10 +132,8 @@ fn allocations(leaks: bool) -> usize {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let model = Arc::new(RobotModel::load(&root.join("robots/polymander.robot.toml")).unwrap());
     let bytes = std::fs::read(root.join("policies/flat.onnx")).unwrap();
-    let version = caudata_policy::PolicyFile::parse(Arc::from(bytes.as_slice()))
-        .unwrap()
-        .metadata()
-        .version;
+    let version =
+        caudata_policy::PolicyFile::parse(Arc::from(bytes.as_slice())).unwrap().metadata().version;
     let policy = PolicyRef {
         stream: "s".to_owned(),
         version,
@@ -153,11 +142,7 @@ fn allocations(leaks: bool) -> usize {
     };
     let verified = verify(bytes.into(), &policy, &model).unwrap();
     let folder = tempfile::tempdir().unwrap();
-    let mut robot = Still {
-        pos_rad: PerJoint::filled(16, 0.0),
-        ticks: 0,
-        leaks,
-    };
+    let mut robot = Still { pos_rad: PerJoint::filled(16, 0.0), ticks: 0, leaks };
     let plan = RunPlan {
         period: Duration::from_millis(20),
         walk_s: Some(20.0),
@@ -209,15 +194,8 @@ fn allocations_of_inference() -> usize {
 fn a_walking_tick_allocates_nothing_itself() {
     let inference = allocations_of_inference();
     let ticks = (TO - FROM) as usize;
-    println!(
-        "{} allocations in {ticks} runs of ONNX Runtime's binding",
-        inference
-    );
+    println!("{} allocations in {ticks} runs of ONNX Runtime's binding", inference);
     assert!(inference <= 2 * ticks, "{inference}");
-    assert_eq!(
-        allocations(true),
-        inference + 1,
-        "the count sees one that is made on purpose"
-    );
+    assert_eq!(allocations(true), inference + 1, "the count sees one that is made on purpose");
     assert_eq!(allocations(false), inference);
 }

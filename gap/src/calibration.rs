@@ -116,20 +116,14 @@ impl Map {
             *name = feature.0;
         }
         let [constant, each @ ..] = members(log_odds, names)?;
-        let mut weights = Weights {
-            constant: number(constant)?,
-            ..Weights::default()
-        };
+        let mut weights = Weights { constant: number(constant)?, ..Weights::default() };
         for (weight, value) in weights.each.iter_mut().zip(each) {
             *weight = number(value)?;
         }
         let [left, scatter] = members(doubts, ["left", "scatter"])?;
         Ok(Self {
             log_odds: weights,
-            doubts: Thresholds {
-                left: number(left)?,
-                scatter: number(scatter)?,
-            },
+            doubts: Thresholds { left: number(left)?, scatter: number(scatter)? },
         })
     }
 
@@ -152,9 +146,8 @@ fn members<'a, const N: usize>(
     names: [&str; N],
 ) -> Result<[&'a Value; N], GapError> {
     let wrong = |what: String| GapError::Calibration(what);
-    let of = of
-        .as_object()
-        .ok_or_else(|| wrong(format!("{of} where {} are due", names.join(", "))))?;
+    let of =
+        of.as_object().ok_or_else(|| wrong(format!("{of} where {} are due", names.join(", "))))?;
     if let Some(key) = of.keys().find(|k| !names.contains(&k.as_str())) {
         return Err(wrong(format!("unknown key {key}")));
     }
@@ -191,20 +184,10 @@ impl Calibration {
     pub fn parse(text: &str) -> Result<Self, GapError> {
         let wrong = |what: String| GapError::Calibration(what);
         let file: Value = serde_json::from_str(text).map_err(|e| wrong(e.to_string()))?;
-        let keys = [
-            "version", "command", "seed", "cases", "names", "right", "surest", "map", "by_hand",
-        ];
-        let [
-            version,
-            command,
-            seed,
-            cases,
-            names,
-            right,
-            surest,
-            map,
-            by_hand,
-        ] = members(&file, keys)?;
+        let keys =
+            ["version", "command", "seed", "cases", "names", "right", "surest", "map", "by_hand"];
+        let [version, command, seed, cases, names, right, surest, map, by_hand] =
+            members(&file, keys)?;
         if count(version)? != VERSION {
             return Err(wrong(format!("version {version} where {VERSION} is read")));
         }
@@ -288,10 +271,7 @@ mod tests {
     /// Its surest third was one name, and wrong.
     #[test]
     fn a_fit_that_is_right_of_a_third_tells_something_all_the_same() {
-        let poor = Calibration {
-            surest: 1.0 / 3.0,
-            ..Calibration::shipped().unwrap()
-        };
+        let poor = Calibration { surest: 1.0 / 3.0, ..Calibration::shipped().unwrap() };
         let told = poor.confidence(&Grounds::default());
         assert_eq!(told, 1.0 / 3.0);
     }

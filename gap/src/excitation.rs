@@ -62,11 +62,7 @@ impl Excitation {
             for channel in trial.channels.iter().filter(|c| c.kind == Kind::Position) {
                 let joint = &mut all.joints[channel.index];
                 let name = model.actuated_names()[channel.index];
-                let kp = trial
-                    .meta
-                    .gains(name)
-                    .0
-                    .unwrap_or(model.kp_nm_per_rad(channel.index));
+                let kp = trial.meta.gains(name).0.unwrap_or(model.kp_nm_per_rad(channel.index));
                 let command = &trial.commands[channel.index];
                 let mut speeds = Vec::new();
                 for (k, (&t, &q)) in channel.time_s.iter().zip(&channel.value).enumerate() {

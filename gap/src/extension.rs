@@ -45,11 +45,9 @@ pub fn mjcf_name(robot_toml: &str) -> Result<String, GapError> {
 /// [`GapError::Extension`] with line and reason.
 pub fn read(robot_toml: &str) -> Result<Option<Extension>, GapError> {
     let file: File = toml::from_str(robot_toml).map_err(|e| {
-        let line = e.span().map_or(1, |s| {
-            1 + robot_toml[..s.start.min(robot_toml.len())]
-                .matches('\n')
-                .count()
-        });
+        let line = e
+            .span()
+            .map_or(1, |s| 1 + robot_toml[..s.start.min(robot_toml.len())].matches('\n').count());
         GapError::Extension(format!("line {line}: {}", e.message().replace('\n', " ")))
     })?;
     Ok(file.extension)
@@ -125,10 +123,7 @@ pub fn append(extension: &Extension, robot_toml: &str) -> Result<String, GapErro
     let table =
         toml::to_string(&Table { extension }).map_err(|e| GapError::Extension(e.to_string()))?;
     let own = robot_toml.find(MARK).unwrap_or(robot_toml.len());
-    Ok(format!(
-        "{}\n\n{MARK}\n{table}",
-        robot_toml[..own].trim_end()
-    ))
+    Ok(format!("{}\n\n{MARK}\n{table}", robot_toml[..own].trim_end()))
 }
 
 /// Begins the part that a diagnosis wrote.

@@ -51,27 +51,16 @@ impl Place {
         let items = if names.is_empty() {
             (0..all.len()).collect()
         } else {
-            names
-                .iter()
-                .map(|n| all.iter().position(|a| a == n))
-                .collect::<Option<Vec<_>>>()?
+            names.iter().map(|n| all.iter().position(|a| a == n)).collect::<Option<Vec<_>>>()?
         };
-        Some(Self {
-            domain,
-            items,
-            names: names.to_vec(),
-        })
+        Some(Self { domain, items, names: names.to_vec() })
     }
 }
 
 fn item_names(model: &RobotModel, domain: Domain) -> Vec<String> {
     match domain {
         Domain::Robot => Vec::new(),
-        Domain::Joints => model
-            .actuated_names()
-            .into_iter()
-            .map(str::to_owned)
-            .collect(),
+        Domain::Joints => model.actuated_names().into_iter().map(str::to_owned).collect(),
         Domain::Links | Domain::AllLinks => model.links().iter().map(|l| l.name.clone()).collect(),
         Domain::Play => model
             .joints()
@@ -86,16 +75,8 @@ fn item_names(model: &RobotModel, domain: Domain) -> Vec<String> {
 /// All places in a domain of a robot, widest first.
 pub fn places(model: &RobotModel, domain: Domain) -> Vec<Place> {
     let names = item_names(model, domain);
-    let all = Place {
-        domain,
-        items: (0..names.len()).collect(),
-        names: Vec::new(),
-    };
-    let one = |i: usize| Place {
-        domain,
-        items: vec![i],
-        names: vec![names[i].clone()],
-    };
+    let all = Place { domain, items: (0..names.len()).collect(), names: Vec::new() };
+    let one = |i: usize| Place { domain, items: vec![i], names: vec![names[i].clone()] };
     match domain {
         Domain::Robot => vec![all],
         Domain::AllLinks if !names.is_empty() => vec![all],
@@ -126,10 +107,7 @@ fn groups(names: &[String]) -> Vec<Vec<usize>> {
     let stem = |name: &str| -> String {
         let leg = |part: &str| part.len() == 2 && part.chars().all(|c| c.is_ascii_uppercase());
         let number = |part: &str| part.chars().all(|c| c.is_ascii_digit());
-        name.split('_')
-            .filter(|part| !leg(part) && !number(part))
-            .collect::<Vec<_>>()
-            .join("_")
+        name.split('_').filter(|part| !leg(part) && !number(part)).collect::<Vec<_>>().join("_")
     };
     let mut groups: Vec<(String, Vec<usize>)> = Vec::new();
     for (i, name) in names.iter().enumerate() {
@@ -152,9 +130,8 @@ mod tests {
 
     #[test]
     fn groups_by_name() {
-        let names: Vec<String> = ["spine_1", "spine_2", "FL_hip", "FR_hip", "FL_knee"]
-            .map(str::to_owned)
-            .to_vec();
+        let names: Vec<String> =
+            ["spine_1", "spine_2", "FL_hip", "FR_hip", "FL_knee"].map(str::to_owned).to_vec();
         assert_eq!(groups(&names), [vec![0, 1], vec![2, 3]]);
         assert!(groups(&names[..2]).is_empty(), "all of them is no group");
     }

@@ -141,13 +141,7 @@ impl Plant {
                 ..Sensing::default()
             },
             session: 0.0,
-            run_in: vec![
-                RunIn {
-                    extra_nm: 0.0,
-                    time_s: 1.0
-                };
-                joints
-            ],
+            run_in: vec![RunIn { extra_nm: 0.0, time_s: 1.0 }; joints],
         }
     }
 
@@ -210,20 +204,13 @@ mod tests {
 
     #[test]
     fn a_weight_moves_mass_centre_and_inertia_of_its_link() {
-        let file = concat!(
-            env!("CARGO_MANIFEST_DIR"),
-            "/../robots/xl330_pendulum.robot.toml"
-        );
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/xl330_pendulum.robot.toml");
         let model = Arc::new(RobotModel::load(file.as_ref()).unwrap());
         let (l, link) = model.links().iter().enumerate().next_back().unwrap();
         let mut run = Trial::bare(BaseHold::Fixed, 1.0, Vec::new());
         let mut at_m = link.com_m;
         at_m[0] += 0.1;
-        run.meta.payload.push(Payload {
-            link: link.name.clone(),
-            mass_kg: link.mass_kg,
-            at_m,
-        });
+        run.meta.payload.push(Payload { link: link.name.clone(), mass_kg: link.mass_kg, at_m });
         run.meta.joint.entry("swing".to_owned()).or_default().kp = Some(0.5);
         let lane = Plant::in_trial(&model, &run).lane;
         // as heavy again, 0.1 m off: the centre moves by half of that
@@ -237,10 +224,8 @@ mod tests {
         // the effect of the catalogue is the same weight
         let mut plant = Plant::nominal(&model);
         let (direction, _) = super::lever(&model, l);
-        let (anchor_m, own_m) = (
-            super::anchor_m(&model, l),
-            [0, 1, 2].map(|i| direction[i] * 0.04),
-        );
+        let (anchor_m, own_m) =
+            (super::anchor_m(&model, l), [0, 1, 2].map(|i| direction[i] * 0.04));
         run.meta.payload[0].at_m = [0, 1, 2].map(|i| anchor_m[i] + own_m[i]);
         let place = crate::place::places(&model, crate::place::Domain::Links).swap_remove(l);
         let effect = crate::effects::find("point_mass").unwrap();

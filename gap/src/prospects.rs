@@ -95,9 +95,7 @@ pub struct Weights(Vec<f64>);
 impl Weights {
     fn normalised(mut self) -> Self {
         let sum: f64 = self.0.iter().sum();
-        self.0
-            .iter_mut()
-            .for_each(|w| *w /= sum.max(f64::MIN_POSITIVE));
+        self.0.iter_mut().for_each(|w| *w /= sum.max(f64::MIN_POSITIVE));
         self
     }
 
@@ -129,14 +127,7 @@ impl Prospects {
             if somewhere && middle < effect.grid.len() {
                 let values = effect.sizes(model, &place, middle);
                 let by_joint = matches!(effect.domain, Domain::Joints | Domain::Links);
-                terms.push((
-                    Term {
-                        effect,
-                        place,
-                        values,
-                    },
-                    by_joint,
-                ));
+                terms.push((Term { effect, place, values }, by_joint));
             }
         }
         let battery = excite::battery(model, None, DEFAULT_RATE_HZ).unwrap_or_default();
@@ -150,21 +141,13 @@ impl Prospects {
         let joints = model.actuated().len();
         let mut possible = Vec::new();
         for (row, (term, by_joint)) in terms.iter().enumerate() {
-            let at = |joint| Possible {
-                effect: term.effect,
-                joint,
-                row,
-            };
+            let at = |joint| Possible { effect: term.effect, joint, row };
             match by_joint {
                 true => possible.extend((0..joints).map(|a| at(Some(a)))),
                 false => possible.push(at(None)),
             }
         }
-        let mut all = Self {
-            trials,
-            possible,
-            effects: terms.len(),
-        };
+        let mut all = Self { trials, possible, effects: terms.len() };
         let least = MATTERS_FROM * MATTERS_FROM;
         let shows = |p: &Possible| {
             let mut trials = all.trials.iter();
@@ -229,9 +212,7 @@ impl Prospects {
     pub fn dark(&self, recorded: &[&str]) -> Vec<&'static str> {
         let gram = self.sum(|t| recorded.contains(&t.name.as_str()));
         let shows = |p: &&Possible| self.inner(&gram, p, p) >= MATTERS_FROM * MATTERS_FROM;
-        let seen: Vec<&str> = (self.possible.iter().filter(shows))
-            .map(|p| p.effect.id)
-            .collect();
+        let seen: Vec<&str> = (self.possible.iter().filter(shows)).map(|p| p.effect.id).collect();
         let mut dark: Vec<&'static str> = self.possible.iter().map(|p| p.effect.id).collect();
         dark.retain(|id| !seen.contains(id));
         dark.dedup();
@@ -284,9 +265,7 @@ impl Prospects {
     /// wᵢ·ln Σⱼ wⱼ·exp(−D²ᵢⱼ/8) of nothing and of everything that is possible: how much of each is confused
     /// with the rest, negative.
     fn doubts(&self, gram: &Gram, weights: &Weights) -> Vec<f64> {
-        let own: Vec<f64> = (self.possible.iter())
-            .map(|p| self.inner(gram, p, p))
-            .collect();
+        let own: Vec<f64> = (self.possible.iter()).map(|p| self.inner(gram, p, p)).collect();
         let w = &weights.0;
         let mut overlap = vec![0.0; w.len()];
         overlap[0] += w[0];
@@ -359,9 +338,7 @@ fn gram(
         Layer::Contact => trial.base == BaseHold::Free,
         _ => true,
     };
-    let acting: Vec<usize> = (0..terms.len())
-        .filter(|&e| acts(terms[e].0.effect))
-        .collect();
+    let acting: Vec<usize> = (0..terms.len()).filter(|&e| acts(terms[e].0.effect)).collect();
     let mut variants: Vec<Variant> = vec![Vec::new()];
     variants.extend(acting.iter().map(|&e| vec![terms[e].0.clone()]));
     let predictions = replayer.predict(&data, &variants)?;
@@ -371,11 +348,7 @@ fn gram(
         let Some(tolerance) = tolerance(piece.kind) else {
             continue;
         };
-        let group = if piece.kind.of_joint() {
-            piece.index
-        } else {
-            joints
-        };
+        let group = if piece.kind.of_joint() { piece.index } else { joints };
         let scale = (1.0 / (tolerance * (piece.range.len().max(1) as f64).sqrt())) as f32;
         let own = &predictions[0][piece.range.clone()];
         let trace = |of: &Vec<f32>| -> Vec<f32> {
@@ -403,9 +376,8 @@ fn gram(
 /// A trial of the battery as a run with channels of these kinds, in which every joint is where it was sent and
 /// the base is level and at rest.
 pub(crate) fn as_run(trial: &excite::Trial, kinds: &[Kind]) -> Trial {
-    let time_s: Vec<f64> = (0..trial.commands_rad.len())
-        .map(|k| k as f64 / trial.rate_hz)
-        .collect();
+    let time_s: Vec<f64> =
+        (0..trial.commands_rad.len()).map(|k| k as f64 / trial.rate_hz).collect();
     let column = |a: usize| trial.commands_rad.iter().map(move |row| row[a]).collect();
     let still = |x: f64| vec![x; time_s.len()];
     let joints = trial.columns.len();
@@ -430,11 +402,8 @@ pub(crate) fn as_run(trial: &excite::Trial, kinds: &[Kind]) -> Trial {
         }));
     }
     let mut run = Trial::bare(trial.base, trial.duration_s, channels);
-    let steps = |value: Vec<f64>| Steps {
-        time_s: time_s.clone(),
-        value,
-        frame_s: 1.0 / trial.rate_hz,
-    };
+    let steps =
+        |value: Vec<f64>| Steps { time_s: time_s.clone(), value, frame_s: 1.0 / trial.rate_hz };
     run.commands = (0..joints).map(|a| steps(column(a))).collect();
     run.enabled = (0..joints)
         .map(|a| {
@@ -450,17 +419,9 @@ mod tests {
     use super::*;
 
     fn pendulum() -> Prospects {
-        let file = concat!(
-            env!("CARGO_MANIFEST_DIR"),
-            "/../robots/xl330_pendulum.robot.toml"
-        );
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/xl330_pendulum.robot.toml");
         let model = Arc::new(RobotModel::load(file.as_ref()).unwrap());
-        let few = [
-            "kp_error",
-            "command_delay",
-            "measurement_delay",
-            "contact_friction",
-        ];
+        let few = ["kp_error", "command_delay", "measurement_delay", "contact_friction"];
         let wanted = |e: &Effect| few.contains(&e.id);
         Prospects::of(&model, |_| true, true, wanted, 1, GoOn::default()).unwrap()
     }
@@ -469,10 +430,7 @@ mod tests {
     fn what_cannot_show_on_a_robot_is_not_asked_for() {
         let prospects = pendulum();
         let ids: Vec<&str> = prospects.possible.iter().map(|p| p.effect.id).collect();
-        assert!(
-            ids.contains(&"kp_error") && !ids.contains(&"contact_friction"),
-            "{ids:?}"
-        );
+        assert!(ids.contains(&"kp_error") && !ids.contains(&"contact_friction"), "{ids:?}");
     }
 
     #[test]
@@ -486,10 +444,7 @@ mod tests {
             nothing.push(prospects.unseen(&recorded).nothing());
         }
         assert!(nothing.windows(2).all(|w| w[0] <= w[1]), "{nothing:?}");
-        assert!(
-            nothing[nothing.len() - 1] > 0.95,
-            "{nothing:?} {recorded:?}"
-        );
+        assert!(nothing[nothing.len() - 1] > 0.95, "{nothing:?} {recorded:?}");
         assert!(recorded.len() <= 4, "{recorded:?}");
     }
 }

@@ -14,10 +14,7 @@ const MIN_DURATION_S: f64 = 1.0;
 /// # Errors
 /// [`GapError::Run`] where it has no commands, no joint positions, foreign joints, or is too short.
 pub fn trial(model: &RobotModel, run: &Run) -> Result<Trial, GapError> {
-    let bad = |message: String| GapError::Run {
-        run: run.name.clone(),
-        message,
-    };
+    let bad = |message: String| GapError::Run { run: run.name.clone(), message };
     let table = &run.log.table;
     let joints = model.actuated_names();
     let strange = |s: &&Signal| s.joint().is_some_and(|j| !joints.contains(&j));
@@ -43,16 +40,12 @@ pub fn trial(model: &RobotModel, run: &Run) -> Result<Trial, GapError> {
     let commanded: Vec<Option<Steps>> = joints.iter().map(commanded).collect();
     if commanded.iter().all(Option::is_none) {
         return Err(bad(
-            "has no `cmd.<joint>` column; what was commanded is needed to replay it".into(),
+            "has no `cmd.<joint>` column; what was commanded is needed to replay it".into()
         ));
     }
     let commands = commanded.into_iter().zip(model.nominal_pos_rad());
     let commands = commands.map(|(steps, &nominal)| {
-        steps.unwrap_or(Steps {
-            time_s: vec![first],
-            value: vec![nominal],
-            frame_s: 0.0,
-        })
+        steps.unwrap_or(Steps { time_s: vec![first], value: vec![nominal], frame_s: 0.0 })
     });
     let enabled = |joint: &&str| steps(table, &Signal::Enabled((*joint).to_owned()));
     let meta = &run.log.meta;
@@ -89,11 +82,7 @@ fn known_conditions(model: &RobotModel, run: &Run) -> Result<(), String> {
         ));
     }
     let links: Vec<&str> = model.links().iter().map(|l| l.name.as_str()).collect();
-    if let Some(p) = meta
-        .payload
-        .iter()
-        .find(|p| !links.contains(&p.link.as_str()))
-    {
+    if let Some(p) = meta.payload.iter().find(|p| !links.contains(&p.link.as_str())) {
         return Err(format!(
             "{file}: `payload`: the robot has no link `{}`; it has {}",
             p.link,
@@ -107,10 +96,7 @@ fn known_conditions(model: &RobotModel, run: &Run) -> Result<(), String> {
 fn steps(table: &Table, signal: &Signal) -> Option<Steps> {
     let (time, column) = (table.time_s(), table.column(signal)?);
     let sent = time.iter().zip(column).filter(|(_, v)| v.is_some());
-    let mut steps = Steps {
-        frame_s: median_step(sent.map(|(t, _)| *t)),
-        ..Steps::default()
-    };
+    let mut steps = Steps { frame_s: median_step(sent.map(|(t, _)| *t)), ..Steps::default() };
     for (t, v) in time.iter().zip(column) {
         if let Some(v) = *v
             && steps.value.last() != Some(&v)
@@ -207,14 +193,7 @@ fn channels(model: &RobotModel, table: &Table, base: BaseHold) -> Vec<Channel> {
             }
         }
         for (index, column) in parts.iter().enumerate() {
-            push(
-                &mut channels,
-                Kind::BaseAttitude,
-                index,
-                names[index].to_owned(),
-                time,
-                column,
-            );
+            push(&mut channels, Kind::BaseAttitude, index, names[index].to_owned(), time, column);
         }
     }
     channels.sort_by_key(|c| (c.kind, c.index));
@@ -224,12 +203,8 @@ fn channels(model: &RobotModel, table: &Table, base: BaseHold) -> Vec<Channel> {
 /// Orientation of the base by motion capture in every row, where the log has it.
 fn base_quaternions(table: &Table) -> Option<impl Iterator<Item = Option<[f64; 4]>> + '_> {
     let column = |part| table.column(&Signal::BaseQuaternion(part));
-    let [w, x, y, z] = [
-        column(QuatPart::W)?,
-        column(QuatPart::X)?,
-        column(QuatPart::Y)?,
-        column(QuatPart::Z)?,
-    ];
+    let [w, x, y, z] =
+        [column(QuatPart::W)?, column(QuatPart::X)?, column(QuatPart::Y)?, column(QuatPart::Z)?];
     Some((0..w.len()).map(move |k| Some([w[k]?, x[k]?, y[k]?, z[k]?])))
 }
 
@@ -249,13 +224,7 @@ fn push(
         }
     }
     if value.len() >= 2 {
-        channels.push(Channel {
-            kind,
-            index,
-            name,
-            time_s,
-            value,
-        });
+        channels.push(Channel { kind, index, name, time_s, value });
     }
 }
 

@@ -25,10 +25,7 @@ pub fn group(trials: &mut [Trial]) {
 pub fn collapse(trials: &[Trial]) -> Vec<Trial> {
     let mut out: Vec<Trial> = Vec::new();
     for trial in trials {
-        if out
-            .iter()
-            .any(|t| t.group == trial.group && t.role == trial.role)
-        {
+        if out.iter().any(|t| t.group == trial.group && t.role == trial.role) {
             continue;
         }
         let members: Vec<Trial> = trials
@@ -36,11 +33,7 @@ pub fn collapse(trials: &[Trial]) -> Vec<Trial> {
             .filter(|t| t.group == trial.group && t.role == trial.role)
             .cloned()
             .collect();
-        out.push(if members.len() == 1 {
-            trial.clone()
-        } else {
-            mean(trial, members)
-        });
+        out.push(if members.len() == 1 { trial.clone() } else { mean(trial, members) });
     }
     out
 }

@@ -88,10 +88,7 @@ impl Kind {
 
     /// Whether `index` of such a channel is an actuated joint.
     pub fn of_joint(self) -> bool {
-        matches!(
-            self,
-            Self::Position | Self::Velocity | Self::Current | Self::Torque
-        )
+        matches!(self, Self::Position | Self::Velocity | Self::Current | Self::Torque)
     }
 }
 
@@ -185,9 +182,7 @@ impl Trial {
 
     /// The channel of `kind` and `index`.
     pub fn channel(&self, kind: Kind, index: usize) -> Option<&Channel> {
-        self.channels
-            .iter()
-            .find(|c| c.kind == kind && c.index == index)
+        self.channels.iter().find(|c| c.kind == kind && c.index == index)
     }
 }
 
@@ -245,14 +240,8 @@ mod tests {
         near(attitude_of([1.0, 0.0, 0.0, 0.0]), [0.0, 0.0, 0.0, -1.0]);
         // nose down by 0.2 (positive turn about y): gravity towards +x of the body
         let (c, s) = (0.1_f64.cos(), 0.1_f64.sin());
-        near(
-            attitude_of([c, 0.0, s, 0.0]),
-            [0.2_f64.sin(), 0.0, 0.0, -0.2_f64.cos()],
-        );
-        near(
-            attitude_of([c, s, 0.0, 0.0]),
-            [0.0, -0.2_f64.sin(), 0.0, -0.2_f64.cos()],
-        );
+        near(attitude_of([c, 0.0, s, 0.0]), [0.2_f64.sin(), 0.0, 0.0, -0.2_f64.cos()]);
+        near(attitude_of([c, s, 0.0, 0.0]), [0.0, -0.2_f64.sin(), 0.0, -0.2_f64.cos()]);
         near(attitude_of([c, 0.0, 0.0, s]), [0.0, 0.0, 0.2, -1.0]);
         // on its back
         near(attitude_of([0.0, 1.0, 0.0, 0.0]), [0.0, 0.0, 0.0, 1.0]);
@@ -269,14 +258,7 @@ mod tests {
 
     #[test]
     fn steps_hold() {
-        let s = Steps {
-            time_s: vec![1.0, 2.0],
-            value: vec![5.0, 7.0],
-            ..Steps::default()
-        };
-        assert_eq!(
-            [0.0, 1.0, 1.9, 2.0, 9.0].map(|t| s.at(t)),
-            [5.0, 5.0, 5.0, 7.0, 7.0]
-        );
+        let s = Steps { time_s: vec![1.0, 2.0], value: vec![5.0, 7.0], ..Steps::default() };
+        assert_eq!([0.0, 1.0, 1.9, 2.0, 9.0].map(|t| s.at(t)), [5.0, 5.0, 5.0, 7.0, 7.0]);
     }
 }

@@ -25,11 +25,7 @@ pub struct Adam {
 impl Adam {
     /// Before the first step, for `len` parameters.
     pub fn new(len: usize) -> Self {
-        Self {
-            m: vec![0.0; len],
-            v: vec![0.0; len],
-            steps: 0,
-        }
+        Self { m: vec![0.0; len], v: vec![0.0; len], steps: 0 }
     }
 
     /// One step on `parameters` `[P]`, in place, with torch's order of operations: m = β₁m + (1−β₁)g,

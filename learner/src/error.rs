@@ -148,10 +148,7 @@ impl LearnerError {
 
     /// A failed write.
     pub fn write(path: &Path, source: std::io::Error) -> Self {
-        Self::Write {
-            path: path.to_owned(),
-            source,
-        }
+        Self::Write { path: path.to_owned(), source }
     }
 
     /// The exit code of a process that ends with this error.
@@ -189,9 +186,7 @@ impl LearnerError {
     /// As the failure of a process, with what the user can do about it.
     pub fn into_failure(self) -> Failure {
         let hint = match &self {
-            Self::CheckpointDamaged {
-                good: Some(good), ..
-            } => Some(format!(
+            Self::CheckpointDamaged { good: Some(good), .. } => Some(format!(
                 "{good} is whole: resume with --resume-from {good}; what was learnt after it is learnt again"
             )),
             Self::CheckpointDamaged { good: None, .. } => {

@@ -80,12 +80,7 @@ fn dense(weight: &Tensor, bias: &Tensor) -> Result<Dense, LearnerError> {
         let length = size.get(index).copied().unwrap_or(0);
         usize::try_from(length).unwrap_or(0)
     };
-    Ok(Dense {
-        out: side(0),
-        input: side(1),
-        weight: to_host(weight)?,
-        bias: to_host(bias)?,
-    })
+    Ok(Dense { out: side(0), input: side(1), weight: to_host(weight)?, bias: to_host(bias)? })
 }
 
 /// Row-major values on the host.
@@ -141,15 +136,7 @@ mod tests {
     #[test]
     fn the_file_computes_what_libtorch_computes() {
         let identity = identity();
-        let mut stream = Stream::new(
-            Key {
-                seed: 1,
-                actor: 0,
-                env: 0,
-                episode: 0,
-            },
-            Purpose::Init,
-        );
+        let mut stream = Stream::new(Key { seed: 1, actor: 0, env: 0, episode: 0 }, Purpose::Init);
         let d = identity.contract.obs_dim();
         let scaling = Scaling {
             mean: (0..d).map(|_| stream.normal()).collect(),
@@ -158,12 +145,7 @@ mod tests {
         };
         let lanes = 33;
         let observations: Vec<f32> = (0..lanes * d).map(|_| 4.0 * stream.normal()).collect();
-        for activation in [
-            Activation::Elu,
-            Activation::Swish,
-            Activation::Tanh,
-            Activation::Relu,
-        ] {
+        for activation in [Activation::Elu, Activation::Swish, Activation::Tanh, Activation::Relu] {
             let net = network(activation, &identity);
             let file = export(&net, &scaling, &identity, 7, 100).unwrap();
             let mut from_file = vec![0.0; lanes * identity.contract.act_dim()];

@@ -56,9 +56,7 @@ struct Args {
 
 fn main() -> std::process::ExitCode {
     let args: Args = parse_args();
-    Process::run("caudata-learner", &args.log, |process| {
-        learn(&args, process)
-    })
+    Process::run("caudata-learner", &args.log, |process| learn(&args, process))
 }
 
 fn learn(args: &Args, process: &Process) -> Result<(), Failure> {
@@ -72,21 +70,14 @@ fn learn(args: &Args, process: &Process) -> Result<(), Failure> {
         .as_deref()
         .map(decode_transport)
         .transpose()
-        .or_exit_with(
-            ExitCode::BadConfig,
-            || "--transport is not a transport configuration",
-        )?;
-    std::fs::create_dir_all(&run_dir).or_exit_with(ExitCode::CannotCreate, || {
-        format!("cannot make {}", run_dir.display())
-    })?;
+        .or_exit_with(ExitCode::BadConfig, || "--transport is not a transport configuration")?;
+    std::fs::create_dir_all(&run_dir)
+        .or_exit_with(ExitCode::CannotCreate, || format!("cannot make {}", run_dir.display()))?;
 
     let metrics = Metrics::new();
     let pulse = Pulse::new();
     let patience = Duration::from_secs_f64(config.cluster.hang_timeout_s);
-    let configured = config
-        .telemetry
-        .metrics
-        .then_some(config.telemetry.metrics_addr);
+    let configured = config.telemetry.metrics.then_some(config.telemetry.metrics_addr);
     let server = args
         .metrics_addr
         .or(configured)

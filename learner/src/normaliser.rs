@@ -26,11 +26,7 @@ pub struct Moments {
 impl Moments {
     /// Nothing counted yet, `dim` components.
     pub fn new(dim: usize) -> Self {
-        Self {
-            count: 0,
-            mean: vec![0.0; dim],
-            m2: vec![0.0; dim],
-        }
+        Self { count: 0, mean: vec![0.0; dim], m2: vec![0.0; dim] }
     }
 
     /// The two-pass moments of `rows`, row-major `[n, dim]`: what merging must add up to.
@@ -102,11 +98,7 @@ impl Moments {
 
 impl From<caudata_proto::Moments> for Moments {
     fn from(wire: caudata_proto::Moments) -> Self {
-        Self {
-            count: wire.count,
-            mean: wire.mean,
-            m2: wire.m2,
-        }
+        Self { count: wire.count, mean: wire.mean, m2: wire.m2 }
     }
 }
 
@@ -125,11 +117,7 @@ pub struct Scaling {
 impl Scaling {
     /// Only clips.
     pub fn identity(dim: usize, clip: f32) -> Self {
-        Self {
-            mean: vec![0.0; dim],
-            std: vec![1.0; dim],
-            clip,
-        }
+        Self { mean: vec![0.0; dim], std: vec![1.0; dim], clip }
     }
 
     /// Raw observations `[M, D]` to normalised ones, in the same order of operations as the ONNX graph.
@@ -162,10 +150,7 @@ mod tests {
     #[test]
     fn moments_with_their_image_are_those_of_both() {
         // exchanges the first two, negates the third
-        let mirror = SignedPermutation {
-            source: vec![1, 0, 2],
-            sign: vec![1.0, 1.0, -1.0],
-        };
+        let mirror = SignedPermutation { source: vec![1, 0, 2], sign: vec![1.0, 1.0, -1.0] };
         let rows = [1.0_f32, 4.0, 0.5, 2.0, -3.0, 1.5, 0.0, 1.0, -0.25];
         let images: Vec<f32> = rows.chunks(3).flat_map(|row| mirror.apply(row)).collect();
         let both = Moments::of(&[&rows[..], &images].concat(), 3);
@@ -181,11 +166,7 @@ mod tests {
 
     #[test]
     fn scaling_shifts_divides_and_clips() {
-        let scaling = Scaling {
-            mean: vec![1.0, 0.0],
-            std: vec![2.0, 0.5],
-            clip: 3.0,
-        };
+        let scaling = Scaling { mean: vec![1.0, 0.0], std: vec![2.0, 0.5], clip: 3.0 };
         let raw = tch::Tensor::from_slice(&[5.0_f32, -9.0, -1.0, 0.25]).view([2, 2]);
         let out: Vec<f32> = Vec::try_from(scaling.apply(&raw).view([-1])).unwrap();
         // (5−1)/2 = 2; −9/0.5 = −18 → −3; (−1−1)/2 = −1; 0.25/0.5 = 0.5.

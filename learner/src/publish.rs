@@ -87,22 +87,13 @@ impl Publisher {
         };
         let shared = Arc::new(Shared::default());
         let (sender, notices) = bounded(NOTICES_MAX);
-        let worker = Worker {
-            shared: Arc::clone(&shared),
-            client,
-            stream,
-            runtime,
-            notices: sender,
-        };
+        let worker =
+            Worker { shared: Arc::clone(&shared), client, stream, runtime, notices: sender };
         let thread = std::thread::Builder::new()
             .name("publish".into())
             .spawn(move || worker.run())
             .map_err(LearnerError::Thread)?;
-        Ok(Self {
-            shared,
-            notices,
-            thread: Some(thread),
-        })
+        Ok(Self { shared, notices, thread: Some(thread) })
     }
 
     /// Hands a policy over; one that still waits is given up for it.
@@ -147,10 +138,7 @@ impl Shared {
     }
 
     fn wait<'a>(&self, state: MutexGuard<'a, State>, timeout: Duration) -> MutexGuard<'a, State> {
-        self.changed
-            .wait_timeout(state, timeout)
-            .unwrap_or_else(PoisonError::into_inner)
-            .0
+        self.changed.wait_timeout(state, timeout).unwrap_or_else(PoisonError::into_inner).0
     }
 }
 
@@ -198,11 +186,7 @@ impl Worker {
                     bytes: policy.bytes().len() as u64,
                 }));
             };
-            self.tell(Notice::Failed {
-                version,
-                reason,
-                again,
-            });
+            self.tell(Notice::Failed { version, reason, again });
             if !again || self.is_over_after(pause) {
                 return;
             }
@@ -213,15 +197,11 @@ impl Worker {
     /// One try; on failure one line and whether trying again can help. Ends early when the publisher is
     /// closed.
     fn attempt(&mut self, policy: &PolicyFile) -> Result<(), (String, bool)> {
-        let now = SystemTime::now()
-            .duration_since(UNIX_EPOCH)
-            .unwrap_or_default();
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let manifest = manifest_of(self.stream.clone(), policy, now.as_millis() as u64)
             .map_err(|error| (error.to_string(), false))?;
         let shared = Arc::clone(&self.shared);
-        let Self {
-            client, runtime, ..
-        } = self;
+        let Self { client, runtime, .. } = self;
         runtime.block_on(async {
             let call = client.publish(manifest, policy.bytes());
             let closed = async {
@@ -260,11 +240,7 @@ impl Worker {
             Notice::Published(done) => {
                 tracing::info!(version = done.version, sha256 = done.sha256, "published");
             }
-            Notice::Failed {
-                version,
-                reason,
-                again,
-            } => {
+            Notice::Failed { version, reason, again } => {
                 tracing::warn!(version, reason, again, "publishing failed");
             }
         }

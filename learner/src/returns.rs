@@ -59,10 +59,7 @@ pub fn vtrace(
     let lanes = chunk.lanes;
     let steps = chunk.rewards.len() / lanes.max(1);
     debug_assert!(advantages.len() == steps * lanes && targets.len() == steps * lanes);
-    debug_assert_eq!(
-        chunk.final_values.len(),
-        chunk.truncated.iter().filter(|&&t| t).count()
-    );
+    debug_assert_eq!(chunk.final_values.len(), chunk.truncated.iter().filter(|&&t| t).count());
     let mut finals = chunk.final_values.iter().rev();
     // D of the step after, by lane.
     let mut corrections = vec![0.0_f32; lanes];
@@ -72,10 +69,7 @@ pub fn vtrace(
             let i = t * lanes + n;
             // Without ratios there is nothing to cap: a cap below 1 would cut fresh data short.
             let (rho, trace) = match chunk.ratios {
-                Some(ratios) => (
-                    ratios[i].min(settings.rho_max),
-                    ratios[i].min(settings.c_max),
-                ),
+                Some(ratios) => (ratios[i].min(settings.rho_max), ratios[i].min(settings.c_max)),
                 None => (1.0, 1.0),
             };
             let trace = settings.lambda * trace;
@@ -98,11 +92,7 @@ pub fn vtrace(
 
 /// Mean and standard deviation of `xs`, each of which counts `weights` times, in f64.
 pub fn weighted_mean_and_std(xs: &[f32], weights: &[f32]) -> (f64, f64) {
-    let pairs = || {
-        xs.iter()
-            .zip(weights)
-            .map(|(&x, &w)| (f64::from(x), f64::from(w)))
-    };
+    let pairs = || xs.iter().zip(weights).map(|(&x, &w)| (f64::from(x), f64::from(w)));
     let n = pairs().map(|(_, w)| w).sum::<f64>();
     let n = if n > 0.0 { n } else { 1.0 };
     let mean = pairs().map(|(x, w)| x * w).sum::<f64>() / n;
@@ -114,11 +104,7 @@ pub fn weighted_mean_and_std(xs: &[f32], weights: &[f32]) -> (f64, f64) {
 pub fn mean_and_std(xs: &[f32]) -> (f64, f64) {
     let n = xs.len().max(1) as f64;
     let mean = xs.iter().map(|&x| f64::from(x)).sum::<f64>() / n;
-    let variance = xs
-        .iter()
-        .map(|&x| (f64::from(x) - mean).powi(2))
-        .sum::<f64>()
-        / n;
+    let variance = xs.iter().map(|&x| (f64::from(x) - mean).powi(2)).sum::<f64>() / n;
     (mean, variance.sqrt())
 }
 

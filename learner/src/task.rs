@@ -21,10 +21,7 @@ impl Task {
         let model =
             RobotModel::load(&path).map_err(|source| LearnerError::Robot { path, source })?;
         let contract = PolicyContract::new(&model, &config.task)?;
-        let (network, dims) = (
-            &config.learner.network,
-            (contract.obs_dim(), contract.act_dim()),
-        );
+        let (network, dims) = (&config.learner.network, (contract.obs_dim(), contract.act_dim()));
         let mut networks = NetworkSpec::new(network, dims.0, dims.1)?;
         let critic = Critic::new(&config.task.critic, contract.names())?;
         let mut seen = SignedPermutation::identity(critic.dim());
@@ -33,11 +30,6 @@ impl Task {
             seen = critic.mirrored(&mirror);
             networks = networks.symmetric(mirror)?;
         }
-        Ok(Self {
-            model,
-            contract,
-            critic,
-            networks: networks.with_critic(seen),
-        })
+        Ok(Self { model, contract, critic, networks: networks.with_critic(seen) })
     }
 }

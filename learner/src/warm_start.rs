@@ -32,29 +32,17 @@ pub fn warm_start(
     contract: &PolicyContract,
 ) -> Result<Moments, LearnerError> {
     let most = caudata_policy::MAX_FILE_BYTES as u64;
-    let bytes = caudata_durable::read_at_most(path, most).map_err(|source| LearnerError::Read {
-        path: path.to_owned(),
-        source,
-    })?;
+    let bytes = caudata_durable::read_at_most(path, most)
+        .map_err(|source| LearnerError::Read { path: path.to_owned(), source })?;
     let file = PolicyFile::parse(Arc::from(bytes))?;
-    let refuse = |reason: String| LearnerError::WarmStart {
-        path: path.to_owned(),
-        reason,
-    };
+    let refuse = |reason: String| LearnerError::WarmStart { path: path.to_owned(), reason };
     check(net, &file, contract).map_err(refuse)?;
     let spec = file.spec();
     let mut values = net.to_vec()?;
     let least = least_std.ln();
-    let log_std: Vec<f32> = file
-        .metadata()
-        .log_std
-        .iter()
-        .map(|x| x.max(least))
-        .collect();
-    net.set_policy(&mut values, &padded(spec, contract.obs_dim()), &log_std)
-        .map_err(refuse)?;
-    net.copy_from_slice(&values)
-        .map_err(|error| refuse(error.to_string()))?;
+    let log_std: Vec<f32> = file.metadata().log_std.iter().map(|x| x.max(least)).collect();
+    net.set_policy(&mut values, &padded(spec, contract.obs_dim()), &log_std).map_err(refuse)?;
+    net.copy_from_slice(&values).map_err(|error| refuse(error.to_string()))?;
     Ok(moments(spec, net.spec().seen_dim()))
 }
 
@@ -90,10 +78,7 @@ fn padded(spec: &MlpSpec, obs_dim: usize) -> MlpSpec {
     let mut spec = spec.clone();
     if let Some(first) = spec.layers.first_mut() {
         let mut weight = vec![0.0; first.out * obs_dim];
-        for (to, from) in weight
-            .chunks_mut(obs_dim)
-            .zip(first.weight.chunks(first.input))
-        {
+        for (to, from) in weight.chunks_mut(obs_dim).zip(first.weight.chunks(first.input)) {
             to[..first.input].copy_from_slice(from);
         }
         (first.weight, first.input) = (weight, obs_dim);
@@ -127,10 +112,7 @@ mod tests {
     fn contract(observe_medium: bool) -> PolicyContract {
         let robot = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robots/polymander.robot.toml");
         let model = RobotModel::load(&robot).unwrap();
-        let task = TaskConfig {
-            observe_medium,
-            ..TaskConfig::default()
-        };
+        let task = TaskConfig { observe_medium, ..TaskConfig::default() };
         PolicyContract::new(&model, &task).unwrap()
     }
 
@@ -177,9 +159,7 @@ mod tests {
         let (path, old) = old_policy(dir.path());
         let amphibious = contract(true);
         let net = network(&amphibious, vec![12, 10], 2);
-        let value_before = net
-            .value()
-            .forward(&Tensor::ones([1, 98], (Kind::Float, Device::Cpu)));
+        let value_before = net.value().forward(&Tensor::ones([1, 98], (Kind::Float, Device::Cpu)));
         let moments = warm_start(&net, &path, 0.0, &amphibious).unwrap();
 
         let scaling = moments.scaling(10.0);
@@ -192,9 +172,7 @@ mod tests {
         let gap = |a: &Tensor, b: &Tensor| (a - b).abs().max().double_value(&[]);
         assert!(gap(&old.policy().forward(&x), &net.policy().forward(&wet)) < 1e-6);
         assert!(gap(&old.log_std(), &net.log_std()) < 1e-5);
-        let value = net
-            .value()
-            .forward(&Tensor::ones([1, 98], (Kind::Float, Device::Cpu)));
+        let value = net.value().forward(&Tensor::ones([1, 98], (Kind::Float, Device::Cpu)));
         assert_eq!(gap(&value, &value_before), 0.0);
     }
 
@@ -219,15 +197,10 @@ mod tests {
         let contract = contract(false);
         let refusal = |hidden: Vec<usize>, path: &Path| {
             let net = network(&contract, hidden, 2);
-            warm_start(&net, path, 0.0, &contract)
-                .unwrap_err()
-                .to_string()
+            warm_start(&net, path, 0.0, &contract).unwrap_err().to_string()
         };
         let error = refusal(vec![12, 11], &path);
-        assert!(
-            error.contains("[12, 10, 16]") && error.contains("[12, 11, 16]"),
-            "{error}"
-        );
+        assert!(error.contains("[12, 10, 16]") && error.contains("[12, 11, 16]"), "{error}");
         let error = refusal(vec![12, 10], &dir.path().join("none.onnx"));
         assert!(error.contains("none.onnx"), "{error}");
     }

@@ -97,10 +97,7 @@ impl<S> tower_layer::Layer<S> for GuardLayer {
     type Service = Guard<S>;
 
     fn layer(&self, inner: S) -> Guard<S> {
-        Guard {
-            inner,
-            enforced: self.enforced,
-        }
+        Guard { inner, enforced: self.enforced }
     }
 }
 
@@ -134,11 +131,7 @@ where
         if let Some(peer) = request.extensions().get::<Peer>() {
             peer.called.store(true, Ordering::Relaxed);
         }
-        let checked = if self.enforced {
-            check(&request).map(Some)
-        } else {
-            Ok(None)
-        };
+        let checked = if self.enforced { check(&request).map(Some) } else { Ok(None) };
         match checked {
             Ok(caller) => {
                 if let Some(caller) = caller {
@@ -147,11 +140,7 @@ where
                 Box::pin(self.inner.call(request))
             }
             Err(status) => {
-                tracing::warn!(
-                    path = request.uri().path(),
-                    reason = status.message(),
-                    "refused"
-                );
+                tracing::warn!(path = request.uri().path(), reason = status.message(), "refused");
                 Box::pin(std::future::ready(Ok(status.into_http())))
             }
         }
@@ -162,9 +151,7 @@ fn check<B>(request: &http::Request<B>) -> Result<Caller, Status> {
     let peer = request.extensions().get::<Peer>();
     let own = peer.and_then(|peer| peer.certificate.as_deref());
     let Some(own) = own else {
-        return Err(Status::unauthenticated(
-            "a certificate of the lab is needed",
-        ));
+        return Err(Status::unauthenticated("a certificate of the lab is needed"));
     };
     let identity = identity_of_der(own).map_err(Status::unauthenticated)?;
     let path = request.uri().path();
@@ -173,9 +160,7 @@ fn check<B>(request: &http::Request<B>) -> Result<Caller, Status> {
         return Ok(Caller { role, name });
     }
     let call = path.rsplit('/').next().unwrap_or_default();
-    Err(Status::permission_denied(format!(
-        "{role} `{name}` may not {call}"
-    )))
+    Err(Status::permission_denied(format!("{role} `{name}` may not {call}")))
 }
 
 #[cfg(test)]
@@ -213,19 +198,10 @@ mod tests {
         ] {
             let name = "x".to_owned();
             let stream = StreamName::new(stream).unwrap();
-            assert_eq!(
-                Caller { role, name }
-                    .check_publication(&stream, true)
-                    .is_ok(),
-                may
-            );
+            assert_eq!(Caller { role, name }.check_publication(&stream, true).is_ok(), may);
         }
         let (role, name) = (Role::Operator, "x".to_owned());
         let stream = StreamName::new("release/flat").unwrap();
-        assert!(
-            Caller { role, name }
-                .check_publication(&stream, false)
-                .is_err()
-        );
+        assert!(Caller { role, name }.check_publication(&stream, false).is_err());
     }
 }

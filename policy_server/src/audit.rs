@@ -49,10 +49,7 @@ impl Origin {
         let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
         // A clock before 1970 is a wrong clock.
         let unix_ms = now.map_or(0, |d| u64::try_from(d.as_millis()).unwrap_or(u64::MAX));
-        Self {
-            by: by.to_owned(),
-            unix_ms,
-        }
+        Self { by: by.to_owned(), unix_ms }
     }
 }
 
@@ -256,9 +253,7 @@ impl AuditLog {
             true => Some(self.disk.open_folder(&self.root)),
             false => None,
         };
-        let root = root
-            .transpose()
-            .map_err(|e| DurableError::from_io("open", &self.root, e))?;
+        let root = root.transpose().map_err(|e| DurableError::from_io("open", &self.root, e))?;
         if let Err(fault) = self.disk.append_synced(&path, &text) {
             // Half a line would end up in front of the next one.
             self.torn = fault.0 != "open" && path.exists();
@@ -289,11 +284,7 @@ impl AuditLog {
     /// The grown file gets the number of its last line as its name. Failing is harmless: it grows on.
     fn begin_another(&mut self) {
         let name = format!("audit-{:020}.jsonl", self.number);
-        if self
-            .disk
-            .rename(&self.path(), &self.root.join(name))
-            .is_ok()
-        {
+        if self.disk.rename(&self.path(), &self.root.join(name)).is_ok() {
             self.length = 0;
         }
         let old = self.older_files().unwrap_or_default();
@@ -427,10 +418,7 @@ mod tests {
         }
         let files = log.older_files().unwrap();
         assert_eq!(files.len(), FILES_KEPT);
-        let lines: Vec<String> = files
-            .iter()
-            .map(|f| fs::read_to_string(f).unwrap())
-            .collect();
+        let lines: Vec<String> = files.iter().map(|f| fs::read_to_string(f).unwrap()).collect();
         for (before, line) in lines.iter().zip(&lines[1..]) {
             let line: Line = serde_json::from_str(line).unwrap();
             assert_eq!(line.before, hex(&Sha256::digest(before.trim_end())));
@@ -449,9 +437,7 @@ mod tests {
         for version in 1..=2 {
             disk.fail_opens_at(0, 24);
             let error = log.write(&Origin::local(), &deed(version)).unwrap_err();
-            let StoreError::Durable(error) = error else {
-                panic!("{error}")
-            };
+            let StoreError::Durable(error) = error else { panic!("{error}") };
             assert!(!error.is_sync_failure(), "{error}");
             disk.heal();
             log.write(&Origin::local(), &deed(version)).unwrap();

@@ -12,10 +12,8 @@ use crate::notes::{Hash, Quarantined, UsedUp};
 pub(crate) type HashCheck = fn(&Hash, &Hash) -> bool;
 
 /// What bytes must be, when they come and when they are read back.
-pub(crate) const BYTES: &[Check<HashCheck>] = &[Check {
-    name: "hash",
-    refuse: |announced, actual| announced != actual,
-}];
+pub(crate) const BYTES: &[Check<HashCheck>] =
+    &[Check { name: "hash", refuse: |announced, actual| announced != actual }];
 
 /// A new version, and where it is to be published.
 pub(crate) struct Publication<'a> {
@@ -39,11 +37,7 @@ pub(crate) const PUBLICATION: &[Check<PublicationCheck>] = &[
             let (version, sha256) = (new.manifest.version, &new.manifest.sha256);
             let why = new.used_up.and_then(|used| used.objection(version, sha256));
             why.map_or(Ok(()), |why| {
-                Err(StoreError::UsedUp {
-                    stream: new.manifest.stream.to_string(),
-                    version,
-                    why,
-                })
+                Err(StoreError::UsedUp { stream: new.manifest.stream.to_string(), version, why })
             })
         },
     },
@@ -122,9 +116,9 @@ pub(crate) const MOVE: &[Check<MoveCheck>] = &[
             let (stream, version) = (&to.wanted.stream, to.wanted.version);
             match to.known {
                 true => Ok(()),
-                false => refused(format!(
-                    "{stream} has no version {version} that a label could lead to"
-                )),
+                false => {
+                    refused(format!("{stream} has no version {version} that a label could lead to"))
+                }
             }
         },
     },
@@ -155,13 +149,7 @@ pub(crate) const MOVE: &[Check<MoveCheck>] = &[
     Check {
         name: "label proof",
         refuse: |to| {
-            let SetLabel {
-                stream,
-                label,
-                version,
-                override_reason,
-                ..
-            } = to.wanted;
+            let SetLabel { stream, label, version, override_reason, .. } = to.wanted;
             let (good, needed) = to.good;
             match label.needs_proof() && good < needed && override_reason.is_none() {
                 false => Ok(()),

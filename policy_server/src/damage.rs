@@ -42,9 +42,7 @@ impl Store {
     pub(crate) fn set_aside(&self, path: &Path) {
         let parts: Vec<_> = path.components().collect();
         let last = parts.iter().skip(parts.len().saturating_sub(2));
-        let name: Vec<_> = last
-            .map(|part| part.as_os_str().to_string_lossy())
-            .collect();
+        let name: Vec<_> = last.map(|part| part.as_os_str().to_string_lossy()).collect();
         let damaged = self.root.join("damaged").join(name.join("_"));
         let mut names = (1..1000).map(|number| damaged.with_extension(format!("{number}.json")));
         let to = match damaged.exists() {
@@ -74,11 +72,7 @@ impl Store {
             Ok(()) => self.set_aside(path),
             Err(error) => tracing::error!(%error, "stays where it is"),
         }
-        Some(Damage {
-            stream,
-            version,
-            path: path.to_owned(),
-        })
+        Some(Damage { stream, version, path: path.to_owned() })
     }
 
     pub(crate) fn note_damage(&self, path: &Path, error: &RecordError) -> Option<Damage> {
@@ -97,11 +91,7 @@ impl Store {
                 (StreamName::new(&name.replace('@', "/")).ok()?, 0)
             }
         };
-        Some(Damage {
-            stream,
-            version,
-            path: path.to_owned(),
-        })
+        Some(Damage { stream, version, path: path.to_owned() })
     }
 
     /// A line for each damaged file, so that the record says what became of it.

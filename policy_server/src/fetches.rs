@@ -41,17 +41,13 @@ pub fn send_file(
     // As for an upload that stalls: it may go on where it stopped.
     let (replies, answer) = replies(idle, Code::DeadlineExceeded);
     tokio::spawn(async move {
-        let first = wire::FetchResponse {
-            part: Some(wire::fetch_response::Part::Info(info)),
-        };
+        let first = wire::FetchResponse { part: Some(wire::fetch_response::Part::Info(info)) };
         if !replies.send(first).await {
             return;
         }
         while !bytes.is_empty() {
             let piece = bytes.split_to(bytes.len().min(FETCH_PIECE_BYTES));
-            let data = wire::FetchResponse {
-                part: Some(wire::fetch_response::Part::Data(piece)),
-            };
+            let data = wire::FetchResponse { part: Some(wire::fetch_response::Part::Data(piece)) };
             if !replies.send(data).await {
                 return;
             }

@@ -96,10 +96,7 @@ pub fn files_below(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
 
 /// The error of a folder or file that cannot be worked with.
 pub fn unusable(path: &Path, reason: &str) -> StoreError {
-    StoreError::Unusable {
-        path: path.to_path_buf(),
-        reason: reason.to_owned(),
-    }
+    StoreError::Unusable { path: path.to_path_buf(), reason: reason.to_owned() }
 }
 
 /// What fits into a line of the record.

@@ -68,9 +68,7 @@ impl Store {
 
     /// What is out of use.
     pub fn quarantines(&self) -> impl Iterator<Item = &QuarantineState> {
-        self.quarantined
-            .values()
-            .map(|quarantined| &quarantined.state)
+        self.quarantined.values().map(|quarantined| &quarantined.state)
     }
 
     /// Whether a version is out of use.
@@ -239,10 +237,7 @@ impl Store {
             detail: clipped(&state.reason),
         };
         let path = self.note_path("quarantine", &state.stream, state.version);
-        let quarantined = Quarantined {
-            state: state.clone(),
-            sha256,
-        };
+        let quarantined = Quarantined { state: state.clone(), sha256 };
         self.announced(origin, &deed, |store| {
             store.write_note(&path, &QuarantineFile::from(&quarantined))
         })?;
@@ -277,9 +272,7 @@ impl Store {
         if known.manifest.contract_hash != manifest.contract_hash
             || known.manifest.robot_hash != manifest.robot_hash
         {
-            return refused(format!(
-                "the announcement is not one of {stream} version {old}"
-            ));
+            return refused(format!("the announcement is not one of {stream} version {old}"));
         }
         let newest = self.newest(&stream).map_or(0, |r| r.manifest.version);
         let again = self.find(&stream, manifest.version).is_some();
@@ -303,10 +296,7 @@ impl Store {
         let record = self.manifest(&report.stream, Some(report.version))?;
         if record.manifest.sha256 != report.sha256 {
             return Err(StoreError::NotFound {
-                what: format!(
-                    "{} version {} with these bytes",
-                    report.stream, report.version
-                ),
+                what: format!("{} version {} with these bytes", report.stream, report.version),
             });
         }
         let key = (report.stream.clone(), report.version);
@@ -331,11 +321,7 @@ impl Store {
             });
         }
         report.unix_ms = origin.unix_ms;
-        let what = if report.state.went_well() {
-            "ack"
-        } else {
-            "nack"
-        };
+        let what = if report.state.went_well() { "ack" } else { "nack" };
         let words = format!("{} {} {}", report.robot, report.state.name(), report.reason);
         let deed = Deed {
             what,
@@ -346,9 +332,7 @@ impl Store {
         };
         let path = self.note_path("reports", &report.stream, report.version);
         let next = before.with(report.clone());
-        self.announced(origin, &deed, |store| {
-            store.write_note(&path, &ReportsFile::from(&next))
-        })?;
+        self.announced(origin, &deed, |store| store.write_note(&path, &ReportsFile::from(&next)))?;
         self.reports.insert(key, next);
         Ok(true)
     }
@@ -367,9 +351,7 @@ impl Store {
     /// bytes come back.
     pub(crate) fn forget_reports(&mut self, stream: &StreamName, version: u64) {
         if self.reports.remove(&(stream.clone(), version)).is_some() {
-            let _ = self
-                .disk
-                .remove(&self.note_path("reports", stream, version));
+            let _ = self.disk.remove(&self.note_path("reports", stream, version));
         }
     }
 

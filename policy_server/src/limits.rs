@@ -7,10 +7,7 @@ use caudata_telemetry::ConnectionLimits;
 
 /// Fetches at once, altogether and from one other host: each holds a few pieces of a file, and all hold one
 /// file together.
-pub const FETCHES_MAX: ConnectionLimits = ConnectionLimits {
-    total: 256,
-    per_peer: 64,
-};
+pub const FETCHES_MAX: ConnectionLimits = ConnectionLimits { total: 256, per_peer: 64 };
 
 /// Counts what is shared out by host, such as fetches.
 #[derive(Debug)]
@@ -24,10 +21,7 @@ pub type Share = Arc<()>;
 
 impl Shares {
     pub fn new(limits: ConnectionLimits) -> Self {
-        Self {
-            limits,
-            taken: Mutex::default(),
-        }
+        Self { limits, taken: Mutex::default() }
     }
 
     /// A share of `peer`, given back when dropped; `None`: there is none left.
@@ -51,10 +45,7 @@ mod tests {
     #[test]
     fn shares_are_counted_and_given_back() {
         let host = |last: u8| IpAddr::from([10, 0, 0, last]);
-        let shares = Shares::new(ConnectionLimits {
-            total: 3,
-            per_peer: 2,
-        });
+        let shares = Shares::new(ConnectionLimits { total: 3, per_peer: 2 });
         let (a, _b) = (shares.take(host(1)).unwrap(), shares.take(host(1)).unwrap());
         assert!(shares.take(host(1)).is_none());
         drop(a);

@@ -18,15 +18,8 @@ use crate::notes::{QuarantineFile, Quarantined, Reports, ReportsFile, UsedUpFile
 use crate::record::Record;
 use crate::store::{Store, StoreLimits};
 
-const FOLDERS: [&str; 7] = [
-    "blobs",
-    "streams",
-    "labels",
-    "quarantine",
-    "reports",
-    "used_up",
-    "damaged",
-];
+const FOLDERS: [&str; 7] =
+    ["blobs", "streams", "labels", "quarantine", "reports", "used_up", "damaged"];
 
 impl Store {
     /// Opens the store at `root`, makes it where it is absent, and repairs what a crash left: temporary files
@@ -138,10 +131,7 @@ impl Store {
             return Ok(());
         }
         // It may well have happened: its file is among the damaged ones.
-        if damaged
-            .iter()
-            .any(|damage| damage.stream.as_str() == stream)
-        {
+        if damaged.iter().any(|damage| damage.stream.as_str() == stream) {
             return Ok(());
         }
         tracing::warn!(generation, "the last announced change did not happen");
@@ -191,10 +181,7 @@ impl Store {
             }
             return Ok(());
         }
-        self.streams
-            .entry(manifest.stream.clone())
-            .or_default()
-            .insert(manifest.version, record);
+        self.streams.entry(manifest.stream.clone()).or_default().insert(manifest.version, record);
         Ok(())
     }
 
@@ -266,10 +253,8 @@ impl Store {
         if self.used_up.values().any(unknown) {
             return Ok(());
         }
-        let named: BTreeSet<PathBuf> = self
-            .records(None)
-            .map(|record| self.blob_path(&record.manifest.sha256))
-            .collect();
+        let named: BTreeSet<PathBuf> =
+            self.records(None).map(|record| self.blob_path(&record.manifest.sha256)).collect();
         for path in entries(&folder)? {
             if !named.contains(&path) {
                 let _ = self.disk.remove(&path);
@@ -281,10 +266,9 @@ impl Store {
 
 fn lock(root: &Path) -> Result<Owner, StoreError> {
     Owner::now(&root.join("lock")).map_err(|error| match error {
-        OwnerError::Taken { .. } => unusable(
-            root,
-            "another policy server holds its lock; stop it or choose another --data",
-        ),
+        OwnerError::Taken { .. } => {
+            unusable(root, "another policy server holds its lock; stop it or choose another --data")
+        }
         OwnerError::Io { source, .. } => unusable(root, &source.to_string()),
     })
 }

@@ -65,9 +65,7 @@ struct Args {
 
 fn main() -> OsExitCode {
     let args: Args = parse_args();
-    Process::run("caudata-policy-server", &args.log, |process| {
-        run(&args, &process.stop)
-    })
+    Process::run("caudata-policy-server", &args.log, |process| run(&args, &process.stop))
 }
 
 fn run(args: &Args, stop: &StopFlag) -> Result<(), Failure> {
@@ -93,18 +91,8 @@ fn run(args: &Args, stop: &StopFlag) -> Result<(), Failure> {
     let _endpoint = match args.metrics_addr {
         Some(addr) => {
             let trouble = store.trouble();
-            let check = move || {
-                trouble
-                    .borrow()
-                    .as_ref()
-                    .map(|why| format!("cannot write: {why}"))
-            };
-            Some(MetricsServer::start_with_check(
-                addr,
-                metrics,
-                stop.clone(),
-                check,
-            )?)
+            let check = move || trouble.borrow().as_ref().map(|why| format!("cannot write: {why}"));
+            Some(MetricsServer::start_with_check(addr, metrics, stop.clone(), check)?)
         }
         None => None,
     };
@@ -136,9 +124,7 @@ fn run(args: &Args, stop: &StopFlag) -> Result<(), Failure> {
                 }
             });
         }
-        serve_with(listener, store, counters, stopped, options)
-            .await
-            .map_err(serve_failure)
+        serve_with(listener, store, counters, stopped, options).await.map_err(serve_failure)
     })
 }
 
@@ -163,10 +149,8 @@ fn tls_of(args: &Args) -> Result<Option<TlsAcceptor>, Failure> {
         if args.addr.ip().is_loopback() {
             return Ok(None);
         }
-        let message = format!(
-            "{} can be reached from other hosts, and there are no certificates",
-            args.addr
-        );
+        let message =
+            format!("{} can be reached from other hosts, and there are no certificates", args.addr);
         return Err(Failure::message(ExitCode::BadConfig, message)
             .hint("make some with `caudata pki` and give --tls-dir, or listen on 127.0.0.1"));
     };

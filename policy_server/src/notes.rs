@@ -135,11 +135,7 @@ impl TryFrom<UsedUpFile> for (StreamName, UsedUp) {
         };
         let used_up = UsedUp {
             below: file.below,
-            damaged: file
-                .damaged
-                .into_iter()
-                .map(line)
-                .collect::<Result<_, RecordError>>()?,
+            damaged: file.damaged.into_iter().map(line).collect::<Result<_, RecordError>>()?,
         };
         Ok((StreamName::new(&file.stream)?, used_up))
     }
@@ -178,9 +174,7 @@ pub struct ReportsFile {
 
 impl From<&Reports> for ReportsFile {
     fn from(reports: &Reports) -> Self {
-        Self {
-            reports: reports.0.values().cloned().map(Into::into).collect(),
-        }
+        Self { reports: reports.0.values().cloned().map(Into::into).collect() }
     }
 }
 
@@ -191,10 +185,6 @@ impl TryFrom<ReportsFile> for Reports {
         // One that could not be said today, such as `good` without a step, is left out.
         let reports = file.reports.into_iter().map(RobotReport::try_from);
         let reports = reports.flatten();
-        Ok(Self(
-            reports
-                .map(|report| (report.robot.clone(), report))
-                .collect(),
-        ))
+        Ok(Self(reports.map(|report| (report.robot.clone(), report)).collect()))
     }
 }

@@ -48,10 +48,7 @@ pub async fn serve_page(
             let headers = [
                 (CONTENT_TYPE, "text/html; charset=utf-8"),
                 (CACHE_CONTROL, "no-store"),
-                (
-                    CONTENT_SECURITY_POLICY,
-                    "default-src 'none'; style-src 'unsafe-inline'",
-                ),
+                (CONTENT_SECURITY_POLICY, "default-src 'none'; style-src 'unsafe-inline'"),
             ];
             (headers, text).into_response()
         }
@@ -79,12 +76,7 @@ pub fn render(store: &Store, now_unix_ms: u64) -> String {
     robots(&mut page, &all, now_unix_ms);
     let mut newest: Vec<(u64, &StreamName)> = store
         .stream_names()
-        .map(|name| {
-            (
-                store.newest(name).map_or(0, |r| r.manifest.created_unix_ms),
-                name,
-            )
-        })
+        .map(|name| (store.newest(name).map_or(0, |r| r.manifest.created_unix_ms), name))
         .collect();
     newest.sort_by(|a, b| b.cmp(a));
     for (_, name) in newest.iter().take(STREAMS_MAX) {
@@ -129,16 +121,8 @@ fn robots(page: &mut String, all: &Overview, now: u64) {
 
 fn stream(page: &mut String, store: &Store, name: &StreamName, all: &Overview, now: u64) {
     let _ = write!(page, "<h2>{}</h2>", escape(name.as_str()));
-    let head = [
-        "version",
-        "labels",
-        "evaluation",
-        "robots",
-        "steps",
-        "signed by",
-        "sha256",
-        "published",
-    ];
+    let head =
+        ["version", "labels", "evaluation", "robots", "steps", "signed by", "sha256", "published"];
     let row = |manifest: &Manifest| {
         let mine = |r: &&RobotReport| r.stream == *name && r.version == manifest.version;
         let said = |r: &RobotReport| format!("{} {}", escape(&r.robot), state(r));
@@ -254,10 +238,8 @@ fn evaluation(manifest: &Manifest) -> String {
         .iter()
         .map(|line| {
             let name = line.get("name").and_then(|n| n.as_str()).unwrap_or("?");
-            let speed = line
-                .get("achieved")
-                .and_then(|a| a.get(0))
-                .and_then(serde_json::Value::as_f64);
+            let speed =
+                line.get("achieved").and_then(|a| a.get(0)).and_then(serde_json::Value::as_f64);
             let mut words = escape(name);
             if let Some(speed) = speed {
                 let _ = write!(words, ": {speed:.2} m/s");
@@ -329,11 +311,7 @@ mod tests {
             version,
             sha256: manifest.sha256,
             state,
-            reason: if state.went_well() {
-                String::new()
-            } else {
-                "fell <twice>".into()
-            },
+            reason: if state.went_well() { String::new() } else { "fell <twice>".into() },
             walked_s: 12.0,
             falls: 0,
             attempts: 1,
@@ -346,24 +324,15 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut store = Store::open(folder.path(), StoreLimits::default()).unwrap();
         assert!(render(&store, 0).contains("Nothing is published yet"));
-        let origin = Origin {
-            by: "operator:ana".into(),
-            unix_ms: 1_700_000_100_000,
-        };
+        let origin = Origin { by: "operator:ana".into(), unix_ms: 1_700_000_100_000 };
         let mut first = manifest("polymander/flat", 1, b"one");
         first.evaluation_json = Some(
             r#"{"scenarios":[{"name":"flat<script>","achieved":[0.291,0,0],"fall_share":0.25,"power_w":7.7,"walks":true}]}"#.into(),
         );
         store.publish(first, b"one").unwrap();
-        store
-            .publish(manifest("polymander/flat", 2, b"two"), b"two")
-            .unwrap();
-        store
-            .report(&origin, report("robot-1", 1, b"one", RobotState::Good))
-            .unwrap();
-        store
-            .report(&origin, report("robot-2", 2, b"two", RobotState::Failed))
-            .unwrap();
+        store.publish(manifest("polymander/flat", 2, b"two"), b"two").unwrap();
+        store.report(&origin, report("robot-1", 1, b"one", RobotState::Good)).unwrap();
+        store.report(&origin, report("robot-2", 2, b"two", RobotState::Failed)).unwrap();
         let stream = StreamName::new("polymander/flat").unwrap();
         let label = SetLabel {
             stream: stream.clone(),

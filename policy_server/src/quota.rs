@@ -62,9 +62,7 @@ mod tests {
     #[test]
     fn made_up_names_are_bounded() {
         let (mut quota, now) = (Quota::default(), Instant::now());
-        let taken = (0..5000)
-            .filter(|n| quota.take(&n.to_string(), now))
-            .count();
+        let taken = (0..5000).filter(|n| quota.take(&n.to_string(), now)).count();
         assert_eq!((taken, quota.0.len()), (QUOTAS_MAX, QUOTAS_MAX));
         let later = now + PAUSE * 2;
         assert!(quota.take("new", later));

@@ -53,10 +53,7 @@ impl Record {
             return Err(RecordError::Format { found });
         }
         let on_disk: OnDisk = unseal(bytes)?;
-        Ok(Self {
-            generation: on_disk.generation,
-            manifest: on_disk.manifest.try_into()?,
-        })
+        Ok(Self { generation: on_disk.generation, manifest: on_disk.manifest.try_into()? })
     }
 }
 
@@ -68,10 +65,7 @@ mod tests {
 
     #[test]
     fn a_record_comes_back_equal_and_shows_its_hash_in_hexadecimal() {
-        let record = Record {
-            generation: 7,
-            manifest: manifest("polymander/flat", 3, b"bytes"),
-        };
+        let record = Record { generation: 7, manifest: manifest("polymander/flat", 3, b"bytes") };
         let text = record.to_json().unwrap();
         assert_eq!(Record::from_json(&text).unwrap(), record);
         let text = String::from_utf8(text).unwrap();
@@ -81,10 +75,7 @@ mod tests {
 
     #[test]
     fn a_record_of_another_format_or_with_a_torn_end_or_a_flipped_bit_is_refused() {
-        let record = Record {
-            generation: 1,
-            manifest: manifest("s", 1, b"x"),
-        };
+        let record = Record { generation: 1, manifest: manifest("s", 1, b"x") };
         let text = record.to_json().unwrap();
         for end in 0..text.len() {
             assert!(Record::from_json(&text[..end]).is_err());

@@ -47,18 +47,9 @@ pub struct ReplyStream<T>(Ends<T>);
 /// `late` when it reads on.
 pub fn replies<T>(idle: Duration, late: Code) -> (Replies<T>, ReplyStream<T>) {
     let (pieces, waiting) = mpsc::channel(WAITING_MAX);
-    let ends = Arc::new(Mutex::new(Shared {
-        waiting: Some(waiting),
-        end: None,
-        reader: None,
-    }));
+    let ends = Arc::new(Mutex::new(Shared { waiting: Some(waiting), end: None, reader: None }));
     let stream = ReplyStream(Arc::clone(&ends));
-    let replies = Replies {
-        pieces,
-        ends,
-        idle,
-        late,
-    };
+    let replies = Replies { pieces, ends, idle, late };
     (replies, stream)
 }
 
@@ -110,10 +101,7 @@ impl<T> Replies<T> {
 
     fn cut_off(&self) {
         let idle_s = self.idle.as_secs_f32();
-        tracing::warn!(
-            idle_s,
-            "a client reads nothing of its answer and is cut off"
-        );
+        tracing::warn!(idle_s, "a client reads nothing of its answer and is cut off");
         let (waiting, reader) = {
             let mut shared = lock(&self.ends);
             let line = format!("nothing of the answer was read for {idle_s} s; ask again");
@@ -168,9 +156,7 @@ mod tests {
     const LATE: Code = Code::ResourceExhausted;
 
     async fn patient<T>(what: impl Future<Output = T>) -> T {
-        tokio::time::timeout(PATIENCE, what)
-            .await
-            .expect("it comes")
+        tokio::time::timeout(PATIENCE, what).await.expect("it comes")
     }
 
     #[tokio::test]
@@ -184,10 +170,7 @@ mod tests {
         for n in 0..WAITING_MAX {
             assert_eq!(stream.next().await.unwrap().unwrap(), n);
         }
-        assert_eq!(
-            stream.next().await.unwrap().unwrap_err().code(),
-            Code::Unavailable
-        );
+        assert_eq!(stream.next().await.unwrap().unwrap_err().code(), Code::Unavailable);
         assert!(stream.next().await.is_none());
     }
 

@@ -67,12 +67,10 @@ pub enum ServeError {
 /// # Errors
 /// [`ServeError::InUse`], [`ServeError::Listen`].
 pub async fn listen(addr: SocketAddr) -> Result<TcpListener, ServeError> {
-    TcpListener::bind(addr)
-        .await
-        .map_err(|source| match source.kind() {
-            std::io::ErrorKind::AddrInUse => ServeError::InUse(addr),
-            _ => ServeError::Listen { addr, source },
-        })
+    TcpListener::bind(addr).await.map_err(|source| match source.kind() {
+        std::io::ErrorKind::AddrInUse => ServeError::InUse(addr),
+        _ => ServeError::Listen { addr, source },
+    })
 }
 
 /// Serves until `stop` turns true, then reports NOT_SERVING, refuses new work, and lets open requests finish
@@ -89,29 +87,19 @@ pub async fn serve_with(
 ) -> Result<(), ServeError> {
     let registry = RegistryService::new(store, stop.clone(), metrics, &options);
     let (health, health_service) = tonic_health::server::health_reporter();
-    health
-        .set_serving::<PolicyRegistryServer<RegistryService>>()
-        .await;
+    health.set_serving::<PolicyRegistryServer<RegistryService>>().await;
     let reflection = tonic_reflection::server::Builder::configure()
         .register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
         .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
         .build_v1()?;
-    let watched = tokio::spawn(watch_over(
-        registry.clone(),
-        health.clone(),
-        options.probe_pause,
-    ));
+    let watched = tokio::spawn(watch_over(registry.clone(), health.clone(), options.probe_pause));
     let mut stopped = stop.clone();
     let drained = async move {
         // An error means that the sender is gone, which is a stop as well.
         let _ = stopped.wait_for(|stop| *stop).await;
-        health
-            .set_not_serving::<PolicyRegistryServer<RegistryService>>()
-            .await;
+        health.set_not_serving::<PolicyRegistryServer<RegistryService>>().await;
     };
-    let guard = GuardLayer {
-        enforced: options.tls.is_some(),
-    };
+    let guard = GuardLayer { enforced: options.tls.is_some() };
     let server = Server::builder()
         .layer(guard)
         .concurrency_limit_per_connection(STREAMS_PER_CONNECTION as usize)
@@ -159,17 +147,13 @@ async fn watch_over(
         let is_well = trouble.borrow_and_update().is_none();
         match is_well {
             true => {
-                health
-                    .set_serving::<PolicyRegistryServer<RegistryService>>()
-                    .await;
+                health.set_serving::<PolicyRegistryServer<RegistryService>>().await;
                 if trouble.changed().await.is_err() {
                     return;
                 }
             }
             false => {
-                health
-                    .set_not_serving::<PolicyRegistryServer<RegistryService>>()
-                    .await;
+                health.set_not_serving::<PolicyRegistryServer<RegistryService>>().await;
                 tokio::time::sleep(pause).await;
                 registry.recover().await;
             }

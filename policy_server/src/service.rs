@@ -117,9 +117,7 @@ impl RegistryService {
             metrics.show(store);
             result
         };
-        self.on_disk(changed)
-            .await?
-            .map_err(|error| Status::from(&error))
+        self.on_disk(changed).await?.map_err(|error| Status::from(&error))
     }
 
     fn tell(&self, change: Change) {
@@ -129,9 +127,7 @@ impl RegistryService {
 
     fn refuse_when_draining(&self) -> Result<(), Status> {
         if *self.draining.borrow() {
-            return Err(Status::unavailable(
-                "the server is shutting down; try again in a moment",
-            ));
+            return Err(Status::unavailable("the server is shutting down; try again in a moment"));
         }
         Ok(())
     }
@@ -201,9 +197,7 @@ impl RegistryService {
             )));
         }
         let (robot, version, state) = (report.robot.clone(), report.version, report.state.name());
-        let news = self
-            .change(move |store| store.report(&origin, report))
-            .await?;
+        let news = self.change(move |store| store.report(&origin, report)).await?;
         if news {
             tracing::info!(robot, version, state, "a robot says");
             self.metrics.reports.inc();
@@ -230,15 +224,13 @@ impl PolicyRegistry for RegistryService {
         let (caller, origin) = (Caller::of(&request), Caller::origin(&request));
         let may = |manifest: &Manifest| {
             let signed = !manifest.signatures.is_empty();
-            caller.map_or(Ok(()), |caller| {
-                caller.check_publication(&manifest.stream, signed)
-            })
+            caller.map_or(Ok(()), |caller| caller.check_publication(&manifest.stream, signed))
         };
         let (manifest, bytes) = receive_upload(request.into_inner(), self.upload_idle, may)
             .await
             .inspect_err(|_| {
-                self.metrics.refused.inc();
-            })?;
+            self.metrics.refused.inc();
+        })?;
         let stream = manifest.stream.to_string();
         let version = manifest.version;
         let published = self.publish_file(origin, manifest, bytes).await.inspect_err(|status| {
@@ -276,11 +268,7 @@ impl PolicyRegistry for RegistryService {
             .collect();
         let more = manifests.len() > limit;
         manifests.truncate(limit);
-        Ok(Response::new(wire::ListResponse {
-            manifests,
-            generation: store.generation(),
-            more,
-        }))
+        Ok(Response::new(wire::ListResponse { manifests, generation: store.generation(), more }))
     }
 
     async fn get_manifest(
@@ -312,11 +300,7 @@ impl PolicyRegistry for RegistryService {
         let share = self.fetches.take(host).ok_or_else(|| {
             Status::unavailable("too many fetches at once; try again in a moment")
         })?;
-        let FetchRequest {
-            sha256,
-            offset,
-            if_none_match,
-        } = checked(request)?;
+        let FetchRequest { sha256, offset, if_none_match } = checked(request)?;
         let bytes = self
             .on_disk(move |store| store.read_blob(&sha256))
             .await?
@@ -379,9 +363,7 @@ impl PolicyRegistry for RegistryService {
         self.refuse_when_draining()?;
         let origin = Caller::origin(&request);
         let wanted = checked::<_, SetLabel>(request)?;
-        let state = self
-            .change(move |store| store.set_label(&origin, wanted))
-            .await?;
+        let state = self.change(move |store| store.set_label(&origin, wanted)).await?;
         let (label, version) = (&state.label, state.version);
         tracing::info!(stream = %state.stream, %label, version, by = state.by, overridden = state.override_reason, "label moved");
         self.tell(Change::Label(state.clone()));
@@ -395,9 +377,7 @@ impl PolicyRegistry for RegistryService {
         self.refuse_when_draining()?;
         let origin = Caller::origin(&request);
         let (manifest, reason) = checked::<_, (Manifest, String)>(request)?;
-        let published = self
-            .change(move |store| store.revert(&origin, manifest, &reason))
-            .await?;
+        let published = self.change(move |store| store.revert(&origin, manifest, &reason)).await?;
         self.count(&published);
         let manifest = &published.record.manifest;
         tracing::info!(stream = %manifest.stream, version = manifest.version, reverts_to = manifest.reverts_to, "reverted");
@@ -411,9 +391,7 @@ impl PolicyRegistry for RegistryService {
         self.refuse_when_draining()?;
         let origin = Caller::origin(&request);
         let state = checked::<_, QuarantineState>(request)?;
-        let state = self
-            .change(move |store| store.quarantine(&origin, state))
-            .await?;
+        let state = self.change(move |store| store.quarantine(&origin, state)).await?;
         tracing::warn!(stream = %state.stream, version = state.version, reason = state.reason, by = state.by, "quarantined");
         self.tell(Change::Quarantined(state.clone()));
         Ok(Response::new(state.into()))
@@ -446,9 +424,7 @@ impl PolicyRegistry for RegistryService {
         };
         let said = {
             let store = self.store();
-            let record = store
-                .labelled(&stream, &label)
-                .map_err(|error| Status::from(&error))?;
+            let record = store.labelled(&stream, &label).map_err(|error| Status::from(&error))?;
             Freshness {
                 nonce,
                 version: record.manifest.version,

@@ -17,10 +17,7 @@ impl SharedStore {
     /// Shares `store`.
     pub fn new(store: Store) -> Self {
         let trouble = watch::Sender::new(store.trouble().map(str::to_owned));
-        Self {
-            store: Arc::new(Mutex::new(store)),
-            trouble,
-        }
+        Self { store: Arc::new(Mutex::new(store)), trouble }
     }
 
     /// Waits for it.
@@ -34,8 +31,7 @@ impl SharedStore {
         let result = work(&mut store);
         let trouble = store.trouble().map(str::to_owned);
         drop(store);
-        self.trouble
-            .send_if_modified(|known| std::mem::replace(known, trouble.clone()) != trouble);
+        self.trouble.send_if_modified(|known| std::mem::replace(known, trouble.clone()) != trouble);
         result
     }
 

@@ -106,9 +106,7 @@ impl Store {
     fn check_writable(&self) -> Result<(), StoreError> {
         match self.read_only() {
             None => Ok(()),
-            Some(reason) => Err(StoreError::ReadOnly {
-                reason: reason.to_owned(),
-            }),
+            Some(reason) => Err(StoreError::ReadOnly { reason: reason.to_owned() }),
         }
     }
 
@@ -117,10 +115,7 @@ impl Store {
         if let Err(StoreError::Durable(error)) = &result {
             let read_only = error.is_sync_failure() || self.read_only().is_some();
             tracing::error!(%error, read_only, "the store cannot write");
-            self.trouble = Some(Trouble {
-                reason: error.to_string(),
-                read_only,
-            });
+            self.trouble = Some(Trouble { reason: error.to_string(), read_only });
         }
         result
     }
@@ -192,10 +187,7 @@ impl Store {
                     let reason = format!("{stream} version {version} is quarantined: {why}");
                     return Err(StoreError::NotAllowed { reason });
                 }
-                Ok(Published {
-                    record: record.clone(),
-                    already_present: true,
-                })
+                Ok(Published { record: record.clone(), already_present: true })
             } else {
                 Err(StoreError::VersionTaken {
                     stored: hex(&record.manifest.sha256),
@@ -206,19 +198,14 @@ impl Store {
         }
         self.publication(&manifest).check(PUBLICATION)?;
         self.check_room(&manifest.stream)?;
-        let record = Record {
-            generation: self.generation + 1,
-            manifest,
-        };
+        let record = Record { generation: self.generation + 1, manifest };
         let stream = record.manifest.stream.clone();
         let deed = Deed {
             what,
             stream: stream.as_str(),
             version: record.manifest.version,
             generation: Some(record.generation),
-            detail: format!("sha256 {} {words}", hex(&actual))
-                .trim_end()
-                .to_owned(),
+            detail: format!("sha256 {} {words}", hex(&actual)).trim_end().to_owned(),
         };
         self.announced(origin, &deed, |store| {
             store.write_blob(&actual, bytes)?;
@@ -236,10 +223,7 @@ impl Store {
             .or_default()
             .insert(record.manifest.version, record.clone());
         self.retire_old(&stream);
-        Ok(Published {
-            record,
-            already_present: false,
-        })
+        Ok(Published { record, already_present: false })
     }
 
     /// One version; `None` for `version` means the newest that is not quarantined.
@@ -302,9 +286,7 @@ impl Store {
     /// [`StoreError::NotFound`], [`StoreError::Damaged`], [`StoreError::Unreadable`].
     pub fn read_blob(&mut self, sha256: &Hash) -> Result<Arc<[u8]>, StoreError> {
         let path = self.blob_path(sha256);
-        let missing = || StoreError::NotFound {
-            what: format!("blob {}", hex(sha256)),
-        };
+        let missing = || StoreError::NotFound { what: format!("blob {}", hex(sha256)) };
         if !self.references(sha256) {
             return Err(missing());
         }
@@ -372,9 +354,7 @@ impl Store {
     fn write_record(&self, record: &Record) -> Result<(), StoreError> {
         let path = self.record_path(&record.manifest.stream, record.manifest.version);
         self.make_folder_of(&path)?;
-        let text = record
-            .to_json()
-            .map_err(|error| unusable(&path, &error.to_string()))?;
+        let text = record.to_json().map_err(|error| unusable(&path, &error.to_string()))?;
         Ok(caudata_durable::create_new_on(&*self.disk, &path, &text)?)
     }
 
@@ -444,16 +424,11 @@ impl Store {
     }
 
     pub(crate) fn blob_path(&self, sha256: &[u8; 32]) -> PathBuf {
-        self.root
-            .join("blobs")
-            .join(format!("{}.onnx", hex(sha256)))
+        self.root.join("blobs").join(format!("{}.onnx", hex(sha256)))
     }
 
     pub(crate) fn record_path(&self, stream: &StreamName, version: u64) -> PathBuf {
-        self.root
-            .join("streams")
-            .join(stream_folder(stream))
-            .join(format!("{version:020}.json"))
+        self.root.join("streams").join(stream_folder(stream)).join(format!("{version:020}.json"))
     }
 }
 
@@ -514,9 +489,7 @@ mod tests {
     fn bytes_that_do_not_match_the_header_leave_no_trace() {
         let folder = tempfile::tempdir().unwrap();
         let mut store = open(&folder);
-        let error = store
-            .publish(manifest("s", 1, b"one"), b"other")
-            .unwrap_err();
+        let error = store.publish(manifest("s", 1, b"one"), b"other").unwrap_err();
         assert!(matches!(error, StoreError::HashMismatch { .. }));
         assert_eq!(files_below(&folder.path().join("blobs")), 0);
         assert_eq!(files_below(&folder.path().join("streams")), 0);
@@ -570,20 +543,14 @@ mod tests {
     #[test]
     fn old_versions_retire_and_shared_blobs_stay() {
         let folder = tempfile::tempdir().unwrap();
-        let limits = StoreLimits {
-            versions_kept: 2,
-            ..StoreLimits::default()
-        };
+        let limits = StoreLimits { versions_kept: 2, ..StoreLimits::default() };
         let mut store = Store::open(folder.path(), limits).unwrap();
         for (version, bytes) in [(1, b"aaa"), (2, b"bbb"), (3, b"aaa")] {
             store.publish(manifest("s", version, bytes), bytes).unwrap();
         }
         let versions: Vec<u64> = store.records(None).map(|r| r.manifest.version).collect();
         assert_eq!(versions, [3, 2]);
-        assert_eq!(
-            &*store.read_blob(&manifest("s", 3, b"aaa").sha256).unwrap(),
-            b"aaa"
-        );
+        assert_eq!(&*store.read_blob(&manifest("s", 3, b"aaa").sha256).unwrap(), b"aaa");
     }
 
     #[test]
@@ -591,10 +558,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let _first = open(&folder);
         let error = Store::open(folder.path(), StoreLimits::default()).unwrap_err();
-        assert!(
-            error.to_string().contains("another policy server"),
-            "{error}"
-        );
+        assert!(error.to_string().contains("another policy server"), "{error}");
     }
 
     #[test]
@@ -625,9 +589,7 @@ mod tests {
             }
             assert_eq!(store.generation(), 2);
         }
-        open(&folder)
-            .publish(manifest("s", 3, b"six"), b"six")
-            .unwrap();
+        open(&folder).publish(manifest("s", 3, b"six"), b"six").unwrap();
     }
 
     #[test]
@@ -662,10 +624,7 @@ mod tests {
     #[test]
     fn numbers_of_retired_versions_and_quarantined_bytes_never_come_back() {
         let folder = tempfile::tempdir().unwrap();
-        let limits = StoreLimits {
-            versions_kept: 2,
-            ..StoreLimits::default()
-        };
+        let limits = StoreLimits { versions_kept: 2, ..StoreLimits::default() };
         let mut store = Store::open(folder.path(), limits).unwrap();
         store.publish(manifest("s", 1, b"bad"), b"bad").unwrap();
         let out = |version| caudata_proto::registry::QuarantineState {
@@ -689,10 +648,7 @@ mod tests {
                 let error = store.publish(manifest("s", version, bytes), bytes);
                 let error = error.unwrap_err();
                 assert!(
-                    matches!(
-                        error,
-                        StoreError::UsedUp { .. } | StoreError::NotAllowed { .. }
-                    ),
+                    matches!(error, StoreError::UsedUp { .. } | StoreError::NotAllowed { .. }),
                     "{version} {error}"
                 );
             }

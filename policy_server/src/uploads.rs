@@ -25,9 +25,7 @@ pub async fn receive_upload(
     let header = match next_part(&mut upload, idle).await? {
         Some(wire::publish_request::Part::Header(header)) => header,
         _ => {
-            return Err(Status::invalid_argument(
-                "the first message must be the header",
-            ));
+            return Err(Status::invalid_argument("the first message must be the header"));
         }
     };
     let manifest = Manifest::try_from(header).map_err(|error| refusal(&error))?;
@@ -35,9 +33,7 @@ pub async fn receive_upload(
     let mut bytes = Vec::with_capacity(usize::try_from(manifest.size).unwrap_or(0));
     while let Some(part) = next_part(&mut upload, idle).await? {
         let wire::publish_request::Part::Data(piece) = part else {
-            return Err(Status::invalid_argument(
-                "a second header came in the middle of the file",
-            ));
+            return Err(Status::invalid_argument("a second header came in the middle of the file"));
         };
         if (bytes.len() + piece.len()) as u64 > manifest.size {
             return Err(Status::invalid_argument(format!(
@@ -77,30 +73,14 @@ pub fn check_against_file(manifest: &Manifest, bytes: &[u8]) -> Result<(), Statu
         .map_err(|error| Status::invalid_argument(format!("not a caudata policy: {error}")))?;
     let metadata = file.metadata();
     let fields = [
-        (
-            "contract hash",
-            hex(&manifest.contract_hash),
-            hex(&metadata.contract.hash()),
-        ),
-        (
-            "robot hash",
-            hex(&manifest.robot_hash),
-            metadata.contract.robot_hash.to_string(),
-        ),
+        ("contract hash", hex(&manifest.contract_hash), hex(&metadata.contract.hash())),
+        ("robot hash", hex(&manifest.robot_hash), metadata.contract.robot_hash.to_string()),
         ("run id", manifest.run_id.clone(), metadata.run_id.clone()),
-        (
-            "version",
-            manifest.version.to_string(),
-            metadata.version.to_string(),
-        ),
+        ("version", manifest.version.to_string(), metadata.version.to_string()),
     ];
     for (field, header, file) in fields {
         if header != file {
-            let error = StoreError::HeaderMismatch {
-                field,
-                header,
-                file,
-            };
+            let error = StoreError::HeaderMismatch { field, header, file };
             return Err(Status::from(&error));
         }
     }

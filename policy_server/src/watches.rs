@@ -28,10 +28,8 @@ pub fn first_events(
     if request.since_generation == 0 {
         return Ok((vec![snapshot(store, request.stream.as_ref())], now));
     }
-    let mut missed: Vec<Change> = store
-        .changes()
-        .filter(|change| change.generation() > request.since_generation)
-        .collect();
+    let mut missed: Vec<Change> =
+        store.changes().filter(|change| change.generation() > request.since_generation).collect();
     // Generations count changes one by one: fewer than that means that some do not show any more.
     let expected = now.checked_sub(request.since_generation);
     if expected != Some(missed.len() as u64) {
@@ -77,9 +75,9 @@ impl Watcher {
                 _ = progress.tick() => Some(None),
             };
             let event = match change {
-                None => Err(Status::unavailable(
-                    "the server is shutting down; watch again in a moment",
-                )),
+                None => {
+                    Err(Status::unavailable("the server is shutting down; watch again in a moment"))
+                }
                 Some(None) => Ok(Some(self.progress())),
                 Some(Some(change)) => self.next_event(change),
             };
@@ -138,9 +136,7 @@ fn snapshot(store: &Store, stream: Option<&StreamName>) -> wire::WatchEvent {
         .collect();
     wire::WatchEvent {
         generation: store.generation(),
-        event: Some(wire::watch_event::Event::Snapshot(wire::Snapshot {
-            manifests,
-        })),
+        event: Some(wire::watch_event::Event::Snapshot(wire::Snapshot { manifests })),
     }
 }
 
@@ -152,8 +148,5 @@ fn change_event(change: &Change) -> wire::WatchEvent {
         Change::Label(state) => wire::watch_event::Event::LabelMoved(state.clone().into()),
         Change::Quarantined(state) => wire::watch_event::Event::Quarantined(state.clone().into()),
     };
-    wire::WatchEvent {
-        generation: change.generation(),
-        event: Some(event),
-    }
+    wire::WatchEvent { generation: change.generation(), event: Some(event) }
 }

@@ -47,22 +47,12 @@ mod tests {
 
     type Gate = Check<fn(&str) -> Result<(), &'static str>>;
 
-    const LEFT: Gate = Check {
-        name: "left",
-        refuse: |who| if who == "left" { Err("shut") } else { Ok(()) },
-    };
-    const RIGHT: Gate = Check {
-        name: "right",
-        refuse: |who| if who == "right" { Err("shut") } else { Ok(()) },
-    };
-    const ALWAYS: Gate = Check {
-        name: "always",
-        refuse: |_| Err("shut"),
-    };
-    const NEVER: Gate = Check {
-        name: "never",
-        refuse: |_| Ok(()),
-    };
+    const LEFT: Gate =
+        Check { name: "left", refuse: |who| if who == "left" { Err("shut") } else { Ok(()) } };
+    const RIGHT: Gate =
+        Check { name: "right", refuse: |who| if who == "right" { Err("shut") } else { Ok(()) } };
+    const ALWAYS: Gate = Check { name: "always", refuse: |_| Err("shut") };
+    const NEVER: Gate = Check { name: "never", refuse: |_| Ok(()) };
 
     #[test]
     fn a_check_counts_where_it_and_nothing_else_refuses() {
@@ -77,10 +67,7 @@ mod tests {
              right: with it Err(\"shut\"); without it Ok(()), others true\n"
         );
         assert!(try_table(&[LEFT, NEVER]).is_err(), "one refuses nothing");
-        assert!(
-            try_table(&[LEFT, ALWAYS]).is_err(),
-            "another refuses the same"
-        );
+        assert!(try_table(&[LEFT, ALWAYS]).is_err(), "another refuses the same");
         assert!(try_table(&[LEFT, LEFT]).is_err(), "one is there twice");
         assert!(try_table(&[]).is_err(), "no check is no proof");
     }

@@ -21,9 +21,7 @@ pub(crate) mod state_word {
         let word = String::deserialize(from)?;
         match RobotState::of_name(&word) {
             Some(state) => Ok(State::from(state).into()),
-            None => Err(serde::de::Error::custom(format!(
-                "`{word}` is not a state of a report"
-            ))),
+            None => Err(serde::de::Error::custom(format!("`{word}` is not a state of a report"))),
         }
     }
 }

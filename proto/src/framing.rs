@@ -49,10 +49,7 @@ pub fn write_frame(
     payload: &[u8],
     limit: usize,
 ) -> Result<(), FrameError> {
-    let too_large = FrameError::TooLarge {
-        bytes: payload.len(),
-        limit,
-    };
+    let too_large = FrameError::TooLarge { bytes: payload.len(), limit };
     if payload.len() > limit {
         return Err(too_large);
     }
@@ -78,12 +75,7 @@ pub struct FrameReader {
 impl FrameReader {
     /// A reader that refuses frames of more than `limit` bytes of payload.
     pub fn new(limit: usize) -> Self {
-        Self {
-            limit,
-            buffer: vec![0; PREFIX],
-            filled: 0,
-            delivered: false,
-        }
+        Self { limit, buffer: vec![0; PREFIX], filled: 0, delivered: false }
     }
 
     /// The payload of the next frame, or `None` where the far side closed between frames.
@@ -102,10 +94,7 @@ impl FrameReader {
         }
         let payload = self.announced();
         if payload > self.limit {
-            return Err(FrameError::TooLarge {
-                bytes: payload,
-                limit: self.limit,
-            });
+            return Err(FrameError::TooLarge { bytes: payload, limit: self.limit });
         }
         let whole = PREFIX + payload;
         self.buffer.resize(whole, 0);
@@ -126,10 +115,7 @@ impl FrameReader {
             match stream.read(&mut self.buffer[self.filled..end]) {
                 Ok(0) if self.filled == 0 => return Ok(false),
                 Ok(0) => {
-                    return Err(FrameError::Truncated {
-                        got: self.filled,
-                        expected: end,
-                    });
+                    return Err(FrameError::Truncated { got: self.filled, expected: end });
                 }
                 Ok(n) => self.filled += n,
                 Err(e) if e.kind() == ErrorKind::Interrupted => {}
@@ -174,10 +160,7 @@ mod tests {
         write_frame(&mut out, b"abc", 3).unwrap();
         assert_eq!(out, [3, 0, 0, 0, b'a', b'b', b'c']);
         let refused = write_frame(&mut out, b"abcd", 3);
-        assert!(matches!(
-            refused,
-            Err(FrameError::TooLarge { bytes: 4, limit: 3 })
-        ));
+        assert!(matches!(refused, Err(FrameError::TooLarge { bytes: 4, limit: 3 })));
         assert_eq!(out.len(), 7, "nothing of a refused frame is written");
     }
 
@@ -197,13 +180,7 @@ mod tests {
 
     #[test]
     fn a_timeout_within_a_frame_loses_nothing() {
-        let script = [
-            Ok(vec![2, 0]),
-            timeout(),
-            Ok(vec![0, 0, b'h']),
-            timeout(),
-            Ok(vec![b'i']),
-        ];
+        let script = [Ok(vec![2, 0]), timeout(), Ok(vec![0, 0, b'h']), timeout(), Ok(vec![b'i'])];
         let mut stream = Script(script.into());
         let mut reader = FrameReader::new(16);
         assert!(reader.read(&mut stream).unwrap_err().is_timeout());
@@ -213,31 +190,11 @@ mod tests {
 
     #[test]
     fn a_cut_frame_and_a_giant_one_are_refused() {
-        let cut = FrameReader::new(16)
-            .read(&mut &[5, 0, 0, 0, 1][..])
-            .map(|_| ());
-        assert!(matches!(
-            cut,
-            Err(FrameError::Truncated {
-                got: 5,
-                expected: 9
-            })
-        ));
+        let cut = FrameReader::new(16).read(&mut &[5, 0, 0, 0, 1][..]).map(|_| ());
+        assert!(matches!(cut, Err(FrameError::Truncated { got: 5, expected: 9 })));
         let cut = FrameReader::new(16).read(&mut &[5, 0][..]).map(|_| ());
-        assert!(matches!(
-            cut,
-            Err(FrameError::Truncated {
-                got: 2,
-                expected: 4
-            })
-        ));
+        assert!(matches!(cut, Err(FrameError::Truncated { got: 2, expected: 4 })));
         let giant = FrameReader::new(16).read(&mut &[255; 8][..]).map(|_| ());
-        assert!(matches!(
-            giant,
-            Err(FrameError::TooLarge {
-                bytes: 0xffff_ffff,
-                limit: 16
-            })
-        ));
+        assert!(matches!(giant, Err(FrameError::TooLarge { bytes: 0xffff_ffff, limit: 16 })));
     }
 }

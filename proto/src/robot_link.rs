@@ -87,9 +87,7 @@ impl Sensors {
     pub fn fit(&self, joints: usize, feet: usize) -> bool {
         let lists = [&self.joint_pos_rad, &self.joint_vel_radps, &self.current_a];
         lists.iter().all(|list| list.len() == joints)
-            && self
-                .foot_contacts
-                .is_none_or(|bits| bits >> feet.min(FEET_MAX) == 0)
+            && self.foot_contacts.is_none_or(|bits| bits >> feet.min(FEET_MAX) == 0)
     }
 }
 
@@ -191,52 +189,38 @@ pub fn encode(message: &RobotMessage) -> Vec<u8> {
 /// The first thing that is not right.
 pub fn decode(payload: &[u8]) -> Result<RobotMessage, LinkError> {
     if payload.len() > MAX_MESSAGE_BYTES {
-        return Err(LinkError::TooLarge {
-            bytes: payload.len(),
-        });
+        return Err(LinkError::TooLarge { bytes: payload.len() });
     }
     let message = pb::RobotMessage::decode(payload)?;
-    Ok(
-        match message.body.ok_or(LinkError::Missing { field: "body" })? {
-            pb::robot_message::Body::Hello(hello) => {
-                RobotMessage::Hello(Box::new(hello_from_wire(hello)?))
-            }
-            pb::robot_message::Body::Command(command) => RobotMessage::Command(Command {
-                tick: command.tick,
-                targets_rad: per_joint("targets_rad", command.targets_rad)?,
-                torque_enabled: command.torque_enabled,
-            }),
-            pb::robot_message::Body::Sensors(sensors) => {
-                RobotMessage::Sensors(Box::new(sensors_from_wire(sensors)?))
-            }
-        },
-    )
+    Ok(match message.body.ok_or(LinkError::Missing { field: "body" })? {
+        pb::robot_message::Body::Hello(hello) => {
+            RobotMessage::Hello(Box::new(hello_from_wire(hello)?))
+        }
+        pb::robot_message::Body::Command(command) => RobotMessage::Command(Command {
+            tick: command.tick,
+            targets_rad: per_joint("targets_rad", command.targets_rad)?,
+            torque_enabled: command.torque_enabled,
+        }),
+        pb::robot_message::Body::Sensors(sensors) => {
+            RobotMessage::Sensors(Box::new(sensors_from_wire(sensors)?))
+        }
+    })
 }
 
 fn hello_from_wire(hello: pb::Hello) -> Result<Hello, LinkError> {
     if hello.protocol != ROBOT_LINK_PROTOCOL {
-        return Err(LinkError::Protocol {
-            found: hello.protocol,
-        });
+        return Err(LinkError::Protocol { found: hello.protocol });
     }
     let period = hello.control_period_s;
     if !(period > 0.0 && period <= 1.0) {
-        return Err(LinkError::Value {
-            field: "control_period_s",
-        });
+        return Err(LinkError::Value { field: "control_period_s" });
     }
     let found = hello.joint_names.len();
     if !(1..=JOINTS_MAX).contains(&found) {
-        return Err(LinkError::Joints {
-            field: "joint_names",
-            found,
-        });
+        return Err(LinkError::Joints { field: "joint_names", found });
     }
-    let names: Result<Vec<String>, LinkError> = hello
-        .joint_names
-        .into_iter()
-        .map(|name| text("joint_names", name, 32))
-        .collect();
+    let names: Result<Vec<String>, LinkError> =
+        hello.joint_names.into_iter().map(|name| text("joint_names", name, 32)).collect();
     Ok(Hello {
         robot_name: text("robot_name", hello.robot_name, 64)?,
         robot_hash: array("robot_hash", &hello.robot_hash)?,
@@ -256,10 +240,10 @@ fn sensors_to_wire(s: &Sensors) -> pb::Sensors {
         gyro_radps: s.gyro_radps.to_vec(),
         acc_mps2: s.acc_mps2.to_vec(),
         imu_gravity: s.imu_gravity.map(|g| g.to_vec()).unwrap_or_default(),
-        base_pose: s.base_pose.as_ref().map(|p| pb::BasePose {
-            pos_m: p.pos_m.to_vec(),
-            quat_wxyz: p.quat_wxyz.to_vec(),
-        }),
+        base_pose: s
+            .base_pose
+            .as_ref()
+            .map(|p| pb::BasePose { pos_m: p.pos_m.to_vec(), quat_wxyz: p.quat_wxyz.to_vec() }),
         foot_contacts: s.foot_contacts,
         in_water: s.in_water,
     }
@@ -276,11 +260,7 @@ fn sensors_from_wire(s: pb::Sensors) -> Result<Sensors, LinkError> {
         supply_v: numbers::<1>("supply_v", &[s.supply_v])?[0],
         gyro_radps: numbers("gyro_radps", &s.gyro_radps)?,
         acc_mps2: numbers("acc_mps2", &s.acc_mps2)?,
-        imu_gravity: if gravity.is_empty() {
-            None
-        } else {
-            Some(numbers("imu_gravity", gravity)?)
-        },
+        imu_gravity: if gravity.is_empty() { None } else { Some(numbers("imu_gravity", gravity)?) },
         base_pose: s.base_pose.as_ref().map(pose_from_wire).transpose()?,
         foot_contacts: s.foot_contacts.map(feet_from_wire).transpose()?,
         in_water: s.in_water,
@@ -296,9 +276,7 @@ fn pose_from_wire(pose: &pb::BasePose) -> Result<BasePose, LinkError> {
 
 fn feet_from_wire(bits: u32) -> Result<u32, LinkError> {
     if bits >> FEET_MAX != 0 {
-        return Err(LinkError::Value {
-            field: "foot_contacts",
-        });
+        return Err(LinkError::Value { field: "foot_contacts" });
     }
     Ok(bits)
 }
@@ -324,20 +302,12 @@ fn numbers<const K: usize>(field: &'static str, values: &[f32]) -> Result<[f32; 
 }
 
 fn finite(field: &'static str, value: f64) -> Result<f64, LinkError> {
-    if value.is_finite() {
-        Ok(value)
-    } else {
-        Err(LinkError::Value { field })
-    }
+    if value.is_finite() { Ok(value) } else { Err(LinkError::Value { field }) }
 }
 
 fn array<T: Copy, const K: usize>(field: &'static str, values: &[T]) -> Result<[T; K], LinkError> {
     let found = values.len();
-    values.try_into().map_err(|_| LinkError::Length {
-        field,
-        found,
-        expected: K,
-    })
+    values.try_into().map_err(|_| LinkError::Length { field, found, expected: K })
 }
 
 fn text(field: &'static str, text: String, max: usize) -> Result<String, LinkError> {

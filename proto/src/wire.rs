@@ -21,10 +21,7 @@ pub mod robot_link {
 /// Package `opentelemetry.proto.collector.trace.v1`: what traces are exported with.
 #[allow(missing_docs, clippy::all)]
 pub mod otlp {
-    include!(concat!(
-        env!("OUT_DIR"),
-        "/opentelemetry.proto.collector.trace.v1.rs"
-    ));
+    include!(concat!(env!("OUT_DIR"), "/opentelemetry.proto.collector.trace.v1.rs"));
 }
 
 /// The encoded `FileDescriptorSet` of our own packages, for gRPC reflection.

@@ -38,11 +38,7 @@ fn peak_of(frame: &[u8]) -> usize {
     let before = NOW.load(Relaxed);
     PEAK.store(before, Relaxed);
     let refused = decode(frame, &DecodeLimits::default()).unwrap_err();
-    assert_ne!(
-        refused.reason_id(),
-        "protocol",
-        "the frame is not read at all"
-    );
+    assert_ne!(refused.reason_id(), "protocol", "the frame is not read at all");
     PEAK.load(Relaxed) - before
 }
 
@@ -105,11 +101,7 @@ fn hostile_frames_cannot_ask_for_much_more_than_their_own_size() {
         moments,
     ];
     // Observations of two values, one of them left out: a chunk that grows as much as one can.
-    let history = [
-        vec![8, 0],
-        vec![16, 1],
-        [vec![29], 1.0_f32.to_le_bytes().to_vec()].concat(),
-    ];
+    let history = [vec![8, 0], vec![16, 1], [vec![29], 1.0_f32.to_le_bytes().to_vec()].concat()];
     let narrow = [
         field(6, &hash),
         field(7, &hash),
@@ -135,10 +127,6 @@ fn hostile_frames_cannot_ask_for_much_more_than_their_own_size() {
         let frame = envelope(&chunk);
         let peak = peak_of(&frame);
         // Documented at `DecodeLimits::max_frame_bytes`; the constant is for small change.
-        assert!(
-            peak <= 5 * frame.len() + 4096,
-            "{name}: {peak} for {}",
-            frame.len()
-        );
+        assert!(peak <= 5 * frame.len() + 4096, "{name}: {peak} for {}", frame.len());
     }
 }

@@ -44,9 +44,7 @@ impl Environments {
             let mut into = slices(&mut held)?;
             signals.filler().fill(&mut into, &env, None);
         }
-        observations
-            .as_slice_mut()?
-            .copy_from_slice(env.observations());
+        observations.as_slice_mut()?.copy_from_slice(env.observations());
         Ok(())
     }
 }
@@ -72,17 +70,11 @@ impl Environments {
         signals: bool,
     ) -> PyResult<Self> {
         set_home(&home);
-        let mut source = Source {
-            preset,
-            file,
-            overrides,
-        }
-        .set(format!("actors.lanes={lanes}"))
-        .set(format!("actors.threads={threads}"));
+        let mut source = Source { preset, file, overrides }
+            .set(format!("actors.lanes={lanes}"))
+            .set(format!("actors.threads={threads}"));
         // A preset may follow from the robot, so that it has to be known before the preset is read.
-        source
-            .overrides
-            .extend(robot.as_deref().map(robot_assignment));
+        source.overrides.extend(robot.as_deref().map(robot_assignment));
         source.or_preset("quick");
         let config = Config::load(&source).map_err(refused)?;
         let model = Arc::new(RobotModel::load(&config.robot_path()).map_err(refused)?);

@@ -10,12 +10,7 @@ use pyo3::types::PyDict;
 use crate::refused;
 
 /// Circumstances, time, columns, notes.
-type Columns<'py> = (
-    String,
-    Bound<'py, PyArray1<f64>>,
-    Bound<'py, PyDict>,
-    Vec<String>,
-);
+type Columns<'py> = (String, Bound<'py, PyArray1<f64>>, Bound<'py, PyDict>, Vec<String>);
 
 /// A log folder: its circumstances as JSON, time (s), columns by signal (NaN where not sampled), notes of the
 /// reader.

@@ -37,13 +37,10 @@ impl FromPyObject<'_, '_> for ActivationName {
 
     fn extract(word: Borrowed<'_, '_, PyAny>) -> PyResult<Self> {
         let word: String = word.extract()?;
-        serde_json::from_value(serde_json::Value::String(word.clone()))
-            .map(Self)
-            .map_err(|_| {
-                let why =
-                    format!("`{word}` is no activation of a policy file: elu, swish, tanh, relu");
-                PyValueError::new_err(why)
-            })
+        serde_json::from_value(serde_json::Value::String(word.clone())).map(Self).map_err(|_| {
+            let why = format!("`{word}` is no activation of a policy file: elu, swish, tanh, relu");
+            PyValueError::new_err(why)
+        })
     }
 }
 

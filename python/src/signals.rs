@@ -75,9 +75,7 @@ impl Signals {
             let array = PyArray::zeros(py, shape, false);
             (name, source, array.unbind())
         };
-        Self {
-            arrays: TABLE.into_iter().map(array).collect(),
-        }
+        Self { arrays: TABLE.into_iter().map(array).collect() }
     }
 
     /// The arrays by name: the same ones each time.

@@ -106,12 +106,7 @@ settings! {
 impl EngineConfig {
     /// The Rapier engine with the step that it is tuned for: 4 ms, five per control period.
     pub fn rapier() -> Self {
-        Self {
-            kind: EngineKind::Rapier,
-            dt_s: 0.004,
-            substeps: 5,
-            ..Self::default()
-        }
+        Self { kind: EngineKind::Rapier, dt_s: 0.004, substeps: 5, ..Self::default() }
     }
 
     /// The control period, s.
@@ -175,12 +170,7 @@ pub(crate) fn check_range(
     if (low..=high).contains(&value) {
         return Ok(());
     }
-    Err(SimError::Config {
-        table,
-        field,
-        value: value.to_string(),
-        reason,
-    })
+    Err(SimError::Config { table, field, value: value.to_string(), reason })
 }
 
 #[cfg(test)]
@@ -196,18 +186,12 @@ mod tests {
 
     #[test]
     fn names_the_field_that_is_wrong() {
-        let c = EngineConfig {
-            dt_s: 0.1,
-            ..EngineConfig::default()
-        };
+        let c = EngineConfig { dt_s: 0.1, ..EngineConfig::default() };
         assert_eq!(
             c.validate().unwrap_err().to_string(),
             "engine.dt_s = 0.1: must be 0.0002 to 0.01 s"
         );
-        let c = EngineConfig {
-            contact_margin_m: f64::NAN,
-            ..EngineConfig::default()
-        };
+        let c = EngineConfig { contact_margin_m: f64::NAN, ..EngineConfig::default() };
         assert!(c.validate().is_err());
     }
 

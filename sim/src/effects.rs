@@ -245,11 +245,7 @@ fn added(water: Option<&WaterParams>, link: usize) -> ([f64; 3], [f64; 3]) {
 }
 
 fn range(joint: &Joint) -> (f32, f32) {
-    joint
-        .range_rad
-        .map_or((-ENDLESS_RAD, ENDLESS_RAD), |(low, high)| {
-            (low as f32, high as f32)
-        })
+    joint.range_rad.map_or((-ENDLESS_RAD, ENDLESS_RAD), |(low, high)| (low as f32, high as f32))
 }
 
 #[cfg(test)]
@@ -260,10 +256,7 @@ mod tests {
     fn fields_are_known_by_name() {
         let mut link = LinkWater::nominal(None, 0);
         assert!(link.set("added_mass_y", 0.7) && !link.set("added_mass_w", 0.7));
-        assert_eq!(
-            (link.get("added_mass_y"), link.added_mass_y),
-            (Some(0.7), 0.7)
-        );
+        assert_eq!((link.get("added_mass_y"), link.added_mass_y), (Some(0.7), 0.7));
         assert_eq!(link.get("added_mass_w"), None);
         assert_eq!(LinkWater::FIELDS.len(), 16);
         assert_eq!(link.wrong(), None);

@@ -85,11 +85,7 @@ pub(crate) fn check_len(what: &'static str, got: usize, expected: usize) -> Resu
     if got == expected {
         return Ok(());
     }
-    Err(SimError::Shape {
-        what,
-        got,
-        expected,
-    })
+    Err(SimError::Shape { what, got, expected })
 }
 
 pub(crate) fn check_lane(lane: usize, lanes: usize) -> Result<(), SimError> {

@@ -45,9 +45,8 @@ impl LaneParams {
         let links: Vec<&str> = model.links().iter().map(|l| l.name.as_str()).collect();
         let servos = model.actuated_names();
         let passive: Vec<&str> = unactuated(model).map(|j| j.name.as_str()).collect();
-        let play: Vec<&str> = backlash_joints(model)
-            .map(|j| model.joints()[j].name.as_str())
-            .collect();
+        let play: Vec<&str> =
+            backlash_joints(model).map(|j| model.joints()[j].name.as_str()).collect();
         by_axis! { gravity_mps2; payload_m; water_current_mps; }
         by_path! {
             "foot_friction" self.foot_friction;
@@ -114,9 +113,7 @@ pub fn check_extension(model: &RobotModel) -> Result<(), SimError> {
     let mut params = LaneParams::bare(model);
     params.visit(model, &mut |path, _| unknown.retain(|u| *u != path));
     if let Some(path) = unknown.first() {
-        return Err(SimError::Extension {
-            path: (*path).clone(),
-        });
+        return Err(SimError::Extension { path: (*path).clone() });
     }
     LaneParams::nominal(model).validate(model, 0)
 }

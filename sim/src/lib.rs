@@ -67,13 +67,7 @@ pub fn build(
     let terrain = Arc::new(Terrain::generate(terrain, seed)?);
     macro_rules! engine {
         ($engine:ty) => {
-            Ok(Box::new(<$engine>::new(
-                model,
-                lanes,
-                config.clone(),
-                terrain,
-                threads,
-            )?))
+            Ok(Box::new(<$engine>::new(model, lanes, config.clone(), terrain, threads)?))
         };
     }
     match config.kind {

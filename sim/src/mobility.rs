@@ -63,20 +63,15 @@ impl Mobility {
         }
         let singular = || SimError::Model("a joint moves no inertia".to_owned());
         let inverse = inertia.cholesky().ok_or_else(singular)?.inverse();
-        let joints = (columns
-            .iter()
-            .map(|c| c.map_or(0.0, |c| inverse[(c, c)].max(LEAST_INVERSE))))
-        .collect();
+        let joints =
+            (columns.iter().map(|c| c.map_or(0.0, |c| inverse[(c, c)].max(LEAST_INVERSE))))
+                .collect();
         let links = jacobians
             .iter()
             .map(|jacobian| {
                 let lin = jacobian.rows(0, 3);
                 let give = (lin * &inverse * lin.transpose()).trace() / 3.0;
-                if give > 0.0 {
-                    give.max(LEAST_INVERSE)
-                } else {
-                    0.0
-                }
+                if give > 0.0 { give.max(LEAST_INVERSE) } else { 0.0 }
             })
             .collect();
         Ok(Self { joints, links })
@@ -135,17 +130,11 @@ mod tests {
     /// MuJoCo 3.17's `dof_invweight0` and `body_invweight0` of the same MJCF.
     #[test]
     fn as_mujoco_has_them() {
-        let path = concat!(
-            env!("CARGO_MANIFEST_DIR"),
-            "/../robots/polymander.robot.toml"
-        );
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/polymander.robot.toml");
         let model = RobotModel::load(std::path::Path::new(path)).unwrap();
         let found = Mobility::of(&model, &EngineConfig::default()).unwrap();
         let near = |what: &str, got: f64, want: f64| {
-            assert!(
-                (got / want - 1.0).abs() < 1e-6,
-                "{what}: {got}, MuJoCo {want}"
-            );
+            assert!((got / want - 1.0).abs() < 1e-6, "{what}: {got}, MuJoCo {want}");
         };
         for (name, want) in [
             ("spine_1", 327.779_737_660_525_37),

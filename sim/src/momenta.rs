@@ -53,11 +53,7 @@ impl Momenta {
         let mut motion = Motion::default();
         motion.update(model, &at)?;
         let whole = WholeBody::of(&motion, &masses);
-        let mut out = Self {
-            linear_ns: [0.0; 3],
-            angular_nms: [0.0; 3],
-            kinetic_j: 0.0,
-        };
+        let mut out = Self { linear_ns: [0.0; 3], angular_nms: [0.0; 3], kinetic_j: 0.0 };
         for (i, m) in masses.iter().enumerate() {
             let (p, v) = motion.point(i, m.com_m);
             let pose = &motion.places.links[i];
@@ -93,10 +89,7 @@ mod tests {
     /// ½·m·v_com² + ½·I·ω².
     #[test]
     fn a_stiff_robot_is_one_rigid_body() {
-        let path = concat!(
-            env!("CARGO_MANIFEST_DIR"),
-            "/../robots/polymander.robot.toml"
-        );
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/polymander.robot.toml");
         let model = RobotModel::load(std::path::Path::new(path)).unwrap();
         let params = LaneParams::nominal(&model);
         let mut state = State::zeros(1, model.joints().len(), model.actuated().len(), 4);

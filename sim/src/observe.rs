@@ -50,11 +50,8 @@ pub(crate) fn link_masses(model: &RobotModel, params: &LaneParams) -> Vec<LinkMa
         .collect();
     if params.payload_kg > 0.0 {
         let torso = &mut all[model.torso_link()];
-        *torso = with_point_mass(
-            torso,
-            f64::from(params.payload_kg),
-            params.payload_m.map(f64::from),
-        );
+        *torso =
+            with_point_mass(torso, f64::from(params.payload_kg), params.payload_m.map(f64::from));
     }
     all
 }
@@ -96,16 +93,8 @@ impl Motion {
         for (i, link) in model.links().iter().enumerate() {
             // velocity of the material point at `point`, first on the parent's side
             let (mut vel, mut angvel, mut point) = match link.parent {
-                Some(p) => (
-                    self.vel_mps[p],
-                    self.angvel_radps[p],
-                    self.places.links[p].pos_m,
-                ),
-                None => (
-                    at.base_vel_mps,
-                    at.base_angvel_radps,
-                    self.places.links[i].pos_m,
-                ),
+                Some(p) => (self.vel_mps[p], self.angvel_radps[p], self.places.links[p].pos_m),
+                None => (at.base_vel_mps, at.base_angvel_radps, self.places.links[i].pos_m),
             };
             for &j in &link.joints {
                 let frame = self.places.joints[j];
@@ -118,8 +107,7 @@ impl Motion {
                 }
             }
             let origin = self.places.links[i].pos_m;
-            self.vel_mps
-                .push(add(vel, cross(angvel, sub(origin, point))));
+            self.vel_mps.push(add(vel, cross(angvel, sub(origin, point))));
             self.angvel_radps.push(angvel);
         }
         Ok(())
@@ -129,10 +117,7 @@ impl Motion {
     pub fn point(&self, link: usize, local_m: [f64; 3]) -> ([f64; 3], [f64; 3]) {
         let pose = &self.places.links[link];
         let arm = pose.rotate(local_m);
-        (
-            add(pose.pos_m, arm),
-            add(self.vel_mps[link], cross(self.angvel_radps[link], arm)),
-        )
+        (add(pose.pos_m, arm), add(self.vel_mps[link], cross(self.angvel_radps[link], arm)))
     }
 }
 
@@ -165,14 +150,8 @@ impl WholeBody {
                 own + (Matrix3::identity() * d.norm_squared() - d * d.transpose()) * m.mass_kg;
             momentum += own * spin + d.cross(&u) * m.mass_kg;
         }
-        let angvel = inertia
-            .try_inverse()
-            .map_or(Vector3::zeros(), |inv| inv * momentum);
-        Self {
-            com_m: com.into(),
-            vel_mps: vel.into(),
-            angvel_radps: angvel.into(),
-        }
+        let angvel = inertia.try_inverse().map_or(Vector3::zeros(), |inv| inv * momentum);
+        Self { com_m: com.into(), vel_mps: vel.into(), angvel_radps: angvel.into() }
     }
 }
 
@@ -185,11 +164,7 @@ pub(crate) struct Observer {
 
 impl Observer {
     pub fn new(model: &RobotModel, params: &LaneParams, at: Coordinates) -> Self {
-        Self {
-            masses: link_masses(model, params),
-            at,
-            motion: Motion::default(),
-        }
+        Self { masses: link_masses(model, params), at, motion: Motion::default() }
     }
 
     /// Works out `motion` from `at`.
@@ -214,11 +189,7 @@ impl Observer {
         put(&mut out.base_pos_m, 0, base.pos_m);
         put(&mut out.base_quat_wxyz, 0, base.quat_wxyz);
         put(&mut out.base_vel_mps, 0, motion.vel_mps[0]);
-        put(
-            &mut out.base_angvel_radps,
-            0,
-            unrotate(base, motion.angvel_radps[0]),
-        );
+        put(&mut out.base_angvel_radps, 0, unrotate(base, motion.angvel_radps[0]));
         put_all(&mut out.joint_pos_rad, 0, &at.joint_pos_rad);
         put_all(&mut out.joint_vel_radps, 0, &at.joint_vel_radps);
 
@@ -240,16 +211,8 @@ impl Observer {
 
         let (link, link_from_imu) = imu_place(model);
         let world_from_imu = motion.places.links[link].compose(&link_from_imu);
-        put(
-            &mut out.imu_gyro_radps,
-            0,
-            unrotate(&world_from_imu, motion.angvel_radps[link]),
-        );
-        put(
-            &mut out.imu_gravity,
-            0,
-            unrotate(&world_from_imu, unit_or_down(gravity_mps2)),
-        );
+        put(&mut out.imu_gyro_radps, 0, unrotate(&world_from_imu, motion.angvel_radps[link]));
+        put(&mut out.imu_gravity, 0, unrotate(&world_from_imu, unit_or_down(gravity_mps2)));
 
         let vel = motion.point(link, link_from_imu.pos_m).1;
         let period_s = config.control_period_s();
@@ -262,9 +225,7 @@ impl Observer {
 
 /// The IMU's link and pose in it; the base frame on a robot without one.
 fn imu_place(model: &RobotModel) -> (usize, Pose) {
-    model
-        .imu_site()
-        .map_or((0, Pose::IDENTITY), |s| (s.link, s.link_from_site))
+    model.imu_site().map_or((0, Pose::IDENTITY), |s| (s.link, s.link_from_site))
 }
 
 fn heading_rad(model: &RobotModel, motion: &Motion) -> f64 {
@@ -286,11 +247,7 @@ fn unrotate(pose: &Pose, world: [f64; 3]) -> [f64; 3] {
 fn unit_or_down(v: [f32; 3]) -> [f64; 3] {
     let v = v.map(f64::from);
     let length = dot(v, v).sqrt();
-    if length > 0.0 {
-        v.map(|x| x / length)
-    } else {
-        [0.0, 0.0, -1.0]
-    }
+    if length > 0.0 { v.map(|x| x / length) } else { [0.0, 0.0, -1.0] }
 }
 
 fn put<const K: usize>(field: &mut [f32], row: usize, values: [f64; K]) {
@@ -313,18 +270,13 @@ impl Coordinates {
         init: &InitialState,
     ) -> Result<Self, SimError> {
         let wide = |v: &[f32]| -> Vec<f64> { v.iter().map(|&x| f64::from(x)).collect() };
-        let full = |v: &[f32]| {
-            model
-                .full_pos_rad(&wide(v))
-                .map_err(|e| SimError::Model(e.to_string()))
-        };
+        let full =
+            |v: &[f32]| model.full_pos_rad(&wide(v)).map_err(|e| SimError::Model(e.to_string()));
         let [roll, pitch, yaw] = init.base_rpy_rad.map(f64::from);
         let turn = nalgebra::UnitQuaternion::from_euler_angles(roll, pitch, yaw);
         let [x, y] = init.base_xy_m.map(f64::from);
-        let world_from_base = Pose {
-            pos_m: [x, y, 0.0],
-            quat_wxyz: [turn.w, turn.i, turn.j, turn.k],
-        };
+        let world_from_base =
+            Pose { pos_m: [x, y, 0.0], quat_wxyz: [turn.w, turn.i, turn.j, turn.k] };
         let mut at = Self {
             base_vel_mps: init.base_vel_mps.map(f64::from),
             base_angvel_radps: world_from_base.rotate(init.base_angvel_radps.map(f64::from)),
@@ -371,19 +323,15 @@ fn touching_height_m(
 ) -> Result<f64, SimError> {
     let mut placed = at.world_from_base;
     placed.pos_m[2] = 0.0;
-    let places = model
-        .kinematics(&placed, &at.joint_pos_rad)
-        .map_err(|e| SimError::Model(e.to_string()))?;
+    let places =
+        model.kinematics(&placed, &at.joint_pos_rad).map_err(|e| SimError::Model(e.to_string()))?;
     let mut height = f64::NEG_INFINITY;
     for (link, pose) in model.links().iter().zip(&places.links) {
         for geom in link.geoms.iter().filter(|g| g.collides()) {
             let world = pose.compose(&geom.link_from_geom);
             let reach = |axis: [f64; 3]| geom.shape.half_extent_m(world.inverse().rotate(axis));
-            let (rx, ry, rz) = (
-                reach([1.0, 0.0, 0.0]),
-                reach([0.0, 1.0, 0.0]),
-                reach([0.0, 0.0, 1.0]),
-            );
+            let (rx, ry, rz) =
+                (reach([1.0, 0.0, 0.0]), reach([0.0, 1.0, 0.0]), reach([0.0, 0.0, 1.0]));
             let ground = highest_ground_m(terrain, world.pos_m, rx, ry);
             height = height.max(ground - (world.pos_m[2] - rz));
         }

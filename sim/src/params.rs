@@ -257,20 +257,12 @@ impl InitialState {
 
 /// Model indices of the backlash hinges, model order.
 pub(crate) fn backlash_joints(model: &RobotModel) -> impl Iterator<Item = usize> + '_ {
-    model
-        .joints()
-        .iter()
-        .enumerate()
-        .filter(|(_, j)| j.kind == JointKind::Backlash)
-        .map(|(i, _)| i)
+    model.joints().iter().enumerate().filter(|(_, j)| j.kind == JointKind::Backlash).map(|(i, _)| i)
 }
 
 /// Hinges without a servo, model order.
 pub(crate) fn unactuated(model: &RobotModel) -> impl Iterator<Item = &Joint> {
-    model
-        .joints()
-        .iter()
-        .filter(|j| !matches!(j.kind, JointKind::Actuated { .. }))
+    model.joints().iter().filter(|j| !matches!(j.kind, JointKind::Actuated { .. }))
 }
 
 fn check_effects<T>(
@@ -297,13 +289,7 @@ fn check_values(
 ) -> Result<(), SimError> {
     check_len(what, values.len(), expected)?;
     match values.iter().find(|v| !(low..=high).contains(*v)) {
-        Some(&value) => Err(SimError::Value {
-            what,
-            value,
-            lane,
-            low,
-            high,
-        }),
+        Some(&value) => Err(SimError::Value { what, value, lane, low, high }),
         None => Ok(()),
     }
 }

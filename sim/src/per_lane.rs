@@ -85,15 +85,9 @@ mod tests {
 
     #[test]
     fn goes_in_and_comes_out() {
-        let mut wide: Pair<f32> = PerLane::splat(&Pair {
-            one: 1.5,
-            three: [1.0, 2.0, 3.0],
-        });
+        let mut wide: Pair<f32> = PerLane::splat(&Pair { one: 1.5, three: [1.0, 2.0, 3.0] });
         assert_eq!(wide.three, [1.0_f32, 2.0, 3.0]);
-        let other = Pair {
-            one: -2.0,
-            three: [0.5, 0.25, 0.125],
-        };
+        let other = Pair { one: -2.0, three: [0.5, 0.25, 0.125] };
         wide.set_lane(0, &other);
         assert_eq!(wide.lane(0), other);
     }

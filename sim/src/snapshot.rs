@@ -47,13 +47,10 @@ impl Owner<'_> {
 
     /// What is in `bytes`, checked against the owner.
     pub fn load<T: DeserializeOwned>(&self, bytes: &[u8]) -> Result<T, SimError> {
-        let (body, sum) = bytes
-            .split_last_chunk::<8>()
-            .ok_or_else(|| refused("it is too short"))?;
+        let (body, sum) =
+            bytes.split_last_chunk::<8>().ok_or_else(|| refused("it is too short"))?;
         if fingerprint(body) != u64::from_le_bytes(*sum) {
-            return Err(refused(
-                "its check sum is wrong; it is damaged or not a snapshot",
-            ));
+            return Err(refused("its check sum is wrong; it is damaged or not a snapshot"));
         }
         let (found, content) =
             postcard::take_from_bytes::<Envelope>(body).map_err(|e| refused(&e.to_string()))?;
@@ -89,10 +86,8 @@ fn fingerprint(bytes: &[u8]) -> u64 {
 }
 
 pub(crate) fn encode<T: Serialize + ?Sized>(value: &T) -> Result<Vec<u8>, SimError> {
-    postcard::to_stdvec(value).map_err(|e| SimError::Snapshot {
-        action: "written",
-        reason: e.to_string(),
-    })
+    postcard::to_stdvec(value)
+        .map_err(|e| SimError::Snapshot { action: "written", reason: e.to_string() })
 }
 
 pub(crate) fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, SimError> {
@@ -100,8 +95,5 @@ pub(crate) fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, SimError> {
 }
 
 pub(crate) fn refused(reason: &str) -> SimError {
-    SimError::Snapshot {
-        action: "restored",
-        reason: reason.to_owned(),
-    }
+    SimError::Snapshot { action: "restored", reason: reason.to_owned() }
 }

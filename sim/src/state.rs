@@ -137,9 +137,7 @@ impl State {
 
     /// Whether every number is finite.
     pub(crate) fn is_finite(&self) -> bool {
-        self.fields()
-            .iter()
-            .all(|f| f.iter().all(|v| v.is_finite()))
+        self.fields().iter().all(|f| f.iter().all(|v| v.is_finite()))
     }
 
     pub(crate) fn fields_mut(&mut self) -> [&mut [f32]; FIELDS] {

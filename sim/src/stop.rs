@@ -80,11 +80,7 @@ impl Stop {
             first,
             second,
             mobility: inverse_inertia,
-            inertia_kgm2: if inverse_inertia > 0.0 {
-                1.0 / inverse_inertia
-            } else {
-                0.0
-            },
+            inertia_kgm2: if inverse_inertia > 0.0 { 1.0 / inverse_inertia } else { 0.0 },
         }
     }
 
@@ -169,10 +165,7 @@ mod tests {
         ] {
             assert!((stop.impedance(r) - d).abs() < 1e-12, "at {r}");
         }
-        let straight = Softness {
-            solimp: [0.9, 0.95, 0.001, 0.5, 1.0],
-            ..Softness::default()
-        };
+        let straight = Softness { solimp: [0.9, 0.95, 0.001, 0.5, 1.0], ..Softness::default() };
         let d = Stop::new(&straight, 1.0).impedance(0.000_25);
         assert!((d - 0.9125).abs() < 1e-12);
     }
@@ -185,10 +178,7 @@ mod tests {
         let stop = Stop::new(&Softness::default(), 1.0);
         near(stop.damping_per_s(), 2.0 / 0.019);
         near(stop.stiffness_per_s2(), 1.0 / (0.019 * 0.019));
-        let direct = Softness {
-            solref: [-1000.0, -50.0],
-            ..Softness::default()
-        };
+        let direct = Softness { solref: [-1000.0, -50.0], ..Softness::default() };
         let stop = Stop::new(&direct, 1.0);
         near(stop.damping_per_s(), 50.0 / 0.95);
         near(stop.stiffness_per_s2(), 1000.0 / (0.95 * 0.95));

@@ -132,10 +132,7 @@ pub fn forces<R: Real>(p: &WaterLink<R>, at: &LinkMotion<R>, water: &Surface<R>)
     let (carried, moment) = (cross(w, momentum), add(cross(v, momentum), cross(w, spin)));
     // the engine's acceleration is that in the world, the water's that in the current
     let drift = cross(w, into_link(rot, water.current_mps));
-    let held = add(
-        each(damping_force, v),
-        add(carried, each(added_mass, drift)),
-    );
+    let held = add(each(damping_force, v), add(carried, each(added_mass, drift)));
     let turned = add(each(damping_torque, w), moment);
 
     let lift = times(water.gravity_mps2, -(s * p.displaced_kg));
@@ -209,11 +206,7 @@ fn damping<R: Real>(s: R, linear: [R; 3], quadratic: [R; 3], v: [R; 3]) -> [R; 3
 
 #[inline(always)]
 fn cross<R: Real>(a: [R; 3], b: [R; 3]) -> [R; 3] {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 #[inline(always)]
@@ -223,10 +216,7 @@ fn into_world<R: Real>(rot: &[[R; 3]; 3], v: [R; 3]) -> [R; 3] {
 
 #[inline(always)]
 fn into_link<R: Real>(rot: &[[R; 3]; 3], v: [R; 3]) -> [R; 3] {
-    add(
-        times(rot[0], v[0]),
-        add(times(rot[1], v[1]), times(rot[2], v[2])),
-    )
+    add(times(rot[0], v[0]), add(times(rot[1], v[1]), times(rot[2], v[2])))
 }
 
 impl WaterLink<f64> {
@@ -253,11 +243,8 @@ impl WaterLink<f64> {
                     .map(wide);
                     let torque = wide(lane.quadratic_torque_scale) * water.density_kg_per_m3;
                     let added = [lane.added_mass_x, lane.added_mass_y, lane.added_mass_z];
-                    let added_inertia = [
-                        lane.added_inertia_x,
-                        lane.added_inertia_y,
-                        lane.added_inertia_z,
-                    ];
+                    let added_inertia =
+                        [lane.added_inertia_x, lane.added_inertia_y, lane.added_inertia_z];
                     let offset = [lane.buoyancy_x_m, lane.buoyancy_y_m, lane.buoyancy_z_m];
                     let (centre_m, half_m, roundness) = extents(&link.geoms, link.com_m, edges);
                     Self {

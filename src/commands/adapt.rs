@@ -66,9 +66,7 @@ fn publish(server: &str, stream: &str, path: &Path) -> Result<u64, Failure> {
 fn tell(adapted: &Adapted, old: u64) {
     let verdict = crate::commands::gap_report::word(&adapted.verdict);
     if !adapted.trained {
-        say::line(format_args!(
-            "{verdict}: nothing to adapt to; the policy stays as it is"
-        ));
+        say::line(format_args!("{verdict}: nothing to adapt to; the policy stays as it is"));
         return;
     }
     let name = |cause: &Named| match cause.location.as_slice() {
@@ -110,19 +108,14 @@ fn tell(adapted: &Adapted, old: u64) {
     }
     let total_s: f64 = adapted.seconds.iter().map(|(_, s)| s).sum();
     if let Some(policy) = &adapted.policy {
-        say::line(format_args!(
-            "new policy {} after {total_s:.0} s",
-            policy.display()
-        ));
+        say::line(format_args!("new policy {} after {total_s:.0} s", policy.display()));
     }
 }
 
 fn rows(policy: &str, model: &str, result: &SuiteResult) -> Vec<Vec<String>> {
     let row = |s: &caudata_evaluation::ScenarioResult| {
-        let figures = [s.vx_mps.mean]
-            .into_iter()
-            .chain(s.rmse_of_strides)
-            .map(|x| format!("{x:.3}"));
+        let figures =
+            [s.vx_mps.mean].into_iter().chain(s.rmse_of_strides).map(|x| format!("{x:.3}"));
         let mut row = vec![s.name.clone(), policy.to_owned(), model.to_owned()];
         row.extend(figures);
         row.push(format!("{:.1} %", 100.0 * s.fall_share.mean));

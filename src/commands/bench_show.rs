@@ -79,18 +79,10 @@ fn baselines(found: &gap::Finding) {
     let ours = &found.summary;
     let row = |name: &str, alarms: String, first: String, figures: [f64; 3]| {
         let [wrong, ratio, seconds] = figures;
-        let figures = [
-            format!("{wrong:.2}"),
-            format!("{ratio:.3}"),
-            format!("{seconds:.1}"),
-        ];
+        let figures = [format!("{wrong:.2}"), format!("{ratio:.3}"), format!("{seconds:.1}")];
         [vec![name.to_owned(), alarms, first], figures.to_vec()].concat()
     };
-    let figures = [
-        ours.wrong_per_single,
-        median_gain(&found.outcomes),
-        ours.seconds.0,
-    ];
+    let figures = [ours.wrong_per_single, median_gain(&found.outcomes), ours.seconds.0];
     let alarms = ours.false_alarms.to_string();
     let caudata = row("caudata", alarms, ours.first_large.to_string(), figures);
     let others = found.baselines.iter().map(|b| {
@@ -157,32 +149,16 @@ pub fn calibration(found: &calibrate::Finding) {
         let confident = format!("{wrong} of {of}");
         [vec![what.to_owned()], figures.to_vec(), vec![confident]].concat()
     };
-    let mut rows = vec![
-        row("what was said", &found.as_given),
-        row("the map of this program", &found.shipped),
-    ];
-    rows.extend(
-        found
-            .left_out
-            .iter()
-            .map(|s| row("a new map, parts it has not seen", s)),
-    );
+    let mut rows =
+        vec![row("what was said", &found.as_given), row("the map of this program", &found.shipped)];
+    rows.extend(found.left_out.iter().map(|s| row("a new map, parts it has not seen", s)));
     let reports = found.cases.iter().filter(|c| c.verdict.is_some()).count();
     say::line(format!(
         "{} cases, {reports} with a report, {} names",
         found.cases.len(),
         found.as_given.names
     ));
-    say::table(
-        &[
-            "",
-            "log score",
-            "Brier",
-            "calibration error",
-            "0.7 or more and wrong",
-        ],
-        rows,
-    );
+    say::table(&["", "log score", "Brier", "calibration error", "0.7 or more and wrong"], rows);
 }
 
 /// One session.
@@ -215,10 +191,7 @@ pub fn sessions(found: &session::Finding) {
 
 /// One training from nothing.
 pub fn skill(one: &skill::Skill) {
-    say::record(
-        one,
-        "seed walks_after_s fast_after_s training_s last_speed_mps last_missed",
-    );
+    say::record(one, "seed walks_after_s fast_after_s training_s last_speed_mps last_missed");
 }
 
 /// One explanation.
@@ -228,19 +201,13 @@ pub fn explained(case: &explain::Outcome) {
 
 /// How many mistakes were named.
 pub fn explanations(found: &explain::Finding) {
-    say::record(
-        found,
-        "mistakes first among_three wrong harmless healthy false_names median_s",
-    );
+    say::record(found, "mistakes first among_three wrong harmless healthy false_names median_s");
 }
 
 /// Where a second of training goes.
 pub fn train(found: &train::Finding) {
     say::record(found, "cores busy wall_ratio cpu_ratio");
-    say::records(
-        &found.builds,
-        "build starts_after_s iteration_ms cpu_ms steps_per_s",
-    );
+    say::records(&found.builds, "build starts_after_s iteration_ms cpu_ms steps_per_s");
     let mut head = vec!["part".to_owned()];
     for build in &found.builds {
         head.push(format!("{}, ms", build.build));
@@ -272,19 +239,13 @@ pub fn transport(found: &transport::Finding) {
         );
     }
     if !found.rollouts.is_empty() {
-        say::records(
-            &found.rollouts,
-            "what steps_per_s steps_per_cpu_s share_of_bare",
-        );
+        say::records(&found.rollouts, "what steps_per_s steps_per_cpu_s share_of_bare");
     }
 }
 
 /// Light actors against one learner.
 pub fn ingest(found: &ingest::Finding) {
-    say::record(
-        found,
-        "kind actors frame_bytes every_ms sent received seconds frames_per_s",
-    );
+    say::record(found, "kind actors frame_bytes every_ms sent received seconds frames_per_s");
     say::record(
         found,
         "acknowledged_p50_ms acknowledged_p99_ms acknowledged_max_ms memory_max_mb memory_before_mb cpu_us_per_frame",
@@ -293,8 +254,5 @@ pub fn ingest(found: &ingest::Finding) {
 
 /// A rate in words.
 pub fn rate(found: &Rate) {
-    say::record(
-        found,
-        "benchmark per_second unit rounds round_median_s round_p99_s settings",
-    );
+    say::record(found, "benchmark per_second unit rounds round_median_s round_p99_s settings");
 }

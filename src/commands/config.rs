@@ -43,9 +43,7 @@ pub fn run(command: &ConfigCommand) -> Result<(), Failure> {
             Ok(())
         }
         ConfigCommand::Presets => {
-            let rows = PRESETS
-                .iter()
-                .map(|preset| vec![preset.name.into(), preset.about.into()]);
+            let rows = PRESETS.iter().map(|preset| vec![preset.name.into(), preset.about.into()]);
             say::table(&[], rows);
             Ok(())
         }
@@ -98,9 +96,7 @@ fn note_certificates(config: &Config) {
         let folder = config.cluster.certificates(role).unwrap_or_default();
         if folder != Path::new("") && !folder.join(CERTIFICATE_FILE).is_file() {
             let folder = folder.display();
-            say::line(format!(
-                "note: no certificate in {folder}: no {role} starts on this host"
-            ));
+            say::line(format!("note: no certificate in {folder}: no {role} starts on this host"));
         }
     }
 }

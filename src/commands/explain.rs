@@ -73,11 +73,7 @@ fn tell(report: &Report) {
         report.others.iter().take(OTHERS).for_each(show);
     }
     if report.verdict != Verdict::Walks {
-        say::line(format_args!(
-            "{} trainings, {:.0} s",
-            report.trials.len(),
-            report.seconds
-        ));
+        say::line(format_args!("{} trainings, {:.0} s", report.trials.len(), report.seconds));
     }
 }
 
@@ -88,9 +84,7 @@ fn show(cause: &Cause) {
     };
     say::line(format_args!("  {}{refuted}", cause.says));
     for change in &cause.change {
-        let setting = change
-            .split_once('=')
-            .is_some_and(|(key, _)| !key.contains(' '));
+        let setting = change.split_once('=').is_some_and(|(key, _)| !key.contains(' '));
         match setting {
             true => say::line(format_args!("    --set '{change}'")),
             false => say::line(format_args!("    {change}")),

@@ -40,17 +40,7 @@ pub fn run(args: &CheckArgs) -> Result<(), Failure> {
 }
 
 fn print(checked: &Checked) {
-    let head = [
-        "run",
-        "rows",
-        "s",
-        "Hz",
-        "base",
-        "joints",
-        "fastest rad/s",
-        "band Hz",
-        "logged",
-    ];
+    let head = ["run", "rows", "s", "Hz", "base", "joints", "fastest rad/s", "band Hz", "logged"];
     say::table(&head, checked.runs.iter().map(row));
     let repeated = checked.repeats.iter().filter(|g| g.len() > 1).count();
     let guessed = match repeated == 0 && checked.runs.len() > 1 {
@@ -58,9 +48,7 @@ fn print(checked: &Checked) {
         false => "",
     };
     let trials = checked.repeats.len();
-    say::line(format!(
-        "\n{trials} trial(s), {repeated} of them repeated{guessed}"
-    ));
+    say::line(format!("\n{trials} trial(s), {repeated} of them repeated{guessed}"));
     if checked.faults.is_empty() {
         say::line("no fault found");
     }

@@ -36,20 +36,14 @@ pub fn run(args: &WithJson<diagnosis::Plan>, process: &Process) -> Result<(), Fa
 pub fn steps(quiet: bool, process: &Process, after_stop: &str) -> Result<Steps<'static>, Failure> {
     let program = std::env::current_exe().or_exit(ExitCode::Internal)?;
     let mut view = View::new(false);
-    Ok(Steps::new(
-        program,
-        quiet,
-        &process.stop,
-        after_stop,
-        move |news| match news {
-            _ if quiet => {}
-            News::Step { name, what } => {
-                view.end();
-                say::line(format_args!("── {name}: {what}"));
-            }
-            News::Diagnosis(progress) => view.show(progress),
-        },
-    ))
+    Ok(Steps::new(program, quiet, &process.stop, after_stop, move |news| match news {
+        _ if quiet => {}
+        News::Step { name, what } => {
+            view.end();
+            say::line(format_args!("── {name}: {what}"));
+        }
+        News::Diagnosis(progress) => view.show(progress),
+    }))
 }
 
 /// The exit code of a verdict; [`ExitCode::Ok`] for a complete answer.
@@ -91,11 +85,7 @@ struct View {
 
 impl View {
     fn new(json: bool) -> Self {
-        Self {
-            started: Instant::now(),
-            json,
-            spinner: None,
-        }
+        Self { started: Instant::now(), json, spinner: None }
     }
 
     fn show(&mut self, p: &Progress) {

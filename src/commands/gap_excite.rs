@@ -60,8 +60,5 @@ fn refused(error: ExciteError) -> Failure {
 fn print(trials: &[Trial]) {
     say::records(trials, "name base duration_s repeats effort purpose");
     let total_s: f64 = trials.iter().map(|t| t.duration_s * t.repeats as f64).sum();
-    say::line(format!(
-        "\n{:.1} min in all, repeats included",
-        total_s / 60.0
-    ));
+    say::line(format!("\n{:.1} min in all, repeats included", total_s / 60.0));
 }

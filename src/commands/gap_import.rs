@@ -51,10 +51,7 @@ pub fn run(args: &ImportArgs) -> Result<(), Failure> {
     if let (Some(path), Some(first)) = (&args.draft_map, args.recordings.first()) {
         let format = args.format(first)?;
         if format == Format::Bam {
-            return Err(Failure::message(
-                ExitCode::BadConfig,
-                "--format bam needs no map",
-            ));
+            return Err(Failure::message(ExitCode::BadConfig, "--format bam needs no map"));
         }
         let recordings = import::open(first, format, None).map_err(failure)?;
         let drafted = draft::map(&recordings, &robot).map_err(failure)?;
@@ -66,19 +63,13 @@ pub fn run(args: &ImportArgs) -> Result<(), Failure> {
                 first.display(),
                 drafted.unread.join(", ")
             );
-            return Err(Failure::message(ExitCode::BadInput, message).hint(format!(
-                "write in {path} what each column is, then give it as --map"
-            )));
+            return Err(Failure::message(ExitCode::BadInput, message)
+                .hint(format!("write in {path} what each column is, then give it as --map")));
         }
         if !drafted.unread.is_empty() {
-            tracing::warn!(
-                "not understood, and left out: {}",
-                drafted.unread.join(", ")
-            );
+            tracing::warn!("not understood, and left out: {}", drafted.unread.join(", "));
         }
-        say::line(format!(
-            "{path} is a guess: check it, then give it as --map {path}"
-        ));
+        say::line(format!("{path} is a guess: check it, then give it as --map {path}"));
         return Ok(());
     }
     let map = match &args.map {
@@ -94,10 +85,8 @@ pub fn run(args: &ImportArgs) -> Result<(), Failure> {
     for path in &args.recordings {
         let format = args.format(path)?;
         if format != Format::Bam && map.is_none() {
-            let message = format!(
-                "{} needs a map of columns and units: --map MAP.toml",
-                path.display()
-            );
+            let message =
+                format!("{} needs a map of columns and units: --map MAP.toml", path.display());
             return Err(Failure::message(ExitCode::BadConfig, message)
                 .hint("--draft-map MAP.toml instead guesses one"));
         }
@@ -117,11 +106,7 @@ pub fn run(args: &ImportArgs) -> Result<(), Failure> {
         let unused: Vec<String> = unused.into_iter().collect();
         say::line(format!("not used: {}", unused.join(", ")));
     }
-    say::line(format!(
-        "{} log(s) are in {}",
-        folders.len(),
-        args.out.display()
-    ));
+    say::line(format!("{} log(s) are in {}", folders.len(), args.out.display()));
     Ok(())
 }
 

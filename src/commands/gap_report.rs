@@ -176,9 +176,7 @@ fn cause(number: usize, cause: &Cause) {
     ));
     if !cause.assumed.is_empty() {
         let figures = cause.assumed.join(", ");
-        say::line(format!(
-            "   the robot file assumes {figures}: look it up first"
-        ));
+        say::line(format!("   the robot file assumes {figures}: look it up first"));
     }
     for (name, p) in &cause.parameters {
         let bound = match p.at_bound {
@@ -206,9 +204,5 @@ fn cause(number: usize, cause: &Cause) {
 
 /// Where a cause is.
 fn place(location: &[String]) -> String {
-    if location.is_empty() {
-        "the whole robot".to_owned()
-    } else {
-        location.join(", ")
-    }
+    if location.is_empty() { "the whole robot".to_owned() } else { location.join(", ") }
 }

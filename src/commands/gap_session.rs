@@ -36,10 +36,7 @@ fn outcome(found: &Session) -> Result<(), Failure> {
         let (commands, log) = (next.commands.display(), next.log.display());
         let message = format!("record {} {held}: {}", next.trial, next.why);
         let weight = next.payload.as_ref().map_or(String::new(), |weight| {
-            format!(
-                "hang the weight on, write `{}` into its log.toml, ",
-                session::noted(weight)
-            )
+            format!("hang the weight on, write `{}` into its log.toml, ", session::noted(weight))
         });
         return Err(Failure::outcome(ExitCode::InsufficientData, message).hint(format!(
             "{weight}send the robot {commands}, put the log folder at {log} (or repeats in it), and start the same command again"

@@ -91,10 +91,7 @@ mod tests {
     #[test]
     fn numbers_lists_and_single_joints() {
         assert_eq!(with("foot_friction=0.5").unwrap().foot_friction, 0.5);
-        assert_eq!(
-            with("kp_nm_per_rad = 12").unwrap().kp_nm_per_rad,
-            [12.0; 16]
-        );
+        assert_eq!(with("kp_nm_per_rad = 12").unwrap().kp_nm_per_rad, [12.0; 16]);
         let one = with("kp_nm_per_rad.FL_hip=9").unwrap().kp_nm_per_rad;
         // policy order: eight spine and tail joints, then FL_hip
         assert_eq!((one[7], one[8], one[9]), (15.0, 9.0, 15.0));
@@ -106,29 +103,13 @@ mod tests {
     fn effects_of_all_joints_or_of_one() {
         let all = with("joints.dead_band_rad=0.02").unwrap();
         assert!(all.joints.iter().all(|j| j.dead_band_rad == 0.02));
-        let one = with("joints.FL_hip.gear_half_gap_rad=0.002")
-            .unwrap()
-            .joints;
-        assert_eq!(
-            (one[7].gear_half_gap_rad, one[8].gear_half_gap_rad),
-            (0.0, 0.002)
-        );
+        let one = with("joints.FL_hip.gear_half_gap_rad=0.002").unwrap().joints;
+        assert_eq!((one[7].gear_half_gap_rad, one[8].gear_half_gap_rad), (0.0, 0.002));
         let water = with("water.body_00.buoyancy_scale=0.5").unwrap().water;
-        assert_eq!(
-            (water[0].buoyancy_scale, water[1].buoyancy_scale),
-            (0.5, 1.0)
-        );
-        assert_eq!(
-            with("command_loss.share=0.1").unwrap().command_loss.share,
-            0.1
-        );
-        let tail = with("hinges.joint_body_09_passive.spring_nm_per_rad=2")
-            .unwrap()
-            .hinges;
-        assert_eq!(
-            tail.iter().filter(|h| h.spring_nm_per_rad == 2.0).count(),
-            1
-        );
+        assert_eq!((water[0].buoyancy_scale, water[1].buoyancy_scale), (0.5, 1.0));
+        assert_eq!(with("command_loss.share=0.1").unwrap().command_loss.share, 0.1);
+        let tail = with("hinges.joint_body_09_passive.spring_nm_per_rad=2").unwrap().hinges;
+        assert_eq!(tail.iter().filter(|h| h.spring_nm_per_rad == 2.0).count(), 1);
     }
 
     #[test]
@@ -142,10 +123,7 @@ mod tests {
             ("kp_nm_per_rad.wing=1", "no `kp_nm_per_rad.wing`"),
             ("kp_nm_per_rad=[1,2]", "is 16 values, not 2"),
             ("joints.FL_hip.slack=1", "no `joints.FL_hip.slack`"),
-            (
-                "joints.wing.dead_band_rad=1",
-                "no `joints.wing.dead_band_rad`",
-            ),
+            ("joints.wing.dead_band_rad=1", "no `joints.wing.dead_band_rad`"),
             ("joints.FL_hip.dead_band_rad=-1", "dead_band_rad"),
         ] {
             let message = with(change).unwrap_err();
@@ -170,10 +148,7 @@ mod tests {
         let (rest, lane) = split(&flags);
         assert_eq!(
             (rest.overrides, lane),
-            (
-                vec!["engine.dt_s=0.002".to_owned()],
-                vec!["supply_v=11".to_owned()]
-            )
+            (vec!["engine.dt_s=0.002".to_owned()], vec!["supply_v=11".to_owned()])
         );
     }
 }

@@ -92,9 +92,7 @@ pub fn run(command: &LogCommand) -> Result<(), Failure> {
         LogCommand::Convert(args) => args,
         LogCommand::Sample(args) => {
             let (log, robot, notes) = sample(&args.run, args.seconds)?;
-            return args
-                .to
-                .write(&args.run, Some(&log.meta), &log.table, Some(&robot), notes);
+            return args.to.write(&args.run, Some(&log.meta), &log.table, Some(&robot), notes);
         }
     };
     let (meta, table) = read(&args.log)?;
@@ -103,8 +101,7 @@ pub fn run(command: &LogCommand) -> Result<(), Failure> {
         "mcap" => robot(args, meta.as_ref(), &mut notes)?,
         _ => None,
     };
-    args.to
-        .write(&args.log, meta.as_ref(), &table, robot.as_ref(), notes)
+    args.to.write(&args.log, meta.as_ref(), &table, robot.as_ref(), notes)
 }
 
 impl Destination {
@@ -189,9 +186,8 @@ fn wrong(error: LogError, path: &Path) -> Failure {
 }
 
 fn csv(out: &Path, table: &Table) -> Result<(), Failure> {
-    let file = File::create(out).or_exit_with(ExitCode::CannotCreate, || {
-        format!("cannot make {}", out.display())
-    })?;
+    let file = File::create(out)
+        .or_exit_with(ExitCode::CannotCreate, || format!("cannot make {}", out.display()))?;
     let mut writer = TableWriter::new(BufWriter::new(file), table.signals(), FLUSH_S)
         .or_exit(ExitCode::IoError)?;
     for (k, t_s) in table.time_s().iter().enumerate() {
@@ -234,10 +230,7 @@ fn robot(
     let named = meta.map_or("", |meta| meta.robot.as_str());
     let candidates = [named.to_owned(), format!("robots/{named}.robot.toml")];
     let found = candidates.into_iter().map(|candidate| {
-        let config = Config {
-            robot: candidate.into(),
-            ..Config::default()
-        };
+        let config = Config { robot: candidate.into(), ..Config::default() };
         config.robot_path()
     });
     match found.into_iter().find(|path| path.is_file()) {
@@ -309,10 +302,8 @@ impl<'a> Frames<'a> {
             self.world_from_base.quat_wxyz = [w, x, y, z];
         }
         // The lengths fit: they are the robot's own.
-        let places = self
-            .robot
-            .kinematics(&self.world_from_base, &self.joint_pos_rad)
-            .unwrap_or_default();
+        let places =
+            self.robot.kinematics(&self.world_from_base, &self.joint_pos_rad).unwrap_or_default();
         let frame = |outer: &str, name: &str, pose: Pose| Frame {
             outer: outer.to_owned(),
             name: name.to_owned(),

@@ -36,24 +36,16 @@ pub fn sample(run: &Path, seconds: u32) -> Result<(RunLog, RobotModel, Vec<Strin
     let policy = files::policy(&run.join("policy.onnx"))?;
     let mut env =
         build_env(&config, Arc::clone(&model), SAMPLE_KEY).or_exit(ExitCode::BadConfig)?;
-    policy
-        .check_runs_on(env.contract())
-        .or_exit(ExitCode::BadInput)?;
+    policy.check_runs_on(env.contract()).or_exit(ExitCode::BadInput)?;
     let mut inference = Inference::new(&policy, 1).or_exit(ExitCode::BadInput)?;
     let (metadata, seed) = (policy.metadata(), config.run.seed);
     let std: Vec<f32> = metadata.log_std.iter().map(|x| x.exp()).collect();
     // the same policy does the same again
     let (actor, lane) = (SAMPLE_KEY, metadata.version);
-    let key = Key {
-        actor,
-        env: lane,
-        ..Key::for_run(seed)
-    };
+    let key = Key { actor, env: lane, ..Key::for_run(seed) };
     let mut noise = Stream::new(key, Purpose::Action);
     let mut act = |observed: &[f32], means: &mut [f32], actions: &mut [f32]| {
-        inference
-            .run(observed, 1, means)
-            .or_exit(ExitCode::Internal)?;
+        inference.run(observed, 1, means).or_exit(ExitCode::Internal)?;
         gaussian::sample(means, &std, &mut noise, actions);
         Ok(())
     };

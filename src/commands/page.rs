@@ -18,12 +18,7 @@ const PROTOCOL: &str = "http/1.1";
 #[derive(Debug, Args)]
 pub struct PageArgs {
     /// Address of the live page; default: any free port, for this machine alone. Beyond it the page is encrypted
-    #[arg(
-        long,
-        value_name = "IP:PORT",
-        default_value = "127.0.0.1:0",
-        hide_default_value = true
-    )]
+    #[arg(long, value_name = "IP:PORT", default_value = "127.0.0.1:0", hide_default_value = true)]
     page: SocketAddr,
     /// Folder with tls.crt and tls.key for the page; without it a page for others has a certificate made for this run, of which browsers warn
     #[arg(long, value_name = "DIR")]

@@ -50,11 +50,7 @@ pub fn run(args: &PlayArgs, process: &Process) -> Result<(), Failure> {
     if let Some(kind) = args.terrain {
         config.terrain.kind = kind;
     }
-    let show = Show {
-        config,
-        model,
-        policy,
-    };
+    let show = Show { config, model, policy };
     // What cannot be shown is refused here, not on the page.
     show.check().or_exit(ExitCode::BadConfig)?;
     let page = args.page.serve(show, None, &|line| say::line(line))?;

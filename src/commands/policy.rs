@@ -83,11 +83,7 @@ pub enum PolicyCommand {
 
 pub fn run(command: &PolicyCommand) -> Result<(), Failure> {
     match command {
-        PolicyCommand::List {
-            server,
-            limit,
-            json,
-        } => list(server, *limit, *json),
+        PolicyCommand::List { server, limit, json } => list(server, *limit, *json),
         PolicyCommand::Average(args) => policy_average::average(args),
         PolicyCommand::Join(args) => policy_join::join(args),
         PolicyCommand::Keygen(args) => policy_sign::keygen(args),
@@ -97,24 +93,13 @@ pub fn run(command: &PolicyCommand) -> Result<(), Failure> {
         PolicyCommand::Revert(args) => policy_people::revert(args),
         PolicyCommand::Quarantine(args) => policy_people::quarantine(args),
         PolicyCommand::Audit(args) => policy_people::audit(args),
-        PolicyCommand::Show {
-            file: Some(file),
-            json,
-            ..
-        } => show(file, &files::policy(file)?, *json),
-        PolicyCommand::Show {
-            file: None,
-            server,
-            version,
-            label,
-            json,
-        } => policy_people::show_version(server, *version, label.as_ref(), *json),
-        PolicyCommand::Pull {
-            server,
-            version,
-            out,
-            json,
-        } => pull(server, *version, out, *json),
+        PolicyCommand::Show { file: Some(file), json, .. } => {
+            show(file, &files::policy(file)?, *json)
+        }
+        PolicyCommand::Show { file: None, server, version, label, json } => {
+            policy_people::show_version(server, *version, label.as_ref(), *json)
+        }
+        PolicyCommand::Pull { server, version, out, json } => pull(server, *version, out, *json),
     }
 }
 
@@ -168,21 +153,13 @@ fn show(path: &Path, policy: &PolicyFile, json: bool) -> Result<(), Failure> {
         }));
     }
     let contract = &metadata.contract;
-    let layers: Vec<String> = policy
-        .spec()
-        .layers
-        .iter()
-        .map(|layer| layer.out.to_string())
-        .collect();
+    let layers: Vec<String> =
+        policy.spec().layers.iter().map(|layer| layer.out.to_string()).collect();
     say::line(format!(
         "policy version {} of run {}, {} environment steps, seed {}",
         metadata.version, metadata.run_id, metadata.env_steps, metadata.seed
     ));
-    say::line(format!(
-        "sha256 {}, {} bytes",
-        policy.sha256_hex(),
-        policy.bytes().len()
-    ));
+    say::line(format!("sha256 {}, {} bytes", policy.sha256_hex(), policy.bytes().len()));
     let commit = match metadata.training_commit.as_str() {
         "" => "unknown",
         known => known,
@@ -236,16 +213,7 @@ fn show_joints(policy: &PolicyFile) {
         );
         row
     };
-    let head = [
-        "#",
-        "joint",
-        "nominal rad",
-        "lower rad",
-        "upper rad",
-        "Kp",
-        "Kd",
-        "exploration",
-    ];
+    let head = ["#", "joint", "nominal rad", "lower rad", "upper rad", "Kp", "Kd", "exploration"];
     say::table(&head, contract.joint_names.iter().enumerate().map(row));
 }
 
@@ -280,9 +248,6 @@ fn pull(
     files::write_whole(out, policy.bytes())?;
     say::either(json, &as_json(&manifest), |_| {
         let (version, out) = (manifest.version, out.display());
-        say::line(format!(
-            "version {version} ({}) is in {out}",
-            policy.sha256_hex()
-        ));
+        say::line(format!("version {version} ({}) is in {out}", policy.sha256_hex()));
     })
 }

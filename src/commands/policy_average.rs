@@ -49,9 +49,7 @@ pub fn average(args: &AverageArgs) -> Result<(), Failure> {
     });
     say::either(args.json, &said, |_| {
         let (n, out) = (versions.len(), args.out.display());
-        say::line(format!(
-            "the mean of {n} versions, {first} to {last}, is in {out}"
-        ));
+        say::line(format!("the mean of {n} versions, {first} to {last}, is in {out}"));
     })
 }
 
@@ -68,7 +66,5 @@ fn files_of(path: &Path) -> Result<Vec<PathBuf>, Failure> {
         )
     })?;
     let paths = listed.filter_map(Result::ok).map(|entry| entry.path());
-    Ok(paths
-        .filter(|p| p.extension().is_some_and(|e| e == "onnx"))
-        .collect())
+    Ok(paths.filter(|p| p.extension().is_some_and(|e| e == "onnx")).collect())
 }

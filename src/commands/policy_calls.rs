@@ -53,21 +53,14 @@ pub fn client_failure(error: ClientError) -> Failure {
 impl ServerArgs {
     /// The stream, where one was given.
     pub fn stream(&self) -> Result<Option<StreamName>, Failure> {
-        self.stream
-            .as_deref()
-            .map(StreamName::new)
-            .transpose()
-            .or_exit(ExitCode::BadConfig)
+        self.stream.as_deref().map(StreamName::new).transpose().or_exit(ExitCode::BadConfig)
     }
 
     /// The stream, which must have been given.
     pub fn one_stream(&self) -> Result<StreamName, Failure> {
         self.stream()?.ok_or_else(|| {
-            Failure::message(
-                ExitCode::BadConfig,
-                "which stream? `caudata policy list` shows them",
-            )
-            .hint("add --stream NAME")
+            Failure::message(ExitCode::BadConfig, "which stream? `caudata policy list` shows them")
+                .hint("add --stream NAME")
         })
     }
 

@@ -113,9 +113,7 @@ pub fn label(args: &LabelArgs) -> Result<(), Failure> {
         }));
     }
     let from = leads.map_or(String::new(), |v| format!(" (was {v})"));
-    say::line(format!(
-        "{label} of {stream} leads to version {version}{from}"
-    ));
+    say::line(format!("{label} of {stream} leads to version {version}{from}"));
     Ok(())
 }
 
@@ -123,11 +121,7 @@ fn show_labels(args: &LabelArgs) -> Result<(), Failure> {
     let stream = args.server.stream()?;
     let overview = block_on(async { args.server.client()?.overview(stream.as_ref()).await })?;
     let wanted = |label: &LabelName| args.label.as_ref().is_none_or(|w| w == label);
-    let labels: Vec<_> = overview
-        .labels
-        .iter()
-        .filter(|s| wanted(&s.label))
-        .collect();
+    let labels: Vec<_> = overview.labels.iter().filter(|s| wanted(&s.label)).collect();
     let labels: Vec<_> = labels
         .iter()
         .map(|s| {
@@ -142,10 +136,7 @@ fn show_labels(args: &LabelArgs) -> Result<(), Failure> {
     if args.json {
         return say::json(&json!({ "labels": labels }));
     }
-    say::records(
-        &labels,
-        "stream label version by override_reason quarantined",
-    );
+    say::records(&labels, "stream label version by override_reason quarantined");
     Ok(())
 }
 
@@ -175,10 +166,7 @@ pub fn revert(args: &RevertArgs) -> Result<(), Failure> {
             "stream": stream.as_str(), "version": version, "reverts_to": args.version,
         }));
     }
-    say::line(format!(
-        "{stream} version {version} is version {} again",
-        args.version
-    ));
+    say::line(format!("{stream} version {version} is version {} again", args.version));
     if published.manifest.signatures.is_empty() {
         say::line("it is not signed: robots that trust keys will not take it (--key, --key-id)");
     }
@@ -192,10 +180,7 @@ pub fn quarantine(args: &QuarantineArgs) -> Result<(), Failure> {
         let mut client = args.server.client()?;
         client.quarantine(&stream, args.version, &args.reason).await
     })?;
-    say::line(format!(
-        "{stream} version {} is out of use: {}",
-        state.version, state.reason
-    ));
+    say::line(format!("{stream} version {} is out of use: {}", state.version, state.reason));
     Ok(())
 }
 
@@ -230,12 +215,8 @@ pub fn show_version(
         Ok::<_, ClientError>((manifest, overview))
     })?;
     let of = |v: u64| v == manifest.version;
-    let labels: Vec<String> = overview
-        .labels
-        .iter()
-        .filter(|s| of(s.version))
-        .map(|s| s.label.to_string())
-        .collect();
+    let labels: Vec<String> =
+        overview.labels.iter().filter(|s| of(s.version)).map(|s| s.label.to_string()).collect();
     let quarantined = overview.quarantined.iter().find(|q| of(q.version));
     let signatures = manifest.signatures.iter().map(|s| s.key_id.clone());
     let mut object = as_json(&manifest);
@@ -256,10 +237,7 @@ pub fn show_version(
 }
 
 fn reports_json(overview: &Overview, manifest: &Manifest) -> serde_json::Value {
-    let reports = overview
-        .reports
-        .iter()
-        .filter(|r| r.version == manifest.version);
+    let reports = overview.reports.iter().filter(|r| r.version == manifest.version);
     let reports: Vec<_> = reports
         .map(|r| {
             json!({

@@ -118,11 +118,7 @@ pub fn keygen(args: &KeygenArgs) -> Result<(), Failure> {
     Trust::parse(&trust).map_err(|reason| Failure::message(ExitCode::BadInput, reason))?;
     key.write(&args.out).or_exit(ExitCode::CannotCreate)?;
     caudata_durable::replace(&args.trust, trust.as_bytes()).or_exit(ExitCode::CannotCreate)?;
-    say::line(format!(
-        "secret key {}, trust file {}",
-        args.out.display(),
-        args.trust.display()
-    ));
+    say::line(format!("secret key {}, trust file {}", args.out.display(), args.trust.display()));
     Ok(())
 }
 
@@ -130,9 +126,8 @@ pub fn keygen(args: &KeygenArgs) -> Result<(), Failure> {
 /// root keys of the file before it, and of its own, have signed.
 pub fn trust_next(args: &TrustNextArgs) -> Result<(), Failure> {
     let key = ReleaseKey::read(&args.key, &args.key_id).map_err(unusable)?;
-    let text = read_text_at_most(&args.next, FILE_MAX).or_exit_with(ExitCode::NoInput, || {
-        format!("cannot read {}", args.next.display())
-    })?;
+    let text = read_text_at_most(&args.next, FILE_MAX)
+        .or_exit_with(ExitCode::NoInput, || format!("cannot read {}", args.next.display()))?;
     let bad = |reason| Failure::message(ExitCode::BadInput, reason);
     let next = Trust::parse(&text).map_err(bad)?;
     let version = next.version();
@@ -164,27 +159,19 @@ pub fn trust_next(args: &TrustNextArgs) -> Result<(), Failure> {
         }
         Ok(_) => {}
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-            return Err(error).or_exit_with(ExitCode::NoInput, || {
-                format!("cannot read {}", file.display())
-            });
+            return Err(error)
+                .or_exit_with(ExitCode::NoInput, || format!("cannot read {}", file.display()));
         }
         Err(_) => {
             caudata_durable::replace(&file, text.as_bytes()).or_exit(ExitCode::CannotCreate)?;
         }
     }
     let signature = key.sign_trust(&text);
-    if !read_signatures(&file)
-        .or_exit(ExitCode::BadInput)?
-        .contains(&signature)
-    {
+    if !read_signatures(&file).or_exit(ExitCode::BadInput)?.contains(&signature) {
         add_signature(&file, &signature).or_exit(ExitCode::CannotCreate)?;
     }
     say::line(match Trust::read(&args.trust) {
-        Ok(trust) => format!(
-            "{} signed; version {} is in force",
-            file.display(),
-            trust.version()
-        ),
+        Ok(trust) => format!("{} signed; version {} is in force", file.display(), trust.version()),
         Err(error) => format!("{} signed; not yet in force: {error}", file.display()),
     });
     Ok(())
@@ -213,10 +200,7 @@ pub fn release(args: &ReleaseArgs) -> Result<(), Failure> {
         let mut client = args.server.client()?;
         client.publish(manifest, &bytes).await
     })?;
-    let (stream, version) = (
-        published.manifest.stream.to_string(),
-        published.manifest.version,
-    );
+    let (stream, version) = (published.manifest.stream.to_string(), published.manifest.version);
     if published.manifest.signatures != signed {
         let message = format!(
             "{stream} version {version} was there already with other words or signatures: nothing was signed"
@@ -227,10 +211,7 @@ pub fn release(args: &ReleaseArgs) -> Result<(), Failure> {
     if args.json {
         return say::json(&json!({"stream": stream, "version": version, "key_id": args.key_id}));
     }
-    say::line(format!(
-        "{stream} version {version}, signed by {}",
-        args.key_id
-    ));
+    say::line(format!("{stream} version {version}, signed by {}", args.key_id));
     Ok(())
 }
 
@@ -239,9 +220,8 @@ fn evaluation(path: &Path, manifest: &Manifest) -> Result<String, Failure> {
     let shown = path.display();
     let text = read_text_at_most(path, SUMMARY_MAX)
         .or_exit_with(ExitCode::NoInput, || format!("cannot read {shown}"))?;
-    let summary: Summary = serde_json::from_str(&text).or_exit_with(ExitCode::BadInput, || {
-        format!("{shown} is no evaluation summary")
-    })?;
+    let summary: Summary = serde_json::from_str(&text)
+        .or_exit_with(ExitCode::BadInput, || format!("{shown} is no evaluation summary"))?;
     if summary.policy_sha256 != hex(&manifest.sha256) {
         let message = format!(
             "{shown} is about policy {}, not {}",

@@ -70,9 +70,7 @@ pub fn run(command: &RobotCommand) -> Result<(), Failure> {
             let model = load(file)?;
             let cannot_stand = check(&model)
                 .map_err(|failure| failure.context(format!("robot file {}", file.display())))?;
-            say::either(*json, &Summary::of(&model, cannot_stand), |summary| {
-                print(&model, summary)
-            })
+            say::either(*json, &Summary::of(&model, cannot_stand), |summary| print(&model, summary))
         }
         RobotCommand::Import(args) => import(args),
         RobotCommand::Export { file, urdf } => {
@@ -90,10 +88,7 @@ fn check(model: &RobotModel) -> Result<Option<String>, Failure> {
     let (config, terrain) = (EngineConfig::default(), TerrainConfig::default());
     let robot = Arc::new(model.clone());
     let built = |fixed_base: bool| {
-        let config = EngineConfig {
-            fixed_base,
-            ..config.clone()
-        };
+        let config = EngineConfig { fixed_base, ..config.clone() };
         caudata_sim::build(Arc::clone(&robot), 1, &config, &terrain, 0, 1)
             .or_exit(ExitCode::BadInput)
     };
@@ -147,10 +142,7 @@ fn shake(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, 
         }
     }
     let held = |(low, high): &(f32, f32)| f64::from(high - low) < STUCK_SHARE * SWING_RAD;
-    let stuck = span
-        .iter()
-        .position(held)
-        .filter(|_| model.base() == BaseKind::Fixed);
+    let stuck = span.iter().position(held).filter(|_| model.base() == BaseKind::Fixed);
     if let Some(a) = stuck {
         let name = model.actuated_names()[a];
         return Ok(Some(format!(
@@ -246,10 +238,7 @@ fn stand(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, 
         .find(|(((low, high), angle), _)| (*angle - low).min(high - *angle) < AT_STOP_RAD);
     let weight_n = model.total_mass_kg() * STANDARD_GRAVITY_MPS2;
     let lies = f64::from(state.trunk_force_n[0]) / weight_n;
-    let angles = model
-        .actuated()
-        .iter()
-        .map(|&joint| state.joint_pos_rad[joint]);
+    let angles = model.actuated().iter().map(|&joint| state.joint_pos_rad[joint]);
     let off_rad = (pose.iter().zip(angles)).map(|(&wanted, is)| (wanted - f64::from(is)).abs());
     let worst = (model.actuated_names().into_iter().zip(off_rad))
         .max_by(|a, b| a.1.total_cmp(&b.1))
@@ -265,9 +254,7 @@ fn stand(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, 
         Some(format!("`{joint}` is at its end stop"))
     } else if lies > LYING_MAX {
         let percent = 100.0 * lies;
-        Some(format!(
-            "{percent:.0} % of its weight lies on trunk or legs"
-        ))
+        Some(format!("{percent:.0} % of its weight lies on trunk or legs"))
     } else {
         None
     })
@@ -290,8 +277,7 @@ fn import(args: &ImportArgs) -> Result<(), Failure> {
     };
     let made = match import::import(&args.file, &options) {
         Err(ImportError::Refused(all)) => {
-            all.iter()
-                .for_each(|remark| say::line(format!("refused: {remark}")));
+            all.iter().for_each(|remark| say::line(format!("refused: {remark}")));
             let count = all.len();
             let message = format!("{}: {count} refused", args.file.display());
             let hint = "each is said above, with what to do";
@@ -387,16 +373,10 @@ impl<'a> Summary<'a> {
             supply_v: model.supply_v(),
             kp_nm_per_rad: model.gains().iter().map(|g| g.kp_nm_per_rad).collect(),
             kd_nm_s_per_rad: model.gains().iter().map(|g| g.kd_nm_s_per_rad).collect(),
-            servos: (0..model.actuated().len())
-                .map(|a| model.servo_name(a))
-                .collect(),
+            servos: (0..model.actuated().len()).map(|a| model.servo_name(a)).collect(),
             feet: model.feet().iter().map(|foot| foot.name.as_str()).collect(),
-            imu: model
-                .imu_site()
-                .map(|site| model.links()[site.link].name.as_str()),
-            cannot_walk: caudata_config::can_walk(model)
-                .err()
-                .map(|error| error.to_string()),
+            imu: model.imu_site().map(|site| model.links()[site.link].name.as_str()),
+            cannot_walk: caudata_config::can_walk(model).err().map(|error| error.to_string()),
             cannot_stand,
         }
     }
@@ -415,9 +395,7 @@ fn print(model: &RobotModel, summary: &Summary<'_>) {
     say::line(format!(
         "feet: {}; IMU: {}",
         or_none(&summary.feet.join(", ")),
-        summary
-            .imu
-            .map_or("none".to_owned(), |link| format!("on {link}")),
+        summary.imu.map_or("none".to_owned(), |link| format!("on {link}")),
     ));
     say::line(format!("hash {}", summary.hash));
     if let Some(why) = &summary.cannot_walk {
@@ -435,24 +413,10 @@ fn print(model: &RobotModel, summary: &Summary<'_>) {
         let gains = [summary.kp_nm_per_rad[index], summary.kd_nm_s_per_rad[index]];
         let own = vec![index.to_string(), (*name).to_owned()];
         let servo = vec![summary.servos[index].to_owned()];
-        [
-            own,
-            angles.to_vec(),
-            gains.map(|g| g.to_string()).to_vec(),
-            servo,
-        ]
-        .concat()
+        [own, angles.to_vec(), gains.map(|g| g.to_string()).to_vec(), servo].concat()
     };
-    let head = [
-        "#",
-        "joint",
-        "nominal °",
-        "lower °",
-        "upper °",
-        "kp N·m/rad",
-        "kd N·m·s/rad",
-        "servo",
-    ];
+    let head =
+        ["#", "joint", "nominal °", "lower °", "upper °", "kp N·m/rad", "kd N·m·s/rad", "servo"];
     say::table(&head, summary.actuated.iter().enumerate().map(row));
 }
 

@@ -53,30 +53,20 @@ pub fn run(command: &RunsCommand) -> Result<(), Failure> {
             })
         }
         RunsCommand::Compare(args) => {
-            let runs: Vec<Run> = args
-                .plan
-                .runs
-                .iter()
-                .map(|dir| Run::read(dir))
-                .collect::<Result<_, _>>()?;
+            let runs: Vec<Run> =
+                args.plan.runs.iter().map(|dir| Run::read(dir)).collect::<Result<_, _>>()?;
             compare(&runs, args.json)
         }
         RunsCommand::Best(args) => {
             let runs = within(&args.plan.folder)?;
-            let best = runs
-                .iter()
-                .filter(|run| run.rank().is_some())
-                .min_by(|a, b| a.by_rank(b));
+            let best = runs.iter().filter(|run| run.rank().is_some()).min_by(|a, b| a.by_rank(b));
             let best = best.ok_or_else(|| {
                 let message = format!("no run in {} has an evaluation", args.plan.folder.display());
                 Failure::message(ExitCode::NoInput, message)
             })?;
             say::either(args.json, &best.summary(), |summary| {
                 say::fields(summary, SUMMARY);
-                say::line(format!(
-                    "policy {}",
-                    best.folder.join("policy.onnx").display()
-                ));
+                say::line(format!("policy {}", best.folder.join("policy.onnx").display()));
             })
         }
     }
@@ -165,11 +155,7 @@ impl Run {
     fn missed(&self) -> Option<Vec<String>> {
         let gates = self.evaluation["gates"]["gates"].as_array()?;
         let missed = gates.iter().filter(|gate| gate["met"] == false);
-        Some(
-            missed
-                .filter_map(|gate| Some(gate["name"].as_str()?.to_owned()))
-                .collect(),
-        )
+        Some(missed.filter_map(|gate| Some(gate["name"].as_str()?.to_owned())).collect())
     }
 
     /// Gates missed, then how far its speed is off the command, m/s.
@@ -209,22 +195,16 @@ impl Run {
 
     /// Its value after so many environment steps: the last one until then.
     fn at(&self, env_steps: u64, value: impl Fn(&Iteration) -> Option<f64>) -> Option<f64> {
-        let until = self
-            .iterations
-            .partition_point(|i| i.steps_total <= env_steps);
+        let until = self.iterations.partition_point(|i| i.steps_total <= env_steps);
         let reached = self.iterations.last()?.steps_total >= env_steps;
-        self.iterations[..until]
-            .last()
-            .filter(|_| reached)
-            .and_then(value)
+        self.iterations[..until].last().filter(|_| reached).and_then(value)
     }
 }
 
 /// The folders of the runs in a folder, by name: names begin with the time.
 fn dirs(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
-    let entries = std::fs::read_dir(folder).or_exit_with(ExitCode::NoInput, || {
-        format!("cannot read {}", folder.display())
-    })?;
+    let entries = std::fs::read_dir(folder)
+        .or_exit_with(ExitCode::NoInput, || format!("cannot read {}", folder.display()))?;
     let mut dirs: Vec<PathBuf> = entries
         .flatten()
         .map(|entry| entry.path())
@@ -270,21 +250,14 @@ pub fn beside(run: &Path, other: Option<&str>) -> Result<Value, Failure> {
     let iterations = &runs[1].iterations;
     let every = iterations.len().div_ceil(CURVE_POINTS).max(1);
     let curve = iterations.iter().step_by(every);
-    both["curve"] = curve
-        .map(|i| json!([i.steps_total, i.mean_return]))
-        .collect();
+    both["curve"] = curve.map(|i| json!([i.steps_total, i.mean_return])).collect();
     Ok(both)
 }
 
 fn compared(runs: &[Run]) -> Value {
-    let longest = runs
-        .iter()
-        .filter_map(|run| run.iterations.last())
-        .map(|i| i.steps_total)
-        .max();
-    let steps: Vec<u64> = (1..=POINTS)
-        .map(|k| longest.unwrap_or(0) * k as u64 / POINTS as u64)
-        .collect();
+    let longest = runs.iter().filter_map(|run| run.iterations.last()).map(|i| i.steps_total).max();
+    let steps: Vec<u64> =
+        (1..=POINTS).map(|k| longest.unwrap_or(0) * k as u64 / POINTS as u64).collect();
     let curve = |value: fn(&Iteration) -> Option<f64>| -> Vec<Vec<Option<f64>>> {
         let of = |&at: &u64| runs.iter().map(|run| run.at(at, value)).collect();
         steps.iter().map(of).collect()
@@ -306,9 +279,7 @@ fn compare(runs: &[Run], as_json: bool) -> Result<(), Failure> {
         let head = |first: &str| row(first.to_owned(), names.clone());
         say::line("return per episode after so many environment steps");
         let list = |value: &Value| value.as_array().cloned().unwrap_or_default();
-        let rows = list(&found["env_steps"])
-            .into_iter()
-            .zip(list(&found["episode_return"]));
+        let rows = list(&found["env_steps"]).into_iter().zip(list(&found["episode_return"]));
         let rows = rows.map(|(at, values)| {
             let cells = list(&values).into_iter().map(|value| cell(&value.as_f64()));
             row(at.to_string(), cells.collect())
@@ -338,9 +309,7 @@ fn evaluations(runs: &[Run]) -> Vec<Vec<String>> {
     ];
     let figure = |(name, key): (&str, &str)| {
         let of = |run: &Run| cell(&run.evaluation[key]["mean"].as_f64());
-        std::iter::once(name.to_owned())
-            .chain(runs.iter().map(of))
-            .collect()
+        std::iter::once(name.to_owned()).chain(runs.iter().map(of)).collect()
     };
     let missed = |run: &Run| match run.missed() {
         Some(missed) if missed.is_empty() => "none".to_owned(),
@@ -348,11 +317,7 @@ fn evaluations(runs: &[Run]) -> Vec<Vec<String>> {
         None => "-".to_owned(),
     };
     let gates = std::iter::once("gates missed".to_owned()).chain(runs.iter().map(missed));
-    FIGURES
-        .into_iter()
-        .map(figure)
-        .chain([gates.collect()])
-        .collect()
+    FIGURES.into_iter().map(figure).chain([gates.collect()]).collect()
 }
 
 /// The keys that do not have one value in all runs, with each run's.
@@ -365,14 +330,7 @@ fn differing(runs: &[Run]) -> Vec<(String, Vec<String>)> {
     };
     keys.into_iter()
         .filter(|key| !INCIDENTAL.iter().any(|prefix| key.starts_with(prefix)))
-        .map(|key| {
-            (
-                key.clone(),
-                all.iter()
-                    .map(|entries| value(entries, key))
-                    .collect::<Vec<_>>(),
-            )
-        })
+        .map(|key| (key.clone(), all.iter().map(|entries| value(entries, key)).collect::<Vec<_>>()))
         .filter(|(_, values)| values.iter().any(|value| *value != values[0]))
         .collect()
 }
@@ -385,11 +343,8 @@ mod tests {
         let folder = dir.join(name);
         std::fs::create_dir(&folder).unwrap();
         std::fs::write(folder.join("run_id.txt"), name).unwrap();
-        std::fs::write(
-            folder.join("config.toml"),
-            format!("[learner.ppo]\ngamma = {gamma}\n"),
-        )
-        .unwrap();
+        std::fs::write(folder.join("config.toml"), format!("[learner.ppo]\ngamma = {gamma}\n"))
+            .unwrap();
         let lines: Vec<String> = (1..=20)
             .map(|number| {
                 let iteration = Iteration {
@@ -428,21 +383,13 @@ mod tests {
     #[test]
     fn only_what_differs_is_compared_and_curves_end_where_a_run_ends() {
         let dir = tempfile::tempdir().unwrap();
-        let folders = [
-            run(dir.path(), "a", "0.97", false, 0.3),
-            run(dir.path(), "b", "0.9", false, 0.3),
-        ];
-        let runs: Vec<Run> = folders
-            .iter()
-            .map(|folder| Run::read(folder).unwrap())
-            .collect();
+        let folders =
+            [run(dir.path(), "a", "0.97", false, 0.3), run(dir.path(), "b", "0.9", false, 0.3)];
+        let runs: Vec<Run> = folders.iter().map(|folder| Run::read(folder).unwrap()).collect();
         let found = differing(&runs);
         assert_eq!(
             found,
-            [(
-                "learner.ppo.gamma".to_owned(),
-                vec!["0.97".to_owned(), "0.9".to_owned()]
-            )]
+            [("learner.ppo.gamma".to_owned(), vec!["0.97".to_owned(), "0.9".to_owned()])]
         );
         assert_eq!(runs[0].at(1000, |i| i.mean_return), Some(10.0));
         assert_eq!(runs[0].at(3000, |i| i.mean_return), None);

@@ -33,7 +33,6 @@ pub fn completions(args: &CompletionsArgs, mut command: clap::Command) -> Result
 /// Writes the pages of `command` and all below it.
 pub fn man(args: &ManArgs, command: clap::Command) -> Result<(), Failure> {
     caudata_studies::files::make_folder(&args.out)?;
-    clap_mangen::generate_to(command, &args.out).or_exit_with(ExitCode::CannotCreate, || {
-        format!("cannot write {}", args.out.display())
-    })
+    clap_mangen::generate_to(command, &args.out)
+        .or_exit_with(ExitCode::CannotCreate, || format!("cannot write {}", args.out.display()))
 }

@@ -89,30 +89,11 @@ mod tests {
         assert!(height[50].unwrap() > 0.03, "it stands on the ground");
         let first = std::fs::read(dir.join("log.csv")).unwrap();
         sim(dir, rollout).unwrap();
-        assert!(
-            first == std::fs::read(dir.join("log.csv")).unwrap(),
-            "same bits"
-        );
-        sim(
-            dir,
-            "show --log DIR --at 0.2 --out DIR/f.png --width 160 --robot ROBOT",
-        )
-        .unwrap();
-        sim(
-            dir,
-            "show --log DIR --fps 5 --out DIR/f.gif --width 80 --robot ROBOT",
-        )
-        .unwrap();
-        assert!(
-            std::fs::read(dir.join("f.png"))
-                .unwrap()
-                .starts_with(b"\x89PNG")
-        );
-        assert!(
-            std::fs::read(dir.join("f.gif"))
-                .unwrap()
-                .starts_with(b"GIF89a")
-        );
+        assert!(first == std::fs::read(dir.join("log.csv")).unwrap(), "same bits");
+        sim(dir, "show --log DIR --at 0.2 --out DIR/f.png --width 160 --robot ROBOT").unwrap();
+        sim(dir, "show --log DIR --fps 5 --out DIR/f.gif --width 80 --robot ROBOT").unwrap();
+        assert!(std::fs::read(dir.join("f.png")).unwrap().starts_with(b"\x89PNG"));
+        assert!(std::fs::read(dir.join("f.gif")).unwrap().starts_with(b"GIF89a"));
     }
 
     #[test]
@@ -129,18 +110,8 @@ mod tests {
         let with = |flags: &str| format!("{good} {flags}");
         refused(dir, &with("--rate-hz 999"), ExitCode::BadConfig, &["999"]);
         refused(dir, &with("--duration-s -1"), ExitCode::BadConfig, &["-1"]);
-        refused(
-            dir,
-            &with("--set lane.grip=1"),
-            ExitCode::BadConfig,
-            &["grip"],
-        );
-        refused(
-            dir,
-            &with("--set terrain.depth=1"),
-            ExitCode::BadConfig,
-            &["depth"],
-        );
+        refused(dir, &with("--set lane.grip=1"), ExitCode::BadConfig, &["grip"]);
+        refused(dir, &with("--set terrain.depth=1"), ExitCode::BadConfig, &["depth"]);
         // No folder is made for what is refused, and none can be made inside a file.
         let elsewhere = good.replace("DIR/o.csv", "DIR/new/o.csv");
         let refused_there = format!("{elsewhere} --rate-hz 999");
@@ -150,24 +121,9 @@ mod tests {
         assert!(dir.join("new/o.toml").is_file());
         let inside = good.replace("DIR/o.csv", "DIR/c.csv/o.csv");
         refused(dir, &inside, ExitCode::CannotCreate, &["c.csv"]);
-        refused(
-            dir,
-            "show --out DIR/f.jpg",
-            ExitCode::BadConfig,
-            &[".png or .gif"],
-        );
-        refused(
-            dir,
-            "show --out DIR/f.png --log DIR",
-            ExitCode::NoInput,
-            &["log"],
-        );
-        refused(
-            dir,
-            "show --out DIR/f.png --robot DIR/r.toml",
-            ExitCode::NoInput,
-            &["r.toml"],
-        );
+        refused(dir, "show --out DIR/f.jpg", ExitCode::BadConfig, &[".png or .gif"]);
+        refused(dir, "show --out DIR/f.png --log DIR", ExitCode::NoInput, &["log"]);
+        refused(dir, "show --out DIR/f.png --robot DIR/r.toml", ExitCode::NoInput, &["r.toml"]);
         refused(
             dir,
             "show --out DIR/f.png --distance 0 --robot ROBOT",

@@ -82,16 +82,10 @@ pub fn run(args: &SimRobotArgs, stop: &StopFlag) -> Result<(), Failure> {
     let water = WaterSensor::new(engine.model(), &config.task).or_exit(ExitCode::BadInput)?;
     let mut robot = SimulatedRobot::new(engine, start, args.seed, contact_force_n, water);
     robot.imu_gravity = args.imu_gravity;
-    let listener = TcpListener::bind(args.addr).or_exit_with(ExitCode::OsResource, || {
-        format!("cannot listen on {}", args.addr)
-    })?;
-    listener
-        .set_nonblocking(true)
-        .or_exit(ExitCode::OsResource)?;
-    announce(
-        "robot_link",
-        listener.local_addr().or_exit(ExitCode::OsResource)?,
-    );
+    let listener = TcpListener::bind(args.addr)
+        .or_exit_with(ExitCode::OsResource, || format!("cannot listen on {}", args.addr))?;
+    listener.set_nonblocking(true).or_exit(ExitCode::OsResource)?;
+    announce("robot_link", listener.local_addr().or_exit(ExitCode::OsResource)?);
     while !stop.is_set() {
         match listener.accept() {
             Ok((stream, client)) => {
@@ -120,9 +114,7 @@ fn serve(robot: &mut SimulatedRobot, mut stream: TcpStream, stop: &StopFlag) -> 
     let refused = |e: std::io::Error| e.to_string();
     stream.set_nonblocking(false).map_err(refused)?;
     stream.set_nodelay(true).map_err(refused)?;
-    stream
-        .set_read_timeout(Some(STOP_SEEN_WITHIN))
-        .map_err(refused)?;
+    stream.set_read_timeout(Some(STOP_SEEN_WITHIN)).map_err(refused)?;
     stream.set_write_timeout(Some(WRITE_MAX)).map_err(refused)?;
     let mut reader = FrameReader::new(MAX_MESSAGE_BYTES);
     let own = robot.hello();
@@ -195,11 +187,8 @@ impl SimulatedRobot {
     ) -> Self {
         let with = engine.params(0).clone();
         let mut limp = with.clone();
-        for per_servo in [
-            &mut limp.torque_scale,
-            &mut limp.kp_nm_per_rad,
-            &mut limp.kd_nms_per_rad,
-        ] {
+        for per_servo in [&mut limp.torque_scale, &mut limp.kp_nm_per_rad, &mut limp.kd_nms_per_rad]
+        {
             per_servo.fill(0.0);
         }
         let stream = Stream::new(Key::for_run(seed), Purpose::Sensor);
@@ -239,10 +228,7 @@ impl SimulatedRobot {
 
     /// At its start, torque on, fresh noise.
     fn restart(&mut self) -> Result<(), SimError> {
-        let key = Key {
-            episode: self.episode,
-            ..Key::for_run(self.seed)
-        };
+        let key = Key { episode: self.episode, ..Key::for_run(self.seed) };
         self.episode += 1;
         self.stream = Stream::new(key, Purpose::Sensor);
         self.bias = match &self.engine.model().sensors().imu {
@@ -266,15 +252,11 @@ impl SimulatedRobot {
         }
         if command.torque_enabled != self.torque {
             let params = &self.params[usize::from(!command.torque_enabled)];
-            self.engine
-                .set_params(0, params)
-                .map_err(|e| e.to_string())?;
+            self.engine.set_params(0, params).map_err(|e| e.to_string())?;
             self.torque = command.torque_enabled;
         }
         self.tick = command.tick;
-        self.engine
-            .step(&command.targets_rad, &[0.0; 6])
-            .map_err(|e| e.to_string())?;
+        self.engine.step(&command.targets_rad, &[0.0; 6]).map_err(|e| e.to_string())?;
         if self.engine.state().diverged[0] {
             return Err("the simulation diverged".to_owned());
         }
@@ -365,17 +347,12 @@ mod tests {
             robot.step(&command(&robot, true)).unwrap();
         }
         let standing = height_m(&robot);
-        let RobotMessage::Sensors(read) = robot.sensors() else {
-            panic!("sensors")
-        };
+        let RobotMessage::Sensors(read) = robot.sensors() else { panic!("sensors") };
         assert_eq!((read.tick, read.imu_gravity), (50, None));
         assert!((read.time_s - 1.0).abs() < 1e-12);
         // At rest the accelerometer shows gravity, upwards; its offset is drawn with 0.2 m/s² per axis.
         assert!((read.acc_mps2[2] - 9.81).abs() < 1.0, "{:?}", read.acc_mps2);
-        assert_eq!(
-            read.foot_contacts.map(|bits| bits.count_ones() >= 3),
-            Some(true)
-        );
+        assert_eq!(read.foot_contacts.map(|bits| bits.count_ones() >= 3), Some(true));
         for _ in 0..50 {
             robot.step(&command(&robot, false)).unwrap();
         }
@@ -388,9 +365,7 @@ mod tests {
     fn its_water_sensor_tells_deep_water_from_land() {
         for (ground, expected) in [(TerrainKind::DeepWater, true), (TerrainKind::Flat, false)] {
             let mut robot = robot_on(ground);
-            let RobotMessage::Sensors(read) = robot.sensors() else {
-                panic!("sensors")
-            };
+            let RobotMessage::Sensors(read) = robot.sensors() else { panic!("sensors") };
             assert_eq!(read.in_water, Some(expected), "{ground:?}");
         }
     }

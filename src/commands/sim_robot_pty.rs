@@ -46,10 +46,7 @@ fn chance(text: &str) -> Result<f32, String> {
 #[serde(tag = "event", rename_all = "snake_case")]
 enum Event<'a> {
     /// The terminals can be opened.
-    EmulatedRobot {
-        servos: &'a std::path::Path,
-        imu: &'a std::path::Path,
-    },
+    EmulatedRobot { servos: &'a std::path::Path, imu: &'a std::path::Path },
     /// The torque went on.
     TorqueOn { time_s: f64 },
     /// The torque went off.
@@ -81,10 +78,7 @@ pub fn run(
     let path = args.wiring.clone();
     let path = path.unwrap_or_else(|| beside(&config.robot_path()));
     let wiring = Wiring::read(&path).or_exit(ExitCode::BadInput)?;
-    let engine_config = EngineConfig {
-        substeps: SUBSTEPS,
-        ..config.engine.clone()
-    };
+    let engine_config = EngineConfig { substeps: SUBSTEPS, ..config.engine.clone() };
     let water = WaterSensor::new(&model, &config.task).or_exit(ExitCode::BadInput)?;
     let engine = caudata_sim::build(model, 1, &engine_config, &config.terrain, seed, 1)
         .or_exit(ExitCode::BadConfig)?;
@@ -99,34 +93,20 @@ pub fn run(
         noise: p,
         ..WireFaults::default()
     });
-    let mut terminals = Terminals::open(&args.links).or_exit_with(ExitCode::OsResource, || {
-        format!("cannot make {}", args.links.display())
-    })?;
+    let mut terminals = Terminals::open(&args.links)
+        .or_exit_with(ExitCode::OsResource, || format!("cannot make {}", args.links.display()))?;
     tell(&Event::EmulatedRobot {
         servos: &args.links.join("servos"),
         imu: &args.links.join("imu"),
     });
-    let pace = if args.in_step {
-        Pace::Goals
-    } else {
-        Pace::RealTime
-    };
+    let pace = if args.in_step { Pace::Goals } else { Pace::RealTime };
     let mut event = |on: bool, robot: &EmulatedRobot| {
         let time_s = robot.time_s();
         tell(&match on {
             true => Event::TorqueOn { time_s },
-            false => Event::TorqueOff {
-                time_s,
-                travel: robot.travel(),
-            },
+            false => Event::TorqueOff { time_s, travel: robot.travel() },
         });
     };
-    serve(
-        &mut robot,
-        &mut terminals,
-        pace,
-        &|| stop.is_set(),
-        &mut event,
-    )
-    .or_exit(ExitCode::Internal)
+    serve(&mut robot, &mut terminals, pace, &|| stop.is_set(), &mut event)
+        .or_exit(ExitCode::Internal)
 }

@@ -88,10 +88,7 @@ enum Base {
 
 pub fn run(args: &RolloutArgs, stop: &StopFlag) -> Result<(), Failure> {
     let (mut flags, changes) = lane_params::split(&args.config);
-    if !flags
-        .sets("engine", "centred")
-        .or_exit(ExitCode::BadConfig)?
-    {
+    if !flags.sets("engine", "centred").or_exit(ExitCode::BadConfig)? {
         flags.overrides.push(CENTRED.to_owned());
     }
     let mut config = flags.load().or_exit(ExitCode::BadConfig)?;
@@ -135,10 +132,7 @@ pub fn run(args: &RolloutArgs, stop: &StopFlag) -> Result<(), Failure> {
     let mut engine = caudata_sim::build(robot, 1, &config.engine, &config.terrain, seed, 1)
         .or_exit(ExitCode::BadConfig)?;
     engine.set_params(0, &params).or_exit(ExitCode::BadConfig)?;
-    let start = InitialState {
-        base_xy_m: args.place,
-        ..InitialState::nominal(&model)
-    };
+    let start = InitialState { base_xy_m: args.place, ..InitialState::nominal(&model) };
     engine.reset(0, &start).or_exit(ExitCode::BadConfig)?;
     let rows = simulate(engine.as_mut(), &commands, (rows, steps), &args.out, stop)?;
     let meta_path = args.out.with_extension("toml");
@@ -174,10 +168,7 @@ fn check_out(out: &Path, commands: &Path) -> Result<(), Failure> {
     } else {
         return Ok(());
     };
-    Err(Failure::message(
-        ExitCode::BadConfig,
-        format!("--out {} {why}", out.display()),
-    ))
+    Err(Failure::message(ExitCode::BadConfig, format!("--out {} {why}", out.display())))
 }
 
 /// Physics steps per row, and their length, s: the longest that is no longer than `dt_s` and divides a row.
@@ -245,10 +236,7 @@ fn circumstances(
     if config.engine.kind == EngineKind::Batch {
         put("centred", Setting::Switch(config.engine.centred));
     }
-    put(
-        "engine",
-        Setting::Text(config.engine.kind.name().to_owned()),
-    );
+    put("engine", Setting::Text(config.engine.kind.name().to_owned()));
     if let Some(preset) = &args.config.preset {
         put("preset", Setting::Text(preset.clone()));
     }
@@ -313,11 +301,7 @@ impl Commands {
             }
             rows.push(row.clone());
         }
-        Ok(Self {
-            time_s: table.time_s().to_vec(),
-            rows,
-            early_s: 1e-9,
-        })
+        Ok(Self { time_s: table.time_s().to_vec(), rows, early_s: 1e-9 })
     }
 
     /// Refuses commands that come faster than the engine takes them: all but the last of a control period would
@@ -329,9 +313,8 @@ impl Commands {
             return Ok(self.early_s);
         }
         let first = self.time_s[0];
-        let nearest: Vec<f64> = (self.time_s.iter())
-            .map(|t| ((t - first) / period_s).round())
-            .collect();
+        let nearest: Vec<f64> =
+            (self.time_s.iter()).map(|t| ((t - first) / period_s).round()).collect();
         let lost = nearest.windows(2).filter(|pair| pair[0] == pair[1]).count();
         let intervals = nearest.len() as f64 - 1.0;
         let [mean_s, least_s] = self.intervals_s();
@@ -355,11 +338,7 @@ impl Commands {
         let fits = |s: &f64| *s > dt_s * (1.0 - ROUNDING) && self.fit(*s).is_ok();
         let exact = 1.0 / self.intervals_s().into_iter().find(fits)?;
         let whole = exact.round();
-        Some(if (exact - whole).abs() < ROUNDING * whole {
-            whole
-        } else {
-            exact
-        })
+        Some(if (exact - whole).abs() < ROUNDING * whole { whole } else { exact })
     }
 
     /// Mean and least time from one to the next, s.
@@ -407,22 +386,16 @@ fn simulate(
         values.clear();
         values.extend(command.iter().map(|&x| Some(f64::from(x))));
         push_state(&mut values, engine.model(), engine.state());
-        table
-            .row(t_s, &values)
-            .or_exit_with(ExitCode::IoError, cannot_write)?;
+        table.row(t_s, &values).or_exit_with(ExitCode::IoError, cannot_write)?;
         if period == periods {
             break;
         }
         for _ in 0..steps {
-            engine
-                .step(command, &[0.0; 6])
-                .or_exit(ExitCode::Internal)?;
+            engine.step(command, &[0.0; 6]).or_exit(ExitCode::Internal)?;
         }
     }
     let rows = table.rows();
-    table
-        .finish()
-        .or_exit_with(ExitCode::IoError, cannot_write)?;
+    table.finish().or_exit_with(ExitCode::IoError, cannot_write)?;
     Ok(rows)
 }
 
@@ -487,10 +460,7 @@ mod tests {
         let commands = commands("t,cmd.FL_hip\n0.0,0.1\n0.1,\n0.2,0.3\n").unwrap();
         // Policy order: 8 spine and tail joints, then FL_hip (8), FL_knee (9, nominally 36°).
         let hip = |t| commands.at(t)[8];
-        assert_eq!(
-            (hip(0.0), hip(0.15), hip(0.2), hip(9.0)),
-            (0.1, 0.1, 0.3, 0.3)
-        );
+        assert_eq!((hip(0.0), hip(0.15), hip(0.2), hip(9.0)), (0.1, 0.1, 0.3, 0.3));
         assert!((commands.at(0.0)[9] - 36f32.to_radians()).abs() < 1e-6);
     }
 
@@ -514,9 +484,7 @@ mod tests {
         let csv = "t,cmd.FL_hip\n5.000,0.0\n5.012,0.1\n5.019,0.2\n5.033,0.3\n5.040,0.4\n";
         let mut commands = commands(csv).unwrap();
         commands.early_s = commands.fit(0.01).unwrap();
-        let hip: Vec<f32> = (0..5)
-            .map(|k| commands.at(5.0 + 0.01 * f64::from(k))[8])
-            .collect();
+        let hip: Vec<f32> = (0..5).map(|k| commands.at(5.0 + 0.01 * f64::from(k))[8]).collect();
         assert_eq!(hip, [0.0, 0.1, 0.2, 0.3, 0.4]);
     }
 
@@ -531,20 +499,9 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = |name: &str| dir.path().join(name).display().to_string();
         std::fs::write(path("c.csv"), csv).unwrap();
-        let robot = concat!(
-            env!("CARGO_MANIFEST_DIR"),
-            "/robots/xl330_pendulum.robot.toml"
-        );
+        let robot = concat!(env!("CARGO_MANIFEST_DIR"), "/robots/xl330_pendulum.robot.toml");
         let (commands, out) = (path("c.csv"), path("t.csv"));
-        let paths = [
-            "rollout",
-            "--robot",
-            robot,
-            "--commands",
-            &commands,
-            "--out",
-            &out,
-        ];
+        let paths = ["rollout", "--robot", robot, "--commands", &commands, "--out", &out];
         let line = paths.into_iter().chain(flags.split_whitespace());
         let args = <Command as clap::Parser>::parse_from(line).rollout;
         run(&args, &StopFlag::default()).unwrap();
@@ -557,10 +514,7 @@ mod tests {
 
     /// Hangs still, is sent to `rad` from `jump_s` on, and is looked at until 1 s.
     fn jump(jump_s: f64, rad: f64, flags: &str) -> [Vec<f64>; 3] {
-        swung(
-            &format!("t,cmd.swing\n0,0\n{jump_s:.2},{rad}\n1,{rad}\n"),
-            flags,
-        )
+        swung(&format!("t,cmd.swing\n0,0\n{jump_s:.2},{rad}\n1,{rad}\n"), flags)
     }
 
     /// The duty of a position loop is a spring (0.886 N·m/rad) behind the back-EMF (0.0482 N·m·s/rad), as the robot's
@@ -605,10 +559,7 @@ mod tests {
                 found.unwrap_or_else(|| panic!("row {row}: {pos:?}"))
             })
             .collect();
-        assert!(
-            late.contains(&0) && late.iter().any(|&rows| rows > 1),
-            "{late:?}"
-        );
+        assert!(late.contains(&0) && late.iter().any(|&rows| rows > 1), "{late:?}");
     }
 
     #[test]
@@ -639,19 +590,13 @@ mod tests {
         for (csv, why) in [
             ("t,pos.FL_hip\n0.0,0.1\n", "no column cmd"),
             ("t,cmd.FL_hip\n0.0,0.1\n1.0,0.5", "line break"),
-            (
-                "t,cmd.FL_hip\n0.0,1e39\n",
-                "1000000000000000000000000000000000000000 rad",
-            ),
+            ("t,cmd.FL_hip\n0.0,1e39\n", "1000000000000000000000000000000000000000 rad"),
             ("t,cmd.FL_hip\n0.0,500\n", "500 rad at t = 0 s"),
         ] {
             let failure = commands(csv).unwrap_err();
             assert!(failure.to_string().contains(why), "{failure}");
             assert_eq!(failure.code(), ExitCode::BadInput);
         }
-        assert_eq!(
-            commands("t,cmd.FL_hip\n").unwrap_err().code(),
-            ExitCode::BadInput
-        );
+        assert_eq!(commands("t,cmd.FL_hip\n").unwrap_err().code(), ExitCode::BadInput);
     }
 }

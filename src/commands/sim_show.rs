@@ -110,10 +110,7 @@ pub fn run(args: &ShowArgs, stop: &StopFlag) -> Result<(), Failure> {
         }
     };
     if !(1.0..=50.0).contains(&args.fps) {
-        return Err(Failure::message(
-            ExitCode::BadConfig,
-            "--fps must be 1 to 50",
-        ));
+        return Err(Failure::message(ExitCode::BadConfig, "--fps must be 1 to 50"));
     }
     let policy = args.policy.as_deref().map(files::policy).transpose()?;
     let (mut config, model) = match (&args.policy, &policy) {
@@ -133,11 +130,7 @@ pub fn run(args: &ShowArgs, stop: &StopFlag) -> Result<(), Failure> {
                 },
                 command: args.command,
                 settle_s: args.settle_s.clamp(0.0, 60.0),
-                pictures: if animated {
-                    frame_count(args.seconds, args.fps)?
-                } else {
-                    1
-                },
+                pictures: if animated { frame_count(args.seconds, args.fps)? } else { 1 },
                 fps: args.fps,
             };
             walk.moments(&config, &model, policy)?
@@ -206,9 +199,8 @@ fn logged_terrain(log: &RunLog, kind: TerrainKind) -> Result<TerrainConfig, Fail
             table.insert(key.to_owned(), json!(value));
         }
     }
-    serde_json::from_value(table.into()).or_exit_with(ExitCode::BadInput, || {
-        format!("the terrain settings of {}", log.meta_name)
-    })
+    serde_json::from_value(table.into())
+        .or_exit_with(ExitCode::BadInput, || format!("the terrain settings of {}", log.meta_name))
 }
 
 /// The robot after it has settled in the scene.
@@ -226,15 +218,9 @@ fn settled(
         Failure::message(ExitCode::BadInput, "the robot file has no swimming pose")
     })?;
     let targets: Vec<f32> = pose.iter().map(|&q| q as f32).collect();
-    let mut engine = caudata_sim::build(
-        Arc::clone(model),
-        1,
-        &config.engine,
-        &config.terrain,
-        seed,
-        1,
-    )
-    .or_exit(ExitCode::BadConfig)?;
+    let mut engine =
+        caudata_sim::build(Arc::clone(model), 1, &config.engine, &config.terrain, seed, 1)
+            .or_exit(ExitCode::BadConfig)?;
     let start = InitialState {
         base_xy_m: args.place.unwrap_or(match config.terrain.kind {
             TerrainKind::Shore => WATERLINE_M,
@@ -250,9 +236,7 @@ fn settled(
     }
     let periods = (args.settle_s / engine.config().control_period_s()).round() as u64;
     for _ in 0..periods {
-        engine
-            .step(&targets, &[0.0; 6])
-            .or_exit(ExitCode::Internal)?;
+        engine.step(&targets, &[0.0; 6]).or_exit(ExitCode::Internal)?;
     }
     let state = engine.state();
     let wide = |v: &[f32]| v.iter().map(|&x| f64::from(x)).collect::<Vec<f64>>();
@@ -300,9 +284,7 @@ fn moments_of_log(
         return Ok(vec![reader.moment(at)]);
     }
     let count = frame_count(last - first, args.fps)?;
-    Ok((0..count)
-        .map(|k| reader.moment(first + k as f64 / args.fps))
-        .collect())
+    Ok((0..count).map(|k| reader.moment(first + k as f64 / args.fps)).collect())
 }
 
 /// Reads moments out of a log: each signal's last value until then.
@@ -344,10 +326,7 @@ impl<'a> LogReader<'a> {
 
     fn moment(&self, at_s: f64) -> Moment {
         const ROUNDING_S: f64 = 1e-9;
-        let reached = self
-            .table
-            .time_s()
-            .partition_point(|&t| t <= at_s + ROUNDING_S);
+        let reached = self.table.time_s().partition_point(|&t| t <= at_s + ROUNDING_S);
         let last = |column: &[Option<f64>]| column[..reached].iter().rev().find_map(|v| *v);
         let base = self.base.and_then(|columns| {
             let v: Vec<f64> = columns.into_iter().map(last).collect::<Option<_>>()?;
@@ -384,11 +363,7 @@ fn draw(
         threads: flags::cores(),
     };
     let turn = animated && moments.len() == 1;
-    let count = if turn {
-        TURN_FRAMES as usize
-    } else {
-        moments.len()
-    };
+    let count = if turn { TURN_FRAMES as usize } else { moments.len() };
     let mut frames = Vec::with_capacity(count);
     let mut heading = Smooth::default();
     let mut share = say::Share::new("pictures", count);
@@ -397,16 +372,11 @@ fn draw(
             return Err(stopped(stop));
         }
         let moment = &moments[if turn { 0 } else { k }];
-        let places = model
-            .kinematics(&moment.base, &moment.joint_pos_rad)
-            .or_exit(ExitCode::BadInput)?;
+        let places =
+            model.kinematics(&moment.base, &moment.joint_pos_rad).or_exit(ExitCode::BadInput)?;
         let com = model.centre_of_mass_m(&places);
         let forward = moment.base.rotate([1.0, 0.0, 0.0]);
-        let extra = if turn {
-            TAU * k as f64 / count as f64
-        } else {
-            0.0
-        };
+        let extra = if turn { TAU * k as f64 / count as f64 } else { 0.0 };
         let yaw = heading.follow(forward[1].atan2(forward[0]));
         let camera = Camera::of_view(args.view, com, yaw + extra, args.distance)
             .or_exit(ExitCode::BadConfig)?;

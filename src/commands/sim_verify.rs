@@ -48,17 +48,11 @@ pub fn run(args: &VerifyArgs) -> Result<(), Failure> {
     }
     let subject = |name: EngineName| Subject {
         name: EngineKind::from(name).name().to_owned(),
-        config: EngineConfig {
-            kind: name.into(),
-            ..config.engine.clone()
-        },
+        config: EngineConfig { kind: name.into(), ..config.engine.clone() },
     };
     let settings = Settings {
         robot: config.robot_path(),
-        subjects: EngineName::or_all(&args.engine)
-            .into_iter()
-            .map(subject)
-            .collect(),
+        subjects: EngineName::or_all(&args.engine).into_iter().map(subject).collect(),
         seed: args.seed,
         states: args.states as usize,
         gaits: args.gaits as usize,
@@ -83,16 +77,11 @@ pub fn run(args: &VerifyArgs) -> Result<(), Failure> {
     drop(share);
     let failed = rows.iter().filter(|r| r.pass == Some(false)).count();
     let passed = rows.iter().filter(|r| r.pass == Some(true)).count();
-    let skipped = rows
-        .iter()
-        .filter(|r| r.value.is_none() && r.pass.is_none())
-        .count();
+    let skipped = rows.iter().filter(|r| r.value.is_none() && r.pass.is_none()).count();
     let found = json!({ "rows": rows, "passed": passed, "failed": failed, "skipped": skipped });
     say::either(args.json, &found, |_| {
         say::records(&rows, "check engine what value unit target pass note");
-        say::line(format!(
-            "{passed} passed, {failed} failed, {skipped} skipped"
-        ));
+        say::line(format!("{passed} passed, {failed} failed, {skipped} skipped"));
     })?;
     if failed == 0 {
         return Ok(());

@@ -49,9 +49,7 @@ impl Walk {
         let mut stage = Stage::new(config, model, Some(policy)).or_exit(ExitCode::BadConfig)?;
         stage.place(self.start).or_exit(ExitCode::BadConfig)?;
         let velocity = self.command;
-        stage
-            .obey(&Order::Drive { velocity })
-            .or_exit(ExitCode::BadConfig)?;
+        stage.obey(&Order::Drive { velocity }).or_exit(ExitCode::BadConfig)?;
         let (mut moments, mut steps) = (Vec::with_capacity(self.pictures), 0_u32);
         while moments.len() < self.pictures {
             stage.step().or_exit(ExitCode::Internal)?;
@@ -68,12 +66,7 @@ impl Walk {
                     quat_wxyz: pose.base_quat_wxyz.map(f64::from),
                 },
                 joint_pos_rad: pose.joint_pos_rad.iter().map(|&q| f64::from(q)).collect(),
-                contacts: stage
-                    .frame()
-                    .foot_force_n
-                    .iter()
-                    .map(|&n| n > TOUCH_N)
-                    .collect(),
+                contacts: stage.frame().foot_force_n.iter().map(|&n| n > TOUCH_N).collect(),
             });
         }
         Ok(moments)

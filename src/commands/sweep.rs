@@ -67,10 +67,7 @@ pub fn run(plan: &Plan, as_json: bool, process: &Process) -> Result<(), Failure>
     let found = json!({ "runs": done, "settings": settings });
     say::either(as_json, &found, |_| {
         say::line("");
-        say::records(
-            &settings,
-            "setting runs gates_met episode_return forward_mps seconds",
-        );
+        say::records(&settings, "setting runs gates_met episode_return forward_mps seconds");
     })
 }
 
@@ -117,34 +114,26 @@ fn trained(
 
 /// Every seed of every point of the grid.
 fn points(plan: &Plan, flags: &ConfigArgs) -> Result<Vec<Point>, Failure> {
-    let axes: Vec<(String, Vec<String>)> = plan
-        .vary
-        .iter()
-        .map(|vary| axis(vary))
-        .collect::<Result<_, _>>()?;
+    let axes: Vec<(String, Vec<String>)> =
+        plan.vary.iter().map(|vary| axis(vary)).collect::<Result<_, _>>()?;
     let last = |key: &str| key.rsplit('.').next().unwrap_or_default().to_owned();
     let short: BTreeSet<String> = axes.iter().map(|(key, _)| last(key)).collect();
-    let count = axes.iter().fold(1_u64, |all, (_, values)| {
-        all.saturating_mul(values.len() as u64)
-    });
+    let count = axes.iter().fold(1_u64, |all, (_, values)| all.saturating_mul(values.len() as u64));
     let keys: BTreeSet<&String> = axes.iter().map(|(key, _)| key).collect();
     if keys.len() < axes.len() || keys.iter().any(|key| *key == "run.seed") {
         let message = "--vary takes every key once, and `run.seed` is for --seeds";
         return Err(Failure::message(ExitCode::BadConfig, message));
     }
     if count.saturating_mul(plan.seeds) > RUNS_MAX as u64 {
-        let message = format!(
-            "{count} settings times {} seeds: at most {RUNS_MAX} trainings",
-            plan.seeds
-        );
+        let message =
+            format!("{count} settings times {} seeds: at most {RUNS_MAX} trainings", plan.seeds);
         return Err(Failure::message(ExitCode::BadConfig, message));
     }
     let mut grid: Vec<Vec<(String, String)>> = vec![Vec::new()];
     for (key, values) in &axes {
         let with = |point: &Vec<(String, String)>| {
             let more = values.iter().map(|value| (key.clone(), value.clone()));
-            more.map(|set| [point.clone(), vec![set]].concat())
-                .collect::<Vec<_>>()
+            more.map(|set| [point.clone(), vec![set]].concat()).collect::<Vec<_>>()
         };
         grid = grid.iter().flat_map(with).collect();
     }
@@ -161,11 +150,7 @@ fn points(plan: &Plan, flags: &ConfigArgs) -> Result<Vec<Point>, Failure> {
             };
             let words: Vec<String> = point.iter().map(word).collect();
             let plain = |c: char| {
-                if c.is_ascii_alphanumeric() || "=.-_".contains(c) {
-                    c
-                } else {
-                    '_'
-                }
+                if c.is_ascii_alphanumeric() || "=.-_".contains(c) { c } else { '_' }
             };
             let name = [words, vec![format!("seed={seed}")]].concat().join("_");
             points.push(Point {
@@ -210,10 +195,7 @@ fn summary(points: &[Point], rows: &[Value]) -> Vec<Value> {
     let mut settings: Vec<&Vec<String>> = points.iter().map(|point| &point.set).collect();
     settings.dedup();
     let of = |set: &Vec<String>| -> Value {
-        let own = points
-            .iter()
-            .zip(rows)
-            .filter(|(point, _)| point.set == *set);
+        let own = points.iter().zip(rows).filter(|(point, _)| point.set == *set);
         let own: Vec<&Value> = own.map(|(_, row)| row).collect();
         let median = |key: &str| {
             let mut values: Vec<f64> = own.iter().filter_map(|row| row[key].as_f64()).collect();
@@ -259,10 +241,7 @@ mod tests {
 
     #[test]
     fn a_grid_has_every_value_with_every_other_and_every_seed() {
-        let vary = [
-            "learner.ppo.clip=[0.1, 0.2]",
-            "task.command.vx_mps=[[0.0, 0.5]]",
-        ];
+        let vary = ["learner.ppo.clip=[0.1, 0.2]", "task.command.vx_mps=[[0.0, 0.5]]"];
         let found = names(&vary, 2).unwrap();
         assert_eq!(
             found,

@@ -57,9 +57,7 @@ fn terms() {
             Sense::Cost => "cost",
         };
         let weight = format!("{}", term.default_weight);
-        [term.name, sense, term.unit, &weight, &plain(term.about)]
-            .map(str::to_owned)
-            .to_vec()
+        [term.name, sense, term.unit, &weight, &plain(term.about)].map(str::to_owned).to_vec()
     });
     say::table(&["term", "", "unit", "weight", "value"], rows);
     say::line("\nObservation terms: [[task.observation.term]] name = ..., or name and value");
@@ -75,15 +73,9 @@ fn terms() {
             Known::Simulated => "simulation",
         };
         let unit = signal.unit.to_string();
-        [
-            signal.name,
-            signal.shape.name(),
-            &unit,
-            known,
-            &plain(signal.about),
-        ]
-        .map(str::to_owned)
-        .to_vec()
+        [signal.name, signal.shape.name(), &unit, known, &plain(signal.about)]
+            .map(str::to_owned)
+            .to_vec()
     });
     say::table(&["signal", "values", "unit", "known to", ""], rows);
     say::line("\nFunctions, beside + - * / ^ < > <= >= and .x .y .z .JOINT .FOOT");

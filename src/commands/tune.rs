@@ -63,10 +63,7 @@ pub fn run(wish: &Wish, as_json: bool, process: &Process) -> Result<(), Failure>
                 true => (ExitCode::TempFail, "the learner has not taken the change"),
                 false => (ExitCode::Unavailable, "the training has ended"),
             };
-            return Err(Failure::message(
-                code,
-                format!("{message}; it is withdrawn"),
-            ));
+            return Err(Failure::message(code, format!("{message}; it is withdrawn")));
         }
     }
     let after = Changes::of_run(folder, &first).or_exit(ExitCode::BadInput)?;
@@ -78,13 +75,9 @@ pub fn run(wish: &Wish, as_json: bool, process: &Process) -> Result<(), Failure>
             .hint("the training's own output says why"));
     };
     let iteration = made.iteration;
-    say::either(
-        as_json,
-        &json!({ "iteration": iteration, "set": wish.set }),
-        |_| {
-            say::line(format!("changed after iteration {iteration}"));
-        },
-    )
+    say::either(as_json, &json!({ "iteration": iteration, "set": wish.set }), |_| {
+        say::line(format!("changed after iteration {iteration}"));
+    })
 }
 
 /// Whether a learner works in `folder`.

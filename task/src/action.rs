@@ -42,11 +42,7 @@ impl ActionConfig {
     pub fn clipped(&self, action: &[f32]) -> PerJoint {
         let mut clipped = PerJoint::of(action);
         for a in clipped.iter_mut() {
-            *a = if a.is_nan() {
-                0.0
-            } else {
-                a.max(-self.clip).min(self.clip)
-            };
+            *a = if a.is_nan() { 0.0 } else { a.max(-self.clip).min(self.clip) };
         }
         clipped
     }
@@ -61,9 +57,7 @@ pub struct ActionFilter {
 impl ActionFilter {
     /// At rest in the nominal pose of a robot with that many actuated joints.
     pub fn new(joints: usize) -> Self {
-        Self {
-            smoothed: PerJoint::filled(joints, 0.0),
-        }
+        Self { smoothed: PerJoint::filled(joints, 0.0) }
     }
 
     /// Where the smoothed action would have the joints, rad, whatever their limits.
@@ -118,11 +112,7 @@ mod tests {
 
     #[test]
     fn low_pass_scale_and_offset() {
-        let config = ActionConfig {
-            scale: 0.5,
-            filter_alpha: 0.25,
-            clip: 5.0,
-        };
+        let config = ActionConfig { scale: 0.5, filter_alpha: 0.25, clip: 5.0 };
         let mut filter = ActionFilter::new(ACT_DIM);
         // y1 = 0 + 0.25·(0.8 − 0) = 0.2;      target 0.1 + 0.5·0.2 = 0.2
         // y2 = 0.2 + 0.25·(0.8 − 0.2) = 0.35; target 0.1 + 0.5·0.35 = 0.275
@@ -138,19 +128,12 @@ mod tests {
 
     #[test]
     fn actions_are_clipped_and_targets_stay_within_limits() {
-        let config = ActionConfig {
-            scale: 1.0,
-            filter_alpha: 1.0,
-            clip: 2.0,
-        };
+        let config = ActionConfig { scale: 1.0, filter_alpha: 1.0, clip: 2.0 };
         let mut filter = ActionFilter::new(ACT_DIM);
         // 100 is cut to 2: y = 2, target 2.1, upper limit 0.4.
         assert_eq!(applied(&mut filter, &config, 100.0), [0.4; ACT_DIM]);
         assert_eq!(filter.smoothed, [2.0; ACT_DIM]);
-        assert_eq!(
-            applied(&mut filter, &config, f32::NEG_INFINITY),
-            [-0.5; ACT_DIM]
-        );
+        assert_eq!(applied(&mut filter, &config, f32::NEG_INFINITY), [-0.5; ACT_DIM]);
         // Not a number counts as no offset.
         assert_eq!(applied(&mut filter, &config, f32::NAN), [0.1; ACT_DIM]);
     }
@@ -161,28 +144,13 @@ mod tests {
         good.validate().unwrap();
         let bad = [
             (ActionConfig { scale: 0.0, ..good }, "action.scale"),
-            (
-                ActionConfig {
-                    filter_alpha: 1.1,
-                    ..good
-                },
-                "action.filter_alpha",
-            ),
-            (
-                ActionConfig {
-                    filter_alpha: f32::NAN,
-                    ..good
-                },
-                "action.filter_alpha",
-            ),
+            (ActionConfig { filter_alpha: 1.1, ..good }, "action.filter_alpha"),
+            (ActionConfig { filter_alpha: f32::NAN, ..good }, "action.filter_alpha"),
             (ActionConfig { clip: -1.0, ..good }, "action.clip"),
         ];
         for (config, name) in bad {
             let error = config.validate().unwrap_err();
-            assert!(
-                matches!(&error, TaskError::Config { field, .. } if *field == name),
-                "{error}"
-            );
+            assert!(matches!(&error, TaskError::Config { field, .. } if *field == name), "{error}");
         }
     }
 }

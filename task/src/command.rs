@@ -87,9 +87,7 @@ pub fn along_course([x, y, _]: [f32; 3], off_course_rad: f32) -> [f32; 2] {
 /// Yaw rate that a person with a joystick would ask for to come from `heading_rad` to `course_rad`, within
 /// `range_radps`.
 pub fn yaw_rate_towards(course_rad: f32, heading_rad: f32, [least, most]: [f32; 2]) -> f32 {
-    (COURSE_GAIN_PER_S * wrap_angle(course_rad - heading_rad))
-        .max(least)
-        .min(most)
+    (COURSE_GAIN_PER_S * wrap_angle(course_rad - heading_rad)).max(least).min(most)
 }
 
 impl CommandState {
@@ -132,8 +130,7 @@ impl CommandState {
 
     /// How far `heading_rad` is to the left of the course, rad; 0 where none is held.
     pub fn off_course_rad(&self, heading_rad: f32) -> f32 {
-        self.course_rad
-            .map_or(0.0, |course_rad| wrap_angle(heading_rad - course_rad))
+        self.course_rad.map_or(0.0, |course_rad| wrap_angle(heading_rad - course_rad))
     }
 
     /// One control step has passed; draws the next command when this one has run out. True on a change.
@@ -186,31 +183,23 @@ mod tests {
     #[test]
     fn holds_for_the_drawn_time_then_changes() {
         // 0.1 s at 50 Hz are 5 steps: changes at the 5th, 10th … tick.
-        let config = CommandConfig {
-            resample_s: [0.1, 0.1],
-            zero_share: 0.0,
-            ..CommandConfig::default()
-        };
+        let config =
+            CommandConfig { resample_s: [0.1, 0.1], zero_share: 0.0, ..CommandConfig::default() };
         let mut stream = stream();
         let mut command = CommandState::draw(&config, 0.02, 0.0, &mut stream);
         let first = command.value;
-        let changes: Vec<_> = (1..=10)
-            .filter(|_| command.tick(&config, 0.02, 0.0, &mut stream))
-            .collect();
+        let changes: Vec<_> =
+            (1..=10).filter(|_| command.tick(&config, 0.02, 0.0, &mut stream)).collect();
         assert_eq!(changes, [5, 10]);
         assert_ne!(command.value, first);
     }
 
     #[test]
     fn the_zero_share_does_not_shift_later_commands() {
-        let mut all = CommandConfig {
-            zero_share: 0.0,
-            ..CommandConfig::default()
-        };
+        let mut all = CommandConfig { zero_share: 0.0, ..CommandConfig::default() };
         let (mut a, mut b) = (stream(), stream());
-        let walking: Vec<_> = (0..50)
-            .map(|_| CommandState::draw(&all, 0.02, 0.0, &mut a))
-            .collect();
+        let walking: Vec<_> =
+            (0..50).map(|_| CommandState::draw(&all, 0.02, 0.0, &mut a)).collect();
         all.zero_share = 0.5;
         for expected in walking {
             let found = CommandState::draw(&all, 0.02, 0.0, &mut b);
@@ -245,10 +234,7 @@ mod tests {
         assert_eq!(yaw_rate_towards(2.0, 0.0, config.yaw_rate_radps), 0.4);
         assert_eq!(yaw_rate_towards(-2.0, 0.0, config.yaw_rate_radps), -0.6);
         // A command to stand holds nothing.
-        let standing = CommandConfig {
-            zero_share: 1.0,
-            ..config
-        };
+        let standing = CommandConfig { zero_share: 1.0, ..config };
         let command = CommandState::draw(&standing, 0.02, 3.0, &mut stream);
         assert_eq!((command.value, command.course_rad), ([0.0; 3], None));
         assert_eq!(command.off_course_rad(1.0), 0.0);
@@ -259,70 +245,21 @@ mod tests {
         let good = CommandConfig::default();
         good.validate().unwrap();
         let bad = [
+            (CommandConfig { vx_mps: [0.5, 0.1], ..good }, "command.vx_mps"),
+            (CommandConfig { vy_mps: [0.0, f32::INFINITY], ..good }, "command.vy_mps"),
+            (CommandConfig { yaw_rate_radps: [f32::NAN, 0.0], ..good }, "command.yaw_rate_radps"),
+            (CommandConfig { resample_s: [0.0, 1.0], ..good }, "command.resample_s"),
+            (CommandConfig { zero_share: 1.5, ..good }, "command.zero_share"),
+            (CommandConfig { course_share: f32::NAN, ..good }, "command.course_share"),
             (
-                CommandConfig {
-                    vx_mps: [0.5, 0.1],
-                    ..good
-                },
-                "command.vx_mps",
-            ),
-            (
-                CommandConfig {
-                    vy_mps: [0.0, f32::INFINITY],
-                    ..good
-                },
-                "command.vy_mps",
-            ),
-            (
-                CommandConfig {
-                    yaw_rate_radps: [f32::NAN, 0.0],
-                    ..good
-                },
-                "command.yaw_rate_radps",
-            ),
-            (
-                CommandConfig {
-                    resample_s: [0.0, 1.0],
-                    ..good
-                },
-                "command.resample_s",
-            ),
-            (
-                CommandConfig {
-                    zero_share: 1.5,
-                    ..good
-                },
-                "command.zero_share",
-            ),
-            (
-                CommandConfig {
-                    course_share: f32::NAN,
-                    ..good
-                },
+                CommandConfig { course_share: 0.5, yaw_rate_radps: [0.2, 0.5], ..good },
                 "command.course_share",
             ),
-            (
-                CommandConfig {
-                    course_share: 0.5,
-                    yaw_rate_radps: [0.2, 0.5],
-                    ..good
-                },
-                "command.course_share",
-            ),
-            (
-                CommandConfig {
-                    course_within_rad: 3.2,
-                    ..good
-                },
-                "command.course_within_rad",
-            ),
+            (CommandConfig { course_within_rad: 3.2, ..good }, "command.course_within_rad"),
         ];
         for (config, name) in bad {
             let error = config.validate().unwrap_err();
-            assert!(
-                matches!(&error, TaskError::Config { field, .. } if *field == name),
-                "{error}"
-            );
+            assert!(matches!(&error, TaskError::Config { field, .. } if *field == name), "{error}");
         }
     }
 }

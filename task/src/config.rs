@@ -103,27 +103,15 @@ mod tests {
     fn the_defaults_are_valid_and_are_the_papers() {
         let config = TaskConfig::default();
         config.validate().unwrap();
-        assert_eq!(
-            (config.control_period_s, config.episode_steps),
-            (0.02, 1000)
-        );
+        assert_eq!((config.control_period_s, config.episode_steps), (0.02, 1000));
         let reward = config.reward;
         assert_eq!(
-            [
-                reward.lin_vel_sigma,
-                reward.yaw_rate_sigma,
-                reward.phase_sigma
-            ],
+            [reward.lin_vel_sigma, reward.yaw_rate_sigma, reward.phase_sigma],
             [0.25, 0.25, 0.01]
         );
         let weights = reward.weights;
         assert_eq!(
-            [
-                weights.tracking_lin_vel,
-                weights.tracking_yaw_rate,
-                weights.power,
-                weights.phase
-            ],
+            [weights.tracking_lin_vel, weights.tracking_yaw_rate, weights.power, weights.phase],
             [1.0, 0.5, -1e-3, 1.0]
         );
     }
@@ -138,21 +126,16 @@ mod tests {
         assert_eq!(config.reward.weights.slip, -1.0);
         assert_eq!(config.reward.weights.phase, 1.0);
         assert_eq!(config.command.vx_mps, [0.1, 0.35]);
-        for text in [
-            "episode_step = 500",
-            "[reward.weights]\nslipp = -1.0",
-            "[push]\nforce = 3.0",
-        ] {
+        for text in ["episode_step = 500", "[reward.weights]\nslipp = -1.0", "[push]\nforce = 3.0"]
+        {
             assert!(toml::from_str::<TaskConfig>(text).is_err(), "{text}");
         }
     }
 
     #[test]
     fn survives_toml_unchanged() {
-        let config = TaskConfig {
-            reward: crate::reward::tests::matched(),
-            ..TaskConfig::default()
-        };
+        let config =
+            TaskConfig { reward: crate::reward::tests::matched(), ..TaskConfig::default() };
         let text = toml::to_string(&config).unwrap();
         assert_eq!(toml::from_str::<TaskConfig>(&text).unwrap(), config);
     }
@@ -166,15 +149,9 @@ mod tests {
             ("[phase]\nfrequency_hz = [2.0, 1.0]", "phase.frequency_hz"),
             ("[command]\nzero_share = 2.0", "command.zero_share"),
             ("[reward]\nphase_sigma = -0.1", "reward.phase_sigma"),
-            (
-                "[termination]\nmax_tilt_rad = 0.0",
-                "termination.max_tilt_rad",
-            ),
+            ("[termination]\nmax_tilt_rad = 0.0", "termination.max_tilt_rad"),
             ("[reset]\nyaw_range_rad = 7.0", "reset.yaw_range_rad"),
-            (
-                "[randomisation]\nkp_scale = [0.0, 1.0]",
-                "randomisation.kp_scale",
-            ),
+            ("[randomisation]\nkp_scale = [0.0, 1.0]", "randomisation.kp_scale"),
             ("[push]\nforce_n = [-1.0, 1.0]", "push.force_n"),
             ("[noise]\ngravity_std = nan", "noise.gravity_std"),
         ] {

@@ -73,11 +73,7 @@ impl ImuContract {
             Some(site) => (site.link, site.link_from_site),
             None => (0, Pose::IDENTITY),
         };
-        Self {
-            link: model.links()[link].name.clone(),
-            pos_m: at.pos_m,
-            quat_wxyz: at.quat_wxyz,
-        }
+        Self { link: model.links()[link].name.clone(), pos_m: at.pos_m, quat_wxyz: at.quat_wxyz }
     }
 }
 
@@ -212,16 +208,8 @@ impl PolicyContract {
             nominal_pos_rad: joints.nominal_rad.to_vec(),
             lower_limit_rad: joints.lower_rad.to_vec(),
             upper_limit_rad: joints.upper_rad.to_vec(),
-            kp_nm_per_rad: model
-                .gains()
-                .iter()
-                .map(|g| g.kp_nm_per_rad as f32)
-                .collect(),
-            kd_nm_s_per_rad: model
-                .gains()
-                .iter()
-                .map(|g| g.kd_nm_s_per_rad as f32)
-                .collect(),
+            kp_nm_per_rad: model.gains().iter().map(|g| g.kp_nm_per_rad as f32).collect(),
+            kd_nm_s_per_rad: model.gains().iter().map(|g| g.kd_nm_s_per_rad as f32).collect(),
             control_period_s: task.control_period_s,
             action: task.action,
             observation,
@@ -314,10 +302,7 @@ impl PolicyContract {
 
     /// The names that expressions may use.
     pub fn names(&self) -> Names<'_> {
-        Names {
-            joints: &self.joint_names,
-            feet: &self.phase.feet,
-        }
+        Names { joints: &self.joint_names, feet: &self.phase.feet }
     }
 
     /// Writes this contract's observations.
@@ -364,14 +349,8 @@ impl PolicyContract {
             (D::JointOrder, self.joint_names == other.joint_names),
             (D::Observation, self.observation == other.observation),
             (D::Action, self.action == other.action),
-            (
-                D::ControlPeriod,
-                self.control_period_s == other.control_period_s,
-            ),
-            (
-                D::NominalPose,
-                self.nominal_pos_rad == other.nominal_pos_rad,
-            ),
+            (D::ControlPeriod, self.control_period_s == other.control_period_s),
+            (D::NominalPose, self.nominal_pos_rad == other.nominal_pos_rad),
             (
                 D::JointLimits,
                 self.lower_limit_rad == other.lower_limit_rad

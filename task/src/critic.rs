@@ -34,9 +34,7 @@ impl CriticConfig {
                 None => return Err(wrong("is no signal; `caudata task terms` lists them")),
                 Some(Signal::Step) => return Err(wrong("is the same in every state")),
                 Some(signal) if signal.info().known == Known::Sensed => {
-                    return Err(wrong(
-                        "is what the robot senses; an observation may have it",
-                    ));
+                    return Err(wrong("is what the robot senses; an observation may have it"));
                 }
                 Some(_) if self.sees[..at].contains(name) => return Err(wrong("is named twice")),
                 Some(_) => {}
@@ -62,11 +60,7 @@ impl Critic {
     pub fn new(config: &CriticConfig, names: Names<'_>) -> Result<Self, TaskError> {
         config.validate()?;
         Ok(Self {
-            signals: config
-                .sees
-                .iter()
-                .filter_map(|n| Signal::named(n))
-                .collect(),
+            signals: config.sees.iter().filter_map(|n| Signal::named(n)).collect(),
             joints: names.joints.len(),
             feet: names.feet.len(),
         })
@@ -88,10 +82,7 @@ impl Critic {
 
     /// Writes the view `[E]`; 0 for what is not finite.
     pub fn write(&self, truth: &dyn Truth, out: &mut [f32]) {
-        let values = self
-            .signals
-            .iter()
-            .flat_map(|signal| truth.simulated(*signal));
+        let values = self.signals.iter().flat_map(|signal| truth.simulated(*signal));
         for (out, value) in out.iter_mut().zip(values) {
             *out = if value.is_finite() { *value } else { 0.0 };
         }
@@ -163,10 +154,7 @@ mod tests {
     fn critic(sees: &[&str]) -> Result<Critic, TaskError> {
         let joints: Vec<String> = (0..16).map(|i| format!("j{i}")).collect();
         let feet = ["FL", "FR", "HL", "HR"].map(str::to_owned);
-        let names = Names {
-            joints: &joints,
-            feet: &feet,
-        };
+        let names = Names { joints: &joints, feet: &feet };
         let sees = sees.iter().map(|&name| name.to_owned()).collect();
         Critic::new(&CriticConfig { sees }, names)
     }
@@ -196,11 +184,9 @@ mod tests {
 
     #[test]
     fn wrong_names_are_refused_and_other_views_have_other_seals() {
-        for (name, says) in [
-            ("speed", "is no signal"),
-            ("dt", "same in every state"),
-            ("gyro", "senses"),
-        ] {
+        for (name, says) in
+            [("speed", "is no signal"), ("dt", "same in every state"), ("gyro", "senses")]
+        {
             let error = critic(&["height", name]).unwrap_err().to_string();
             assert!(error.contains(says), "{error}");
         }

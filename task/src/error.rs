@@ -80,11 +80,7 @@ pub enum TaskError {
 
 impl TaskError {
     pub(crate) fn term(table: &'static str, name: &str, reason: String) -> Self {
-        Self::Term {
-            table,
-            name: name.to_owned(),
-            reason,
-        }
+        Self::Term { table, name: name.to_owned(), reason }
     }
 }
 
@@ -94,11 +90,9 @@ pub(crate) type Check<'a> = (bool, &'static str, &'a dyn std::fmt::Debug, &'stat
 /// Refuses the first value that is not right.
 pub(crate) fn require_all(checks: &[Check<'_>]) -> Result<(), TaskError> {
     match checks.iter().find(|check| !check.0) {
-        Some((_, field, value, reason)) => Err(TaskError::Config {
-            field,
-            value: format!("{value:?}"),
-            reason,
-        }),
+        Some((_, field, value, reason)) => {
+            Err(TaskError::Config { field, value: format!("{value:?}"), reason })
+        }
         None => Ok(()),
     }
 }

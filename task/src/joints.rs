@@ -27,13 +27,7 @@ impl JointTable {
             if (least..=most).contains(&found) {
                 return Ok(());
             }
-            Err(TaskError::Robot {
-                robot: model.name().to_owned(),
-                what,
-                found,
-                least,
-                most,
-            })
+            Err(TaskError::Robot { robot: model.name().to_owned(), what, found, least, most })
         };
         let joints = model.actuated().len();
         count("actuated joints", joints, 1, MAX_JOINTS)?;
@@ -115,15 +109,10 @@ fn place(model: &RobotModel, joint: usize) -> Place {
     let Ok(at) = nominal.and_then(|q| model.kinematics(&Pose::IDENTITY, &q)) else {
         return Place::Elsewhere;
     };
-    let feet = model
-        .feet()
-        .iter()
-        .map(|f| at.links[f.link].point(f.centre_m)[0]);
+    let feet = model.feet().iter().map(|f| at.links[f.link].point(f.centre_m)[0]);
     let hindmost = feet.fold(f64::INFINITY, f64::min);
     let side = (0..model.links().len()).filter(|&l| beyond(l) == footless);
-    let xs: Vec<f64> = side
-        .map(|l| at.links[l].point(model.links()[l].com_m)[0])
-        .collect();
+    let xs: Vec<f64> = side.map(|l| at.links[l].point(model.links()[l].com_m)[0]).collect();
     match xs.iter().sum::<f64>() / (xs.len() as f64) < hindmost {
         true => Place::Tail,
         false => Place::Elsewhere,

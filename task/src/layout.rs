@@ -131,9 +131,7 @@ impl ObservationLayout {
     /// The standard layout for a robot with that many actuated joints and these feet; with the medium bit of
     /// amphibious tasks where `medium` asks for it.
     pub fn new(joints: usize, feet: &[String], medium: bool) -> Self {
-        let parts = Part::ALL
-            .into_iter()
-            .filter(|&part| medium || part != Part::Medium);
+        let parts = Part::ALL.into_iter().filter(|&part| medium || part != Part::Medium);
         let mut layout = Self { slices: Vec::new() };
         for part in parts {
             layout.push_part(part, None, joints, feet);
@@ -153,26 +151,17 @@ impl ObservationLayout {
             if layout.slice(term.name).is_some() {
                 return Err(wrong("is there twice".to_owned()));
             }
-            if term
-                .history
-                .is_some_and(|steps| !(1..=HISTORY_MAX).contains(&steps))
-            {
-                return Err(wrong(format!(
-                    "has a history that is not 1 to {HISTORY_MAX}"
-                )));
+            if term.history.is_some_and(|steps| !(1..=HISTORY_MAX).contains(&steps)) {
+                return Err(wrong(format!("has a history that is not 1 to {HISTORY_MAX}")));
             }
             match (Part::of_name(term.name), term.value) {
                 (Some(Part::Actions), None)
-                    if term
-                        .history
-                        .is_some_and(|steps| steps as usize > ACTION_HISTORY) =>
+                    if term.history.is_some_and(|steps| steps as usize > ACTION_HISTORY) =>
                 {
                     return Err(wrong(format!("keeps at most {ACTION_HISTORY} steps")));
                 }
                 (Some(part), None) => layout.push_part(part, term.history, joints.len(), feet),
-                (_, Some(value)) => layout
-                    .push_value(term, value, joints, feet)
-                    .map_err(wrong)?,
+                (_, Some(value)) => layout.push_value(term, value, joints, feet).map_err(wrong)?,
                 (None, None) => {
                     let known = Part::ALL.map(Part::name).join(", ");
                     return Err(wrong(format!("has no value and is none of: {known}")));
@@ -180,11 +169,7 @@ impl ObservationLayout {
             }
         }
         match layout.dim() {
-            0 => Err(TaskError::term(
-                "task.observation",
-                "term",
-                "gives no value".to_owned(),
-            )),
+            0 => Err(TaskError::term("task.observation", "term", "gives no value".to_owned())),
             _ => Ok(layout),
         }
     }
@@ -230,17 +215,8 @@ impl ObservationLayout {
     /// The terms that it is made of.
     pub fn terms(&self) -> Vec<Wanted<'_>> {
         let term = |slice| {
-            let Slice {
-                name,
-                value,
-                history,
-                ..
-            }: &Slice = slice;
-            Wanted {
-                name,
-                value: value.as_deref(),
-                history: *history,
-            }
+            let Slice { name, value, history, .. }: &Slice = slice;
+            Wanted { name, value: value.as_deref(), history: *history }
         };
         self.slices.iter().map(term).collect()
     }
@@ -281,11 +257,8 @@ mod tests {
     fn land_layout_is_the_documented_order_without_gaps() {
         // 16 + 16 + 3 + 3 + 8 + 3 + 48 = 97
         let layout = layout(false);
-        let found: Vec<_> = layout
-            .slices()
-            .iter()
-            .map(|s| (s.name.as_str(), s.start, s.len))
-            .collect();
+        let found: Vec<_> =
+            layout.slices().iter().map(|s| (s.name.as_str(), s.start, s.len)).collect();
         assert_eq!(
             found,
             [
@@ -326,11 +299,7 @@ mod tests {
     }
 
     fn wanted<'a>(name: &'a str, value: Option<&'a str>, history: Option<u32>) -> Wanted<'a> {
-        Wanted {
-            name,
-            value,
-            history,
-        }
+        Wanted { name, value, history }
     }
 
     #[test]
@@ -342,11 +311,7 @@ mod tests {
         assert_eq!(again, standard);
         let own = [
             wanted("gyro", None, Some(3)),
-            wanted(
-                "lean",
-                Some("gravity.x + 0.1 * gyro.y / joint_vel.hip"),
-                None,
-            ),
+            wanted("lean", Some("gravity.x + 0.1 * gyro.y / joint_vel.hip"), None),
             wanted("effort", Some("torque"), Some(2)),
             wanted("actions", None, Some(1)),
         ];
@@ -356,16 +321,9 @@ mod tests {
         assert_eq!(layout.slice("effort").unwrap().unit, "N·m");
         assert_eq!(layout.terms(), own);
         let json = serde_json::to_string(&layout).unwrap();
-        assert_eq!(
-            serde_json::from_str::<ObservationLayout>(&json).unwrap(),
-            layout
-        );
+        assert_eq!(serde_json::from_str::<ObservationLayout>(&json).unwrap(), layout);
         // a standard layout is written as it always was
-        assert!(
-            !serde_json::to_string(&standard)
-                .unwrap()
-                .contains("history")
-        );
+        assert!(!serde_json::to_string(&standard).unwrap().contains("history"));
     }
 
     #[test]
@@ -378,9 +336,7 @@ mod tests {
             (wanted("a", Some("torque.knee"), None), "has: hip"),
             (wanted("a b", Some("height"), None), "letters"),
         ] {
-            let error = ObservationLayout::of(&[term], &joints, &[])
-                .unwrap_err()
-                .to_string();
+            let error = ObservationLayout::of(&[term], &joints, &[]).unwrap_err().to_string();
             assert!(error.contains(reason), "{error}");
         }
         let twice = [wanted("gyro", None, None), wanted("gyro", None, None)];

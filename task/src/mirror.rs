@@ -26,18 +26,12 @@ pub struct SignedPermutation {
 impl SignedPermutation {
     /// Leaves everything as it is.
     pub fn identity(len: usize) -> Self {
-        Self {
-            source: (0..len).collect(),
-            sign: vec![1.0; len],
-        }
+        Self { source: (0..len).collect(), sign: vec![1.0; len] }
     }
 
     /// Exchanges the first with the last, the second with the last but one, and so on.
     pub fn reversal(len: usize) -> Self {
-        Self {
-            source: (0..len).rev().collect(),
-            ..Self::identity(len)
-        }
+        Self { source: (0..len).rev().collect(), ..Self::identity(len) }
     }
 
     /// How many values there are.
@@ -154,11 +148,7 @@ impl Mirror {
                 observation.source[phase + 2 * foot + part] = phase + 2 * other + part;
             }
         }
-        Ok(Self {
-            observation,
-            action,
-            feet,
-        })
+        Ok(Self { observation, action, feet })
     }
 }
 
@@ -216,19 +206,13 @@ fn feet(model: &RobotModel, at_nominal: &Kinematics) -> Result<Vec<usize>, TaskE
         let near = model.feet().iter().map(off_m).enumerate();
         let near = near.filter(|(_, off_m)| *off_m < PLACE_M);
         let nearest = near.min_by(|a, b| a.1.total_cmp(&b.1));
-        nearest.map_or_else(
-            || Err(no_counterpart(model, &foot.name)),
-            |(other, _)| Ok(other),
-        )
+        nearest.map_or_else(|| Err(no_counterpart(model, &foot.name)), |(other, _)| Ok(other))
     };
     model.feet().iter().map(other).collect()
 }
 
 fn no_counterpart(model: &RobotModel, part: &str) -> TaskError {
-    TaskError::NotSymmetric {
-        robot: model.name().to_owned(),
-        part: part.to_owned(),
-    }
+    TaskError::NotSymmetric { robot: model.name().to_owned(), part: part.to_owned() }
 }
 
 #[cfg(test)]
@@ -249,10 +233,7 @@ mod tests {
     #[test]
     fn spine_and_tail_turn_the_other_way_and_legs_change_sides() {
         let mirror = Mirror::new(&polymander(), &layout(true)).unwrap();
-        assert_eq!(
-            mirror.action.source,
-            [0, 1, 2, 3, 4, 5, 6, 7, 10, 11, 8, 9, 14, 15, 12, 13]
-        );
+        assert_eq!(mirror.action.source, [0, 1, 2, 3, 4, 5, 6, 7, 10, 11, 8, 9, 14, 15, 12, 13]);
         let signs: Vec<f32> = (0..16).map(|i| if i < 8 { -1.0 } else { 1.0 }).collect();
         assert_eq!(mirror.action.sign, signs);
     }
@@ -277,10 +258,7 @@ mod tests {
         assert_eq!((other[16 + 9], other[16 + 11]), (0.0, 0.2)); // now FR_knee
         assert_eq!(other[gyro..gyro + 3], [-1.0, 2.0, -3.0]);
         assert_eq!(other[gravity..gravity + 3], [0.1, -0.2, -0.9]);
-        assert_eq!(
-            other[phase..phase + 8],
-            [3.0, 4.0, 1.0, 2.0, 7.0, 8.0, 5.0, 6.0]
-        );
+        assert_eq!(other[phase..phase + 8], [3.0, 4.0, 1.0, 2.0, 7.0, 8.0, 5.0, 6.0]);
         assert_eq!(other[command..command + 3], [0.3, -0.1, -0.5]);
         assert_eq!(other[actions + 32 + 12], 0.7); // now HL_hip
         assert_eq!(other[97], 1.0);
@@ -325,17 +303,11 @@ mod tests {
         assert!(robot.contains(knee));
         // another nominal angle: the foot is elsewhere
         let found = refusal(&robot.replacen(knee, "FL_knee = 0.5", 1), &mjcf);
-        assert!(
-            found.contains("'FL'") && found.contains("nominal pose"),
-            "{found}"
-        );
+        assert!(found.contains("'FL'") && found.contains("nominal pose"), "{found}");
         let hip = r#"<body name="HR_upper" pos="-0.06505 -0.038 0">"#;
         assert!(mjcf.contains(hip));
         let wide = r#"<body name="HR_upper" pos="-0.06505 -0.048 0">"#;
         let found = refusal(&robot, &mjcf.replacen(hip, wide, 1));
-        assert!(
-            found.contains("HL_hip") && found.contains("counterpart"),
-            "{found}"
-        );
+        assert!(found.contains("HL_hip") && found.contains("counterpart"), "{found}");
     }
 }

@@ -67,11 +67,7 @@ impl ObservationNoiseConfig {
         if !self.enabled {
             return;
         }
-        add_noise(
-            &mut readings.joint_vel_radps,
-            self.joint_vel_std_radps,
-            stream,
-        );
+        add_noise(&mut readings.joint_vel_radps, self.joint_vel_std_radps, stream);
         add_noise(&mut readings.joint_pos_rad, self.joint_pos_std_rad, stream);
         add_noise(&mut readings.gyro_radps, self.gyro_std_radps, stream);
         if self.gravity_std > 0.0 {
@@ -148,18 +144,12 @@ mod tests {
 
     #[test]
     fn switched_off_changes_nothing_and_takes_nothing() {
-        let config = ObservationNoiseConfig {
-            enabled: false,
-            ..ObservationNoiseConfig::default()
-        };
+        let config = ObservationNoiseConfig { enabled: false, ..ObservationNoiseConfig::default() };
         let mut stream = stream();
         let mut readings = level();
         config.add(&mut readings, &mut stream);
         assert_eq!(readings, level());
-        assert_eq!(
-            config.draw_joint_offsets(ACT_DIM, &mut stream),
-            [0.0; ACT_DIM]
-        );
+        assert_eq!(config.draw_joint_offsets(ACT_DIM, &mut stream), [0.0; ACT_DIM]);
         assert_eq!(stream.word_position(), 0);
     }
 
@@ -172,10 +162,8 @@ mod tests {
 
     #[test]
     fn negative_noise_is_refused_by_name() {
-        let config = ObservationNoiseConfig {
-            gyro_std_radps: -0.1,
-            ..ObservationNoiseConfig::default()
-        };
+        let config =
+            ObservationNoiseConfig { gyro_std_radps: -0.1, ..ObservationNoiseConfig::default() };
         assert_eq!(
             config.validate().unwrap_err().to_string(),
             "task.noise.gyro_std_radps is -0.1: must be 0 to 10"

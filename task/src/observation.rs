@@ -74,12 +74,7 @@ impl ObservationConfig {
             return Ok(ObservationLayout::new(joints.len(), feet, medium));
         }
         let wanted = |term| {
-            let ObservationTerm {
-                name,
-                value,
-                history,
-                ..
-            }: &ObservationTerm = term;
+            let ObservationTerm { name, value, history, .. }: &ObservationTerm = term;
             Wanted {
                 name,
                 value: (!value.is_empty()).then_some(value.as_str()),
@@ -100,9 +95,7 @@ impl From<&ObservationLayout> for ObservationConfig {
             history: wanted.history.unwrap_or_default(),
             noise_std: 0.0,
         };
-        Self {
-            term: layout.terms().into_iter().map(term).collect(),
-        }
+        Self { term: layout.terms().into_iter().map(term).collect() }
     }
 }
 
@@ -207,12 +200,7 @@ impl Observer {
         out: &mut [f32],
     ) -> Result<(), TaskError> {
         self.check(input, out)?;
-        let source = Observed {
-            input,
-            joints: &self.joints,
-            feet: self.feet,
-            truth,
-        };
+        let source = Observed { input, joints: &self.joints, feet: self.feet, truth };
         for (range, width, term) in &self.terms {
             let out = &mut out[range.clone()];
             if let Term::Part(Part::Actions) = term {
@@ -248,11 +236,7 @@ impl Observer {
             ("past actions", input.previous_actions[0].len(), joints),
         ] {
             if found != expected {
-                return Err(TaskError::Shape {
-                    what,
-                    found,
-                    expected,
-                });
+                return Err(TaskError::Shape { what, found, expected });
             }
         }
         Ok(())
@@ -281,9 +265,7 @@ fn write_part(part: Part, input: &ObservationInput<'_>, joints: &JointTable, out
 /// cos and sin of each phase. In a trot diagonal feet share a phase, and so its cos and sin.
 pub fn write_phase(phase_rad: &[f32], out: &mut [f32]) {
     for (foot, phase) in phase_rad.iter().enumerate() {
-        let same = phase_rad[..foot]
-            .iter()
-            .position(|earlier| earlier == phase);
+        let same = phase_rad[..foot].iter().position(|earlier| earlier == phase);
         let (sin, cos) = match same {
             Some(earlier) => (out[2 * earlier + 1], out[2 * earlier]),
             None => phase.sin_cos(),
@@ -359,10 +341,7 @@ mod tests {
 
     fn names() -> (Vec<String>, Vec<String>) {
         let feet = ["FL", "FR", "HL", "HR"].map(str::to_owned);
-        (
-            (0..ACT_DIM).map(|i| format!("j{i}")).collect(),
-            feet.to_vec(),
-        )
+        ((0..ACT_DIM).map(|i| format!("j{i}")).collect(), feet.to_vec())
     }
 
     fn joints() -> JointTable {
@@ -390,10 +369,7 @@ mod tests {
         let (joint_names, feet) = names();
         for medium in [false, true] {
             let layout = ObservationLayout::new(ACT_DIM, &feet, medium);
-            let names = Names {
-                joints: &joint_names,
-                feet: &feet,
-            };
+            let names = Names { joints: &joint_names, feet: &feet };
             let mut observer = Observer::new(&layout, &joints(), names).unwrap();
             let mut out = vec![f32::NAN; layout.dim()];
             observer.write(&input, None, true, &mut out).unwrap();
@@ -438,10 +414,7 @@ mod tests {
         let (joint_names, feet) = names();
         let layout = config.layout(&joint_names, &feet, false).unwrap();
         assert_eq!(ObservationConfig::from(&layout), config);
-        let names = Names {
-            joints: &joint_names,
-            feet: &feet,
-        };
+        let names = Names { joints: &joint_names, feet: &feet };
         let mut observer = Observer::new(&layout, &joints(), names).unwrap();
         observer.check_sensed(&layout).unwrap();
         let (vel, pos, actions) = (numbered(0.0), numbered(3.0), [numbered(0.0); 3]);
@@ -480,20 +453,15 @@ mod tests {
         };
         let (joint_names, feet) = names();
         let layout = config.layout(&joint_names, &feet, false).unwrap();
-        let names = Names {
-            joints: &joint_names,
-            feet: &feet,
-        };
+        let names = Names { joints: &joint_names, feet: &feet };
         let observer = Observer::new(&layout, &joints(), names).unwrap();
         let error = observer.check_sensed(&layout).unwrap_err().to_string();
         assert_eq!(
             error,
             "observation term 'clearance' needs `foot_height`, which the robot cannot measure"
         );
-        for bad in [
-            "term = [{ name = \"speed\" }]",
-            "term = [{ name = \"a\", value = \"sped\" }]",
-        ] {
+        for bad in ["term = [{ name = \"speed\" }]", "term = [{ name = \"a\", value = \"sped\" }]"]
+        {
             let config: ObservationConfig = toml::from_str(bad).unwrap();
             assert!(config.validate().is_err(), "{bad}");
         }

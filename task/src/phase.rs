@@ -100,10 +100,7 @@ impl PhaseConfig {
     pub fn offsets_rad(&self, feet: &[&str]) -> Result<PerFoot, TaskError> {
         for name in self.offset_cycles.keys() {
             if !feet.contains(&name.as_str()) {
-                return Err(TaskError::UnknownFoot {
-                    foot: name.clone(),
-                    known: feet.join(", "),
-                });
+                return Err(TaskError::UnknownFoot { foot: name.clone(), known: feet.join(", ") });
             }
         }
         let offset = |foot: usize| match feet.get(foot).and_then(|f| self.offset_cycles.get(*f)) {
@@ -136,11 +133,7 @@ impl PhaseClock {
     pub fn new(phase_rad: f32, frequency_hz: f32) -> Self {
         Self {
             // a clock that stands, stands at the end of a step
-            phase_rad: if frequency_hz == 0.0 {
-                PI
-            } else {
-                wrap_angle(phase_rad)
-            },
+            phase_rad: if frequency_hz == 0.0 { PI } else { wrap_angle(phase_rad) },
             frequency_hz,
             standing: false,
         }
@@ -200,11 +193,7 @@ pub fn wrap_angle(angle_rad: f32) -> f32 {
         angle_rad - TAU
     } else {
         let wrapped = angle_rad - TAU * (angle_rad / TAU).round();
-        if wrapped <= -PI || wrapped > PI {
-            PI
-        } else {
-            wrapped
-        }
+        if wrapped <= -PI || wrapped > PI { PI } else { wrapped }
     }
 }
 
@@ -233,9 +222,7 @@ mod tests {
     }
 
     fn trot() -> PerFoot {
-        PhaseConfig::default()
-            .offsets_rad(&["FL", "FR", "HL", "HR"])
-            .unwrap()
+        PhaseConfig::default().offsets_rad(&["FL", "FR", "HL", "HR"]).unwrap()
     }
 
     #[test]
@@ -277,14 +264,8 @@ mod tests {
     fn patterns_and_single_feet() {
         let feet = ["FL", "FR", "HL", "HR"];
         let of = |pattern| {
-            let config = PhaseConfig {
-                pattern,
-                ..PhaseConfig::default()
-            };
-            config
-                .offsets_rad(&feet)
-                .unwrap()
-                .map(|rad| rad.rem_euclid(TAU) / TAU)
+            let config = PhaseConfig { pattern, ..PhaseConfig::default() };
+            config.offsets_rad(&feet).unwrap().map(|rad| rad.rem_euclid(TAU) / TAU)
         };
         // who is farther ahead comes down earlier: hind left, front left, hind right, front right
         assert_eq!(of(GaitPattern::Walk), [0.5, 0.0, 0.75, 0.25]);
@@ -295,16 +276,10 @@ mod tests {
         config.offset_cycles.insert("HR".into(), 0.25);
         assert_eq!(config.offsets_rad(&feet).unwrap(), [0.0, PI, PI, FRAC_PI_2]);
         let refused = config.offsets_rad(&["L", "R"]).unwrap_err().to_string();
-        assert!(
-            refused.contains("HR") && refused.contains("L, R"),
-            "{refused}"
-        );
+        assert!(refused.contains("HR") && refused.contains("L, R"), "{refused}");
         // no feet: the clock itself; no clock: always the end of a step
         assert_eq!(PhaseConfig::default().offsets_rad(&[]).unwrap(), [0.0]);
-        let none = PhaseConfig {
-            pattern: GaitPattern::None,
-            ..PhaseConfig::default()
-        };
+        let none = PhaseConfig { pattern: GaitPattern::None, ..PhaseConfig::default() };
         let mut clock = PhaseClock::draw(&none, &mut Stream::new(Key::for_run(1), Purpose::Reset));
         clock.advance(0.3);
         assert_eq!(clock.phases_rad(&none.offsets_rad(&feet).unwrap()), [PI; 4]);
@@ -339,10 +314,7 @@ mod tests {
         close(reference_height_m(PI, config.swing_height_m), 0.0);
         clock.set_command(&config, &[0.0, 0.0, 0.2]);
         close(clock.phases_rad(&trot())[0], 0.3);
-        let never = PhaseConfig {
-            stand_command_norm: -1.0,
-            ..config
-        };
+        let never = PhaseConfig { stand_command_norm: -1.0, ..config };
         clock.set_command(&never, &[0.0; 3]);
         assert!(!clock.standing());
     }
@@ -351,14 +323,8 @@ mod tests {
     fn draws_frequencies_from_the_range() {
         let config = PhaseConfig::default();
         let mut stream = Stream::new(Key::for_run(1), Purpose::Reset);
-        let clocks: Vec<_> = (0..200)
-            .map(|_| PhaseClock::draw(&config, &mut stream))
-            .collect();
-        assert!(
-            clocks
-                .iter()
-                .all(|c| (1.25..=1.5).contains(&c.frequency_hz()))
-        );
+        let clocks: Vec<_> = (0..200).map(|_| PhaseClock::draw(&config, &mut stream)).collect();
+        assert!(clocks.iter().all(|c| (1.25..=1.5).contains(&c.frequency_hz())));
         assert!(clocks.iter().any(|c| c.frequency_hz() < 1.3));
         assert!(clocks.iter().any(|c| c.frequency_hz() > 1.45));
         assert!(clocks.iter().any(|c| c.phases_rad(&trot())[0] < -1.0));

@@ -77,11 +77,7 @@ impl PushSchedule {
 
     /// Begins a push now, drawn or not: `force_n` (world x and y) for so many control steps.
     pub fn begin(&mut self, force_n: [f32; 2], steps: u32) {
-        *self = Self {
-            wait_steps: 0,
-            push_steps: steps,
-            force_n,
-        };
+        *self = Self { wait_steps: 0, push_steps: steps, force_n };
     }
 
     /// The force (N, world x and y) for the coming control step, scaled by `strength`; moves the schedule on.
@@ -127,9 +123,7 @@ mod tests {
     fn forces(config: &PushConfig, strength: f32, steps: usize) -> Vec<[f32; 2]> {
         let mut stream = Stream::new(Key::for_run(5), Purpose::Push);
         let mut schedule = PushSchedule::draw(config, 0.02, &mut stream);
-        (0..steps)
-            .map(|_| schedule.next_force(config, strength, 0.02, &mut stream))
-            .collect()
+        (0..steps).map(|_| schedule.next_force(config, strength, 0.02, &mut stream)).collect()
     }
 
     #[test]
@@ -156,10 +150,7 @@ mod tests {
 
     #[test]
     fn strength_grows_with_progress_and_scales_the_force() {
-        let config = PushConfig {
-            full_after_env_steps: 1000,
-            ..PushConfig::default()
-        };
+        let config = PushConfig { full_after_env_steps: 1000, ..PushConfig::default() };
         assert_eq!(config.strength(0), 0.0);
         assert_eq!(config.strength(250), 0.25);
         assert_eq!(config.strength(5000), 1.0);
@@ -173,18 +164,14 @@ mod tests {
 
     #[test]
     fn switched_off_means_no_force() {
-        let config = PushConfig {
-            enabled: false,
-            ..PushConfig::default()
-        };
+        let config = PushConfig { enabled: false, ..PushConfig::default() };
         assert!(forces(&config, 1.0, 1000).iter().all(|f| *f == [0.0; 2]));
         // but for a push from outside
         let mut stream = Stream::new(Key::for_run(5), Purpose::Push);
         let mut schedule = PushSchedule::draw(&config, 0.02, &mut stream);
         schedule.begin([1.0, -2.0], 2);
-        let felt: Vec<_> = (0..4)
-            .map(|_| schedule.next_force(&config, 1.0, 0.02, &mut stream))
-            .collect();
+        let felt: Vec<_> =
+            (0..4).map(|_| schedule.next_force(&config, 1.0, 0.02, &mut stream)).collect();
         assert_eq!(felt, [[1.0, -2.0], [1.0, -2.0], [0.0; 2], [0.0; 2]]);
     }
 
@@ -197,10 +184,7 @@ mod tests {
         };
         let forces = forces(&config, 1.0, 400);
         for (sx, sy) in [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)] {
-            let count = forces
-                .iter()
-                .filter(|f| f[0] * sx > 0.0 && f[1] * sy > 0.0)
-                .count();
+            let count = forces.iter().filter(|f| f[0] * sx > 0.0 && f[1] * sy > 0.0).count();
             // 200 pushes, a quarter in each quadrant, standard deviation 6.
             assert!((count as i64 - 50).abs() < 28, "{count}");
         }

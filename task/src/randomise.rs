@@ -71,10 +71,7 @@ impl RandomisationConfig {
         if self.limp_share + self.stuck_share <= 0.0 || joints == 0 {
             return None;
         }
-        let (drawn, joint) = (
-            stream.uniform(0.0, 1.0),
-            stream.below(joints as u64) as usize,
-        );
+        let (drawn, joint) = (stream.uniform(0.0, 1.0), stream.below(joints as u64) as usize);
         if drawn < self.limp_share {
             return Some(Failure::Limp(joint));
         }
@@ -87,10 +84,8 @@ impl RandomisationConfig {
     /// [`TaskError::Config`] names the first field that is out of range.
     pub fn validate(&self) -> Result<(), TaskError> {
         // A mass, gain or voltage of zero is no robot; friction, damping and play may vanish.
-        let (positive, any) = (
-            "must be [min, max] within 0.05 to 20",
-            "must be [min, max] within 0 to 20",
-        );
+        let (positive, any) =
+            ("must be [min, max] within 0.05 to 20", "must be [min, max] within 0 to 20");
         let delay = "must be [min, max] within 0 to 0.1 s";
         let share = |value: f32, most: f32| (0.0..=most).contains(&value);
         checks! {
@@ -249,14 +244,11 @@ mod tests {
     fn draws_stay_within_their_ranges_and_use_them() {
         let config = RandomisationConfig::default();
         let mut stream = stream();
-        let draws: Vec<_> = (0..300)
-            .map(|_| draw(&config, &mut stream, 19, 16, 4))
-            .collect();
+        let draws: Vec<_> = (0..300).map(|_| draw(&config, &mut stream, 19, 16, 4)).collect();
         let spans = |get: &dyn Fn(&RandomDraw) -> f32, [lo, hi]: [f32; 2]| {
             let values: Vec<f32> = draws.iter().map(get).collect();
-            let (min, max) = values
-                .iter()
-                .fold((f32::MAX, f32::MIN), |(a, b), &v| (a.min(v), b.max(v)));
+            let (min, max) =
+                values.iter().fold((f32::MAX, f32::MIN), |(a, b), &v| (a.min(v), b.max(v)));
             let slack = 0.05 * (hi - lo);
             assert!(min >= lo - 1e-6 && min < lo + slack, "{min} against {lo}");
             assert!(max <= hi + 1e-6 && max > hi - slack, "{max} against {hi}");
@@ -284,21 +276,13 @@ mod tests {
     #[test]
     fn a_load_is_drawn_after_all_else() {
         let empty = RandomisationConfig::default();
-        let laden = RandomisationConfig {
-            payload_kg: [0.1, 0.3],
-            ..empty
-        };
-        let (mut with, without) = (
-            draw(&laden, &mut stream(), 19, 16, 4),
-            draw(&empty, &mut stream(), 19, 16, 4),
-        );
+        let laden = RandomisationConfig { payload_kg: [0.1, 0.3], ..empty };
+        let (mut with, without) =
+            (draw(&laden, &mut stream(), 19, 16, 4), draw(&empty, &mut stream(), 19, 16, 4));
         assert!((0.1..=0.3).contains(&with.payload_kg));
         with.payload_kg = 0.0;
         assert_eq!(with, without);
-        let negative = RandomisationConfig {
-            payload_kg: [-0.1, 0.3],
-            ..empty
-        };
+        let negative = RandomisationConfig { payload_kg: [-0.1, 0.3], ..empty };
         assert!(negative.validate().is_err());
     }
 
@@ -321,31 +305,16 @@ mod tests {
         }
         // 600 and 1,000 of 2,000, standard deviations 20 and 22
         let (limps, stucks): (i32, i32) = (limp.iter().sum(), stuck.iter().sum());
-        assert!(
-            (limps - 600).abs() < 100 && (stucks - 1000).abs() < 110,
-            "{limps} {stucks}"
-        );
-        assert!(
-            limp.iter().chain(&stuck).all(|&n| n > 0),
-            "{limp:?} {stuck:?}"
-        );
-        let more_than_all = RandomisationConfig {
-            limp_share: 0.6,
-            ..config
-        };
+        assert!((limps - 600).abs() < 100 && (stucks - 1000).abs() < 110, "{limps} {stucks}");
+        assert!(limp.iter().chain(&stuck).all(|&n| n > 0), "{limp:?} {stuck:?}");
+        let more_than_all = RandomisationConfig { limp_share: 0.6, ..config };
         assert!(more_than_all.validate().is_err());
     }
 
     #[test]
     fn switched_off_is_the_nominal_robot() {
-        let config = RandomisationConfig {
-            enabled: false,
-            ..RandomisationConfig::default()
-        };
-        assert_eq!(
-            draw(&config, &mut stream(), 19, 16, 4),
-            RandomDraw::nominal(19, 16, 4)
-        );
+        let config = RandomisationConfig { enabled: false, ..RandomisationConfig::default() };
+        assert_eq!(draw(&config, &mut stream(), 19, 16, 4), RandomDraw::nominal(19, 16, 4));
         let mut used = draw(&RandomisationConfig::default(), &mut stream(), 19, 16, 4);
         used.redraw(&config, &mut stream());
         assert_eq!(used, RandomDraw::nominal(19, 16, 4));
@@ -365,48 +334,24 @@ mod tests {
         let good = RandomisationConfig::default();
         good.validate().unwrap();
         let bad = [
+            (RandomisationConfig { kp_scale: [0.0, 1.0], ..good }, "randomisation.kp_scale"),
+            (RandomisationConfig { kd_scale: [-0.1, 1.0], ..good }, "randomisation.kd_scale"),
             (
-                RandomisationConfig {
-                    kp_scale: [0.0, 1.0],
-                    ..good
-                },
-                "randomisation.kp_scale",
-            ),
-            (
-                RandomisationConfig {
-                    kd_scale: [-0.1, 1.0],
-                    ..good
-                },
-                "randomisation.kd_scale",
-            ),
-            (
-                RandomisationConfig {
-                    com_offset_m: [0.1, -0.1],
-                    ..good
-                },
+                RandomisationConfig { com_offset_m: [0.1, -0.1], ..good },
                 "randomisation.com_offset_m",
             ),
             (
-                RandomisationConfig {
-                    command_delay_s: [0.0, 0.2],
-                    ..good
-                },
+                RandomisationConfig { command_delay_s: [0.0, 0.2], ..good },
                 "randomisation.command_delay_s",
             ),
             (
-                RandomisationConfig {
-                    link_mass_scale: [f32::NAN, 1.0],
-                    ..good
-                },
+                RandomisationConfig { link_mass_scale: [f32::NAN, 1.0], ..good },
                 "randomisation.link_mass_scale",
             ),
         ];
         for (config, name) in bad {
             let error = config.validate().unwrap_err();
-            assert!(
-                matches!(&error, TaskError::Config { field, .. } if *field == name),
-                "{error}"
-            );
+            assert!(matches!(&error, TaskError::Config { field, .. } if *field == name), "{error}");
         }
     }
 }

@@ -151,18 +151,11 @@ mod tests {
 
     #[test]
     fn the_asked_share_starts_in_any_attitude() {
-        let config = ResetConfig {
-            fallen_share: 0.5,
-            ..ResetConfig::default()
-        };
+        let config = ResetConfig { fallen_share: 0.5, ..ResetConfig::default() };
         let mut stream = Stream::new(Key::for_run(5), Purpose::Reset);
-        let starts: Vec<_> = (0..1000)
-            .map(|_| draw(&config, &joints(), &swimming_rad(), &mut stream))
-            .collect();
-        let fallen: Vec<_> = starts
-            .iter()
-            .filter(|s| s.roll_pitch_rad != [0.0; 2])
-            .collect();
+        let starts: Vec<_> =
+            (0..1000).map(|_| draw(&config, &joints(), &swimming_rad(), &mut stream)).collect();
+        let fallen: Vec<_> = starts.iter().filter(|s| s.roll_pitch_rad != [0.0; 2]).collect();
         // 500 of 1,000, standard deviation 16
         assert!(fallen.len().abs_diff(500) < 80, "{}", fallen.len());
         // the body's z axis points up in the world by cos(roll)·cos(pitch)
@@ -218,9 +211,6 @@ mod tests {
         );
         assert_eq!(start.joint_pos_rad, joints().nominal_rad);
         assert_eq!(start.joint_vel_radps, [0.0; ACT_DIM]);
-        assert_eq!(
-            (start.base_xy_m, start.base_vel_mps, start.yaw_rad),
-            ([0.0; 2], [0.0; 2], 0.0)
-        );
+        assert_eq!((start.base_xy_m, start.base_vel_mps, start.yaw_rad), ([0.0; 2], [0.0; 2], 0.0));
     }
 }

@@ -46,10 +46,7 @@ impl<T: Copy + Default, const MAX: usize> Row<T, MAX> {
     /// `len` times the same value; at most `MAX` times.
     #[inline]
     pub const fn filled(len: usize, value: T) -> Self {
-        Self {
-            values: [value; MAX],
-            len: if len < MAX { len } else { MAX },
-        }
+        Self { values: [value; MAX], len: if len < MAX { len } else { MAX } }
     }
 
     /// The values of a slice, the first `MAX` of them.

@@ -45,9 +45,7 @@ impl TerminationConfig {
     }
 
     fn own(&self) -> impl Iterator<Item = (&str, &str)> {
-        self.when
-            .iter()
-            .map(|when| (when.name.as_str(), when.value.as_str()))
+        self.when.iter().map(|when| (when.name.as_str(), when.value.as_str()))
     }
 
     /// The conditions of the task file, compiled for a robot.
@@ -124,11 +122,7 @@ pub fn check(config: &TerminationConfig, input: &TerminationInput) -> Option<Ter
     if input.diverged || upright.is_nan() || height.is_nan() {
         Some(TerminationReason::Diverged)
     } else if upright < config.max_tilt_rad.cos() {
-        Some(if upright < 0.0 {
-            TerminationReason::UpsideDown
-        } else {
-            TerminationReason::Tilted
-        })
+        Some(if upright < 0.0 { TerminationReason::UpsideDown } else { TerminationReason::Tilted })
     } else if height < config.com_height_m[0] {
         Some(TerminationReason::TooLow)
     } else if height > config.com_height_m[1] {
@@ -142,18 +136,12 @@ pub fn check(config: &TerminationConfig, input: &TerminationInput) -> Option<Ter
 mod tests {
     use super::*;
 
-    const STANDING: TerminationInput = TerminationInput {
-        diverged: false,
-        gravity: [0.0, 0.0, -1.0],
-        com_height_m: 0.12,
-    };
+    const STANDING: TerminationInput =
+        TerminationInput { diverged: false, gravity: [0.0, 0.0, -1.0], com_height_m: 0.12 };
 
     /// Gravity seen by a body rolled by `roll`: (0, −sin, −cos).
     fn rolled(roll: f32) -> TerminationInput {
-        TerminationInput {
-            gravity: [0.0, -roll.sin(), -roll.cos()],
-            ..STANDING
-        }
+        TerminationInput { gravity: [0.0, -roll.sin(), -roll.cos()], ..STANDING }
     }
 
     #[test]
@@ -167,30 +155,18 @@ mod tests {
         assert_eq!(check(rolled(-1.047)), Some(TerminationReason::Tilted));
         // 170° and exactly upside down: |g_z| is as large as when standing, only the sign differs.
         assert_eq!(check(rolled(2.967)), Some(TerminationReason::UpsideDown));
-        let on_its_back = TerminationInput {
-            gravity: [0.0, 0.0, 1.0],
-            ..STANDING
-        };
+        let on_its_back = TerminationInput { gravity: [0.0, 0.0, 1.0], ..STANDING };
         assert_eq!(check(on_its_back), Some(TerminationReason::UpsideDown));
         assert_eq!(
-            check(TerminationInput {
-                com_height_m: -0.2,
-                ..STANDING
-            }),
+            check(TerminationInput { com_height_m: -0.2, ..STANDING }),
             Some(TerminationReason::TooLow)
         );
         assert_eq!(
-            check(TerminationInput {
-                com_height_m: 1.5,
-                ..STANDING
-            }),
+            check(TerminationInput { com_height_m: 1.5, ..STANDING }),
             Some(TerminationReason::TooHigh)
         );
         assert_eq!(
-            check(TerminationInput {
-                diverged: true,
-                ..STANDING
-            }),
+            check(TerminationInput { diverged: true, ..STANDING }),
             Some(TerminationReason::Diverged)
         );
     }
@@ -208,14 +184,8 @@ mod tests {
     #[test]
     fn not_a_number_is_a_failure() {
         let config = TerminationConfig::default();
-        let tilt = TerminationInput {
-            gravity: [0.0, 0.0, f32::NAN],
-            ..STANDING
-        };
-        let height = TerminationInput {
-            com_height_m: f32::NAN,
-            ..STANDING
-        };
+        let tilt = TerminationInput { gravity: [0.0, 0.0, f32::NAN], ..STANDING };
+        let height = TerminationInput { com_height_m: f32::NAN, ..STANDING };
         for input in [tilt, height] {
             assert_eq!(check(&config, &input), Some(TerminationReason::Diverged));
         }
@@ -223,10 +193,7 @@ mod tests {
 
     #[test]
     fn reasons_have_fixed_numbers_and_distinct_names() {
-        assert_eq!(
-            TerminationReason::ALL.map(|reason| reason as u8),
-            [1, 2, 3, 4, 5, 6]
-        );
+        assert_eq!(TerminationReason::ALL.map(|reason| reason as u8), [1, 2, 3, 4, 5, 6]);
         let mut names = TerminationReason::ALL.map(TerminationReason::name).to_vec();
         names.sort_unstable();
         names.dedup();

@@ -13,10 +13,7 @@ use serde_json::Value;
 /// The repository.
 #[must_use]
 pub fn repository_root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .parent()
-        .unwrap_or(Path::new("."))
-        .to_path_buf()
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap_or(Path::new(".")).to_path_buf()
 }
 
 /// One of the project's binaries.
@@ -26,10 +23,8 @@ pub fn repository_root() -> PathBuf {
 pub fn binary(name: &str) -> Result<PathBuf> {
     // .../target/release/deps/<test> → .../target/release/<name>
     let test = std::env::current_exe()?;
-    let folder = test
-        .parent()
-        .and_then(Path::parent)
-        .context("the test lies in target/<profile>/deps")?;
+    let folder =
+        test.parent().and_then(Path::parent).context("the test lies in target/<profile>/deps")?;
     let path = folder.join(name);
     ensure!(
         path.is_file(),
@@ -118,10 +113,7 @@ impl Finished {
     /// The lines `error: …` of standard error.
     #[must_use]
     pub fn errors(&self) -> Vec<&str> {
-        self.stderr
-            .lines()
-            .filter(|line| line.starts_with("error: "))
-            .collect()
+        self.stderr.lines().filter(|line| line.starts_with("error: ")).collect()
     }
 
     /// The JSON object on the last line of standard output.
@@ -129,11 +121,7 @@ impl Finished {
     /// # Errors
     /// When there is none.
     pub fn last_json(&self) -> Result<Value> {
-        let line = self
-            .stdout
-            .lines()
-            .last()
-            .context("nothing on standard output")?;
+        let line = self.stdout.lines().last().context("nothing on standard output")?;
         serde_json::from_str(line).with_context(|| format!("not JSON: {line}"))
     }
 }

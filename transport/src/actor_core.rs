@@ -143,10 +143,8 @@ impl ActorCore {
             }
             let now = Instant::now();
             let result = attempt(&mut outbox, now);
-            let not_yet = matches!(
-                result,
-                Err(SendError::Full { .. } | SendError::Disconnected { .. })
-            );
+            let not_yet =
+                matches!(result, Err(SendError::Full { .. } | SendError::Disconnected { .. }));
             if !not_yet || now >= deadline {
                 return result;
             }

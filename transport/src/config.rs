@@ -154,12 +154,10 @@ impl TlsFiles {
 
     /// The first of the files that cannot be read, with what the system says.
     pub(crate) fn unreadable(&self) -> Option<String> {
-        [&self.ca, &self.certificate, &self.key]
-            .into_iter()
-            .find_map(|path| {
-                let error = std::fs::File::open(path).err()?;
-                Some(format!("{}: {error}", path.display()))
-            })
+        [&self.ca, &self.certificate, &self.key].into_iter().find_map(|path| {
+            let error = std::fs::File::open(path).err()?;
+            Some(format!("{}: {error}", path.display()))
+        })
     }
 }
 

@@ -74,11 +74,7 @@ impl Crew {
         alarm: impl Fn() + Send + 'static,
         body: impl FnOnce() + Send + 'static,
     ) -> Result<JoinHandle<()>, TransportError> {
-        let guard = EndGuard {
-            crew: Arc::clone(self),
-            name,
-            alarm,
-        };
+        let guard = EndGuard { crew: Arc::clone(self), name, alarm };
         let body = move || {
             let _guard = guard;
             body();
@@ -100,8 +96,7 @@ impl<A: Fn()> Drop for EndGuard<A> {
     fn drop(&mut self) {
         if !self.crew.is_closing() {
             let name = self.name;
-            self.crew
-                .fail(format!("thread {name} of the link has ended unexpectedly"));
+            self.crew.fail(format!("thread {name} of the link has ended unexpectedly"));
             (self.alarm)();
         }
     }

@@ -144,10 +144,7 @@ impl InprocActor {
     fn room(&self, size: usize, timeout: Duration) -> Result<MutexGuard<'_, State>, SendError> {
         let limits = &self.shared.config.limits;
         if size > limits.max_frame_bytes {
-            return Err(SendError::TooLarge {
-                size,
-                max: limits.max_frame_bytes,
-            });
+            return Err(SendError::TooLarge { size, max: limits.max_frame_bytes });
         }
         let full = |state: &mut State| {
             state.learner != LearnerState::Gone && state.waiting[self.slot] >= limits.window_frames
@@ -161,9 +158,7 @@ impl InprocActor {
             return Err(SendError::Closed);
         }
         if full(&mut state) {
-            return Err(SendError::Full {
-                unacknowledged: state.waiting[self.slot],
-            });
+            return Err(SendError::Full { unacknowledged: state.waiting[self.slot] });
         }
         Ok(state)
     }
@@ -232,10 +227,7 @@ impl ActorLink for InprocActor {
 
     fn stats(&self) -> LinkStats {
         let state = self.shared.lock();
-        LinkStats {
-            peers: usize::from(state.learner == LearnerState::Alive),
-            ..self.stats
-        }
+        LinkStats { peers: usize::from(state.learner == LearnerState::Alive), ..self.stats }
     }
 }
 
@@ -283,11 +275,7 @@ impl LearnerLink for InprocLearner {
 
     fn stats(&self) -> LinkStats {
         let state = self.shared.lock();
-        LinkStats {
-            depth: state.queue.len(),
-            peers: state.actors,
-            ..self.stats
-        }
+        LinkStats { depth: state.queue.len(), peers: state.actors, ..self.stats }
     }
 }
 
@@ -310,11 +298,7 @@ mod tests {
     const SOON: Duration = Duration::from_millis(10);
 
     fn hub(window_frames: usize) -> InprocHub {
-        let limits = Limits {
-            window_frames,
-            max_actors: 2,
-            ..Limits::default()
-        };
+        let limits = Limits { window_frames, max_actors: 2, ..Limits::default() };
         InprocHub::new(&InprocConfig { limits }).unwrap()
     }
 
@@ -352,10 +336,7 @@ mod tests {
         let mut learner = hub.learner().unwrap();
         let mut actor = hub.actor().unwrap();
         assert!(actor.takes_values());
-        let value = |content: u32, bytes| Value {
-            content: Box::new(content),
-            bytes,
-        };
+        let value = |content: u32, bytes| Value { content: Box::new(content), bytes };
         actor.send(b"a", SOON).unwrap();
         actor.send_value(value(7, 100), SOON).unwrap();
         let (error, back) = actor.send_value(value(8, 100), SOON).unwrap_err();

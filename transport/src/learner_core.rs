@@ -93,12 +93,7 @@ pub(crate) struct RemoteLearner<D: Downlink> {
 
 impl<D: Downlink> RemoteLearner<D> {
     pub(crate) fn new(core: Arc<LearnerCore>, downlink: D, actor_config: TransportConfig) -> Self {
-        Self {
-            core,
-            downlink,
-            actor_config,
-            stats: LinkStats::default(),
-        }
+        Self { core, downlink, actor_config, stats: LinkStats::default() }
     }
 }
 

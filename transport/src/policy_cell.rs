@@ -26,11 +26,7 @@ pub(crate) struct Seen(u64);
 
 impl PolicyCell {
     pub(crate) fn new(max_bytes: usize) -> Self {
-        Self {
-            max_bytes,
-            state: Mutex::default(),
-            changed: Condvar::new(),
-        }
+        Self { max_bytes, state: Mutex::default(), changed: Condvar::new() }
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
@@ -95,11 +91,7 @@ impl PolicyCell {
             })
             .unwrap_or_else(PoisonError::into_inner);
         if state.generation == seen.0 {
-            return if state.closed {
-                Err(TransportError::Closed)
-            } else {
-                Ok(None)
-            };
+            return if state.closed { Err(TransportError::Closed) } else { Ok(None) };
         }
         seen.0 = state.generation;
         Ok(state.newest.clone())
@@ -122,12 +114,7 @@ mod tests {
     use super::*;
 
     fn update(version: u64, control: Control) -> PolicyUpdate {
-        PolicyUpdate {
-            version,
-            sha256: [version as u8; 32],
-            bytes: vec![0; 4].into(),
-            control,
-        }
+        PolicyUpdate { version, sha256: [version as u8; 32], bytes: vec![0; 4].into(), control }
     }
 
     #[test]
@@ -149,25 +136,13 @@ mod tests {
     fn publishing_checks_size_order_and_finality() {
         let cell = PolicyCell::new(3);
         let refused = cell.publish(update(1, Control::Run));
-        assert_eq!(
-            refused,
-            Err(TransportError::PolicyTooLarge { size: 4, max: 3 })
-        );
+        assert_eq!(refused, Err(TransportError::PolicyTooLarge { size: 4, max: 3 }));
         let cell = PolicyCell::new(4);
         cell.publish(update(5, Control::Run)).unwrap();
         let refused = cell.publish(update(4, Control::Run));
-        assert_eq!(
-            refused,
-            Err(TransportError::VersionWentBack {
-                version: 4,
-                last: 5
-            })
-        );
+        assert_eq!(refused, Err(TransportError::VersionWentBack { version: 4, last: 5 }));
         cell.publish(update(5, Control::Stop)).unwrap();
         assert!(cell.stop_requested());
-        assert_eq!(
-            cell.publish(update(6, Control::Run)),
-            Err(TransportError::Stopped)
-        );
+        assert_eq!(cell.publish(update(6, Control::Run)), Err(TransportError::Stopped));
     }
 }

@@ -3,12 +3,7 @@
 //! Cases are generic functions; the macro makes a test of each for each transport. Deaths and restarts happen
 //! to real processes. No case asserts a time; all wait for conditions.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
 mod cases;
 mod support;

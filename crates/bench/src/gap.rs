@@ -85,11 +85,7 @@ pub struct Finding {
 /// Where a folder cannot be written or a baseline cannot run; a diagnosis that fails is an outcome.
 pub fn run(plan: &Plan, program: &Path) -> Result<Option<Finding>, Failure> {
     if let Some(case) = &plan.case {
-        let options = Options {
-            threads: 1,
-            without: plan.without.clone(),
-            ..Options::default()
-        };
+        let options = Options { threads: 1, without: plan.without.clone(), ..Options::default() };
         examinee::write_report(case, options).or_exit(ExitCode::BadInput)?;
         return Ok(None);
     }
@@ -97,10 +93,7 @@ pub fn run(plan: &Plan, program: &Path) -> Result<Option<Finding>, Failure> {
     let temporary = tempfile::tempdir().or_exit(ExitCode::CannotCreate)?;
     let root = plan.keep.as_deref().unwrap_or(temporary.path());
     if root.join(run::SEALED_NAME).exists() || root.join(run::CASES_NAME).exists() {
-        let message = format!(
-            "{} holds a set already; choose another folder",
-            root.display()
-        );
+        let message = format!("{} holds a set already; choose another folder", root.display());
         return Err(Failure::message(ExitCode::CannotCreate, message));
     }
     files::make_folder(root)?;
@@ -176,10 +169,7 @@ fn with_baselines(root: &Path, answers: &[Answer]) -> Result<Vec<BaselineSummary
     let mut all = Vec::new();
     for answer in answers {
         let folder = root.join(run::CASES_NAME).join(&answer.case);
-        all.push((
-            answer.clone(),
-            baselines::all(&folder, answer).or_exit(ExitCode::Internal)?,
-        ));
+        all.push((answer.clone(), baselines::all(&folder, answer).or_exit(ExitCode::Internal)?));
     }
     Ok(baselines::summaries(&all))
 }
@@ -199,15 +189,7 @@ mod tests {
     #[test]
     fn an_examinee_is_told_its_case_and_what_it_has_to_do_without() {
         // in the order in which the benchmark starts it
-        let told = [
-            "bench",
-            "--examinee",
-            "--without",
-            "a",
-            "--without",
-            "b",
-            "case",
-        ];
+        let told = ["bench", "--examinee", "--without", "a", "--without", "b", "case"];
         let plan = Command::try_parse_from(told).unwrap().plan;
         assert_eq!(plan.without, ["a", "b"]);
         assert_eq!(plan.case.as_deref(), Some(Path::new("case")));

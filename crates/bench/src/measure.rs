@@ -114,10 +114,7 @@ impl Cost {
     ) -> Result<(T, Self), Failure> {
         let (began, before_s) = (Instant::now(), cpu_s()?);
         let done = work()?;
-        let cost = Self {
-            wall_s: began.elapsed().as_secs_f64(),
-            cpu_s: cpu_s()? - before_s,
-        };
+        let cost = Self { wall_s: began.elapsed().as_secs_f64(), cpu_s: cpu_s()? - before_s };
         Ok((done, cost))
     }
 }
@@ -162,10 +159,7 @@ mod tests {
     fn quantiles_by_hand() {
         let sorted = [1.0, 2.0, 3.0, 4.0, 5.0];
         assert_eq!(quantile(&sorted, 0.5), Some(3.0));
-        assert_eq!(
-            (quantile(&sorted, 0.99), quantile(&[], 0.5)),
-            (Some(5.0), None)
-        );
+        assert_eq!((quantile(&sorted, 0.99), quantile(&[], 0.5)), (Some(5.0), None));
         assert_eq!(median(vec![3.0, 1.0]), Some(3.0));
     }
 

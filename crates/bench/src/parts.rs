@@ -33,9 +33,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 /// # Errors
 /// Exit code 64 where they are wrong.
 pub fn config(flags: &ConfigArgs) -> Result<Config, Failure> {
-    flags::or_preset(flags, "quick")
-        .load()
-        .or_exit(ExitCode::BadConfig)
+    flags::or_preset(flags, "quick").load().or_exit(ExitCode::BadConfig)
 }
 
 /// Environment steps per second of this configuration: physics, task and resets.
@@ -55,22 +53,16 @@ pub fn environment_steps(seconds: f64, config: &Config) -> Result<Rate, Failure>
         "engine": config.engine.kind, "lanes": lanes, "threads": threads,
         "dt_s": config.engine.dt_s, "substeps": config.engine.substeps,
     });
-    rate(
-        "sim",
-        ("environment steps", lanes),
-        seconds,
-        settings,
-        || {
-            // Once for all lanes: a sine per lane and joint would be a fortieth of what is measured.
-            let action: PerJoint =
-                PerJoint::from_fn(width, |i| 0.5 * (step as f32 * 0.16 + i as f32).sin());
-            for lane in actions.chunks_exact_mut(width) {
-                lane.copy_from_slice(&action);
-            }
-            step += 1;
-            env.step(&actions).map(|_| ()).or_exit(ExitCode::Internal)
-        },
-    )
+    rate("sim", ("environment steps", lanes), seconds, settings, || {
+        // Once for all lanes: a sine per lane and joint would be a fortieth of what is measured.
+        let action: PerJoint =
+            PerJoint::from_fn(width, |i| 0.5 * (step as f32 * 0.16 + i as f32).sin());
+        for lane in actions.chunks_exact_mut(width) {
+            lane.copy_from_slice(&action);
+        }
+        step += 1;
+        env.step(&actions).map(|_| ()).or_exit(ExitCode::Internal)
+    })
 }
 
 /// A policy file with made-up weights: only its size matters.
@@ -92,9 +84,7 @@ pub fn example_policy(
         .map(|pair| Dense {
             input: pair[0],
             out: pair[1],
-            weight: (0..pair[0] * pair[1])
-                .map(|i| 0.05 * (i as f32).sin())
-                .collect(),
+            weight: (0..pair[0] * pair[1]).map(|i| 0.05 * (i as f32).sin()).collect(),
             bias: vec![0.0; pair[1]],
         })
         .collect();

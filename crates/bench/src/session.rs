@@ -31,11 +31,7 @@ const ROBOTS_A_HEALTHY_ONE: usize = 5;
 #[derive(Clone, Debug, Args)]
 pub struct Plan {
     /// Robot file; every fifth robot is healthy, each other one has an effect of the catalogue
-    #[arg(
-        long,
-        value_name = "R.robot.toml",
-        default_value = "robots/polymander.robot.toml"
-    )]
+    #[arg(long, value_name = "R.robot.toml", default_value = "robots/polymander.robot.toml")]
     robot: PathBuf,
     /// Robots
     #[arg(long, value_name = "N", default_value_t = 20)]
@@ -134,11 +130,8 @@ pub fn run(plan: &Plan, program: &Path, tell: &mut dyn FnMut(&Case)) -> Result<F
             left_out += 1;
             continue;
         };
-        let lab = Lab {
-            model: &model,
-            unknown: &unknown,
-            folder: root.join(format!("{number:03}")),
-        };
+        let lab =
+            Lab { model: &model, unknown: &unknown, folder: root.join(format!("{number:03}")) };
         let case = lab.session(plan, robot, program)?;
         tell(&case);
         cases.push(case);
@@ -271,11 +264,7 @@ fn judged(unknown: &Unknown, session: Result<Session, Failure>, seconds: f64) ->
     };
     let said = rounds.iter().rev().take_while(|r| r.verdict.is_some());
     let settled = said.take_while(|r| right_in(&r.names));
-    let place = |label: &str| {
-        label
-            .split_once('@')
-            .map_or(String::new(), |(_, p)| p.to_owned())
-    };
+    let place = |label: &str| label.split_once('@').map_or(String::new(), |(_, p)| p.to_owned());
     Case {
         hidden: truth.map_or_else(String::new, label),
         d: truth.map_or(0.0, |t| t.d),

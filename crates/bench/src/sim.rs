@@ -240,9 +240,7 @@ impl Theirs<'_> {
             "name": self.scene.name(), "joint_pos": full, "base": [0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0],
             "targets": targets, "substeps": SUBSTEPS, "terrain": grid,
         });
-        self.mujoco
-            .ask(&robot.task("speed", model, options, more))
-            .map(|_| ())
+        self.mujoco.ask(&robot.task("speed", model, options, more)).map(|_| ())
     }
 
     /// Steps and seconds of one round.
@@ -282,13 +280,7 @@ fn one(
     let (mut single, mut all) = match (make(1), make(threads)) {
         (Ok(single), Ok(all)) => (single, all),
         // a width that this processor lacks
-        (
-            Err(SimError::Config {
-                field: "lane_width",
-                ..
-            }),
-            _,
-        ) => {
+        (Err(SimError::Config { field: "lane_width", .. }), _) => {
             tracing::warn!(
                 lanes = width,
                 "skipped: this processor has no registers of so many lanes"
@@ -357,10 +349,7 @@ fn phases(
     Ok(Phase::ALL
         .into_iter()
         .zip(spent)
-        .map(|(phase, seconds)| PhaseShare {
-            phase: phase.name(),
-            share: seconds / total,
-        })
+        .map(|(phase, seconds)| PhaseShare { phase: phase.name(), share: seconds / total })
         .collect())
 }
 
@@ -414,13 +403,7 @@ impl<E: Engine + ?Sized> Ours<E> {
                 all
             })
             .collect();
-        Ok(Self {
-            wrenches: vec![0.0; lanes * 6],
-            engine,
-            targets,
-            period: 0,
-            diverged: 0,
-        })
+        Ok(Self { wrenches: vec![0.0; lanes * 6], engine, targets, period: 0, diverged: 0 })
     }
 
     /// Everybody back to the start, as MuJoCo's rollout begins anew: a robot that walked into a hole would
@@ -445,9 +428,7 @@ impl<E: Engine + ?Sized> Ours<E> {
             }
             let targets = &self.targets[self.period % PERIODS];
             self.period += 1;
-            self.engine
-                .step(targets, &self.wrenches)
-                .or_exit(ExitCode::Internal)?;
+            self.engine.step(targets, &self.wrenches).or_exit(ExitCode::Internal)?;
             steps += (self.engine.lanes() * SUBSTEPS as usize) as f64;
             Ok(())
         })?;

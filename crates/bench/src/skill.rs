@@ -96,11 +96,7 @@ pub fn run(plan: &Plan, program: &Path, tell: &mut dyn FnMut(&Skill)) -> Result<
     let command_mps = plan.command_mps.unwrap_or(judged.command_mps as f32);
     let share = judged.gates.speed_share.max(2.0 / 3.0);
     let speed_mps = plan.speed_mps.unwrap_or(share * f64::from(command_mps));
-    let asked = Asked {
-        command_mps,
-        speed_mps,
-        episodes: plan.episodes,
-    };
+    let asked = Asked { command_mps, speed_mps, episodes: plan.episodes };
     let mut seeds = Vec::new();
     for seed in plan.first_seed..plan.first_seed + plan.seeds {
         let folder = tempfile::tempdir().or_exit(ExitCode::CannotCreate)?;
@@ -147,10 +143,7 @@ fn look(
     skill: &mut Skill,
 ) -> Result<(), Failure> {
     let scenario = Scenario::walk("skill", [asked.command_mps, 0.0, 0.0]);
-    let settings = Settings {
-        episodes: asked.episodes,
-        ..Settings::default()
-    };
+    let settings = Settings { episodes: asked.episodes, ..Settings::default() };
     for (index, (at_s, policy)) in policies.iter().enumerate() {
         let last = index + 1 == policies.len();
         if skill.walks_after_s.is_some() && !last {
@@ -187,9 +180,7 @@ fn train(
 ) -> Result<(SystemTime, f64), Failure> {
     let mut command = Command::new(program);
     command.arg("train").args(flags::as_words(flags));
-    command
-        .args(["--seed", &seed.to_string(), "--json", "--out"])
-        .arg(run);
+    command.args(["--seed", &seed.to_string(), "--json", "--out"]).arg(run);
     for set in [
         &format!("learner.publish_every={}", plan.every),
         "policy_server.keep_versions=100000",

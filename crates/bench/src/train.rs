@@ -124,17 +124,12 @@ pub fn run(plan: &Plan, learner: &Path) -> Result<Finding, Failure> {
         busy: plan.busy,
         wall_ratio: ratio(|run| median(run.iterations_s.clone()).unwrap_or(f64::NAN)),
         cpu_ratio: ratio(|run| run.cpu_s),
-        builds: builds
-            .map(|((build, _), runs)| together(build, runs, cores))
-            .collect(),
+        builds: builds.map(|((build, _), runs)| together(build, runs, cores)).collect(),
     })
 }
 
 fn together(build: &'static str, runs: &[Run], cores: usize) -> Build {
-    let all: Vec<f64> = runs
-        .iter()
-        .flat_map(|run| run.iterations_s.clone())
-        .collect();
+    let all: Vec<f64> = runs.iter().flat_map(|run| run.iterations_s.clone()).collect();
     let (count, wall_s) = (all.len() as f64, all.iter().sum::<f64>());
     let sum = |of: &dyn Fn(&Run) -> f64| runs.iter().map(of).sum::<f64>();
     let found = |part, seconds: Option<f64>| PartFound {
@@ -163,10 +158,7 @@ fn together(build: &'static str, runs: &[Run], cores: usize) -> Build {
 fn train(plan: &Plan, program: &Path) -> Result<Run, Failure> {
     let began = Instant::now();
     let cpu_s = |process| cpu_s_of(process).unwrap_or(f64::NAN);
-    let mut run = Run {
-        parts_s: vec![Some(0.0); Part::ALL.len()],
-        ..Run::default()
-    };
+    let mut run = Run { parts_s: vec![Some(0.0); Part::ALL.len()], ..Run::default() };
     // When the last counted iteration ended, and the steps and CPU time before the first.
     let mut last: Option<(Instant, f64, f64)> = None;
     let hear = |process, event| match event {
@@ -233,10 +225,7 @@ struct Busy {
 
 impl Busy {
     fn start(count: u32) -> Result<Self, Failure> {
-        let mut busy = Self {
-            done: Arc::default(),
-            threads: Vec::new(),
-        };
+        let mut busy = Self { done: Arc::default(), threads: Vec::new() };
         for _ in 0..count {
             let done = Arc::clone(&busy.done);
             let spin = move || while !done.load(Ordering::Relaxed) {};

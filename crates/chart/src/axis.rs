@@ -20,11 +20,7 @@ impl Axis {
     pub fn over(values: impl IntoIterator<Item = f64>) -> Self {
         let (low, high) = extent(values);
         let span = high - low;
-        let margin = if span > 0.0 {
-            0.06 * span
-        } else {
-            low.abs().max(1e-6) * 0.1
-        };
+        let margin = if span > 0.0 { 0.06 * span } else { low.abs().max(1e-6) * 0.1 };
         Self::linear(low - margin, high + margin)
     }
 
@@ -39,11 +35,7 @@ impl Axis {
     pub fn log_over(values: impl IntoIterator<Item = f64>) -> Self {
         let (low, high) = extent(values.into_iter().filter(|x| *x > 0.0));
         let (low, high) = if low > 0.0 { (low, high) } else { (0.1, 1.0) };
-        Self {
-            low: low / 1.25,
-            high: high * 1.25,
-            log: true,
-        }
+        Self { low: low / 1.25, high: high * 1.25, log: true }
     }
 
     /// The axis, made long enough that `x` is inside.
@@ -70,19 +62,12 @@ impl Axis {
         }
         let raw = (self.high - self.low) / about.max(1) as f64;
         let unit = 10f64.powf(raw.log10().floor());
-        let step = [1.0, 2.0, 5.0, 10.0]
-            .into_iter()
-            .map(|m| m * unit)
-            .find(|s| *s >= raw)
-            .unwrap_or(raw);
+        let step =
+            [1.0, 2.0, 5.0, 10.0].into_iter().map(|m| m * unit).find(|s| *s >= raw).unwrap_or(raw);
         let decimals = -step.log10().floor();
         let label = |x: f64| {
             let most = self.low.abs().max(self.high.abs());
-            if most < 1e6 && decimals <= 4.0 {
-                fixed(x, decimals)
-            } else {
-                number(x)
-            }
+            if most < 1e6 && decimals <= 4.0 { fixed(x, decimals) } else { number(x) }
         };
         let first = (self.low / step).ceil() as i64;
         let last = (self.high / step).floor() as i64;
@@ -94,11 +79,7 @@ impl Axis {
 
     fn log_ticks(&self) -> Vec<(f64, String)> {
         let within_two_decades = self.high / self.low < 120.0;
-        let steps: &[f64] = if within_two_decades {
-            &[1.0, 2.0, 5.0]
-        } else {
-            &[1.0]
-        };
+        let steps: &[f64] = if within_two_decades { &[1.0, 2.0, 5.0] } else { &[1.0] };
         let (first, last) = (self.low.log10().floor(), self.high.log10());
         (0..40)
             .map(|k| first + f64::from(k))
@@ -112,9 +93,8 @@ impl Axis {
 
 fn extent(values: impl IntoIterator<Item = f64>) -> (f64, f64) {
     let finite = values.into_iter().filter(|x| x.is_finite());
-    let (low, high) = finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| {
-        (l.min(x), h.max(x))
-    });
+    let (low, high) =
+        finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(x), h.max(x)));
     if low <= high { (low, high) } else { (0.0, 1.0) }
 }
 
@@ -128,10 +108,7 @@ mod tests {
 
     #[test]
     fn marks_stand_at_round_places_and_differ() {
-        assert_eq!(
-            labels(Axis::exact([0.0, 10.0]), 5),
-            ["0", "2", "4", "6", "8", "10"]
-        );
+        assert_eq!(labels(Axis::exact([0.0, 10.0]), 5), ["0", "2", "4", "6", "8", "10"]);
         // three digits would say 100 five times
         assert_eq!(
             labels(Axis::exact([100.0, 101.0]), 5),
@@ -147,10 +124,7 @@ mod tests {
         let flat = Axis::over([2.0, 2.0]);
         assert!((flat.place(2.0) - 0.5).abs() < 1e-9);
         assert_eq!(Axis::over([f64::NAN]), Axis::over([0.0, 1.0]));
-        for strange in [
-            Axis::over([-f64::MAX, f64::MAX]),
-            Axis::over([1e300, 1e300]),
-        ] {
+        for strange in [Axis::over([-f64::MAX, f64::MAX]), Axis::over([1e300, 1e300])] {
             assert!(strange.ticks(5).len() < 25);
         }
     }

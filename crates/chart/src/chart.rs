@@ -102,12 +102,7 @@ impl Chart {
                 pen = 'M';
                 continue;
             }
-            let _ = write!(
-                out,
-                "{pen}{:.1} {:.1}",
-                self.px(x),
-                self.py(y).clamp(-9e3, 9e3)
-            );
+            let _ = write!(out, "{pen}{:.1} {:.1}", self.px(x), self.py(y).clamp(-9e3, 9e3));
             pen = 'L';
         }
         out
@@ -160,19 +155,13 @@ pub fn sheet(charts: &[Chart], columns: usize) -> String {
     const TITLE: f64 = 30.0;
     let columns = columns.clamp(1, charts.len().max(1));
     let (w, h) = charts.first().map_or((1.0, 1.0), |chart| chart.size);
-    let (width, height) = (
-        w * columns as f64,
-        (h + TITLE) * charts.len().div_ceil(columns) as f64,
-    );
+    let (width, height) = (w * columns as f64, (h + TITLE) * charts.len().div_ceil(columns) as f64);
     let mut out = format!(
         r#"<svg xmlns="http://www.w3.org/2000/svg" width="{width:.0}" height="{height:.0}" viewBox="0 0 {width:.0} {height:.0}"><style>{}</style><rect width="100%" height="100%" fill="white"/>"#,
         style_on_white()
     );
     for (i, chart) in charts.iter().enumerate() {
-        let (x, y) = (
-            w * (i % columns) as f64,
-            (h + TITLE) * (i / columns) as f64 + TITLE,
-        );
+        let (x, y) = (w * (i % columns) as f64, (h + TITLE) * (i / columns) as f64 + TITLE);
         let _ = write!(
             out,
             r#"<g transform="translate({x:.0} {y:.0})"><text class="title" x="{:.1}" y="-8" text-anchor="middle">{}</text>{}</g>"#,
@@ -221,22 +210,11 @@ mod tests {
         y[7777] = 5.0;
         let points = thin(&x, &y);
         assert!(points.len() <= MOST_POINTS + 2 && points.contains(&(7777.0, 5.0)));
-        let mut c = Chart::new(
-            (300.0, 200.0),
-            Axis::exact([0.0, 3.0]),
-            Axis::exact([0.0, 1.0]),
-            "t",
-            "a",
-        );
+        let mut c =
+            Chart::new((300.0, 200.0), Axis::exact([0.0, 3.0]), Axis::exact([0.0, 1.0]), "t", "a");
         c.line("before", &[0.0, 1.0, 2.0, 3.0], &[0.0, 1.0, f64::NAN, 1.0]);
         let text = c.finish();
-        let d = text
-            .split("class=\"before\" d=\"")
-            .nth(1)
-            .unwrap()
-            .split('"')
-            .next()
-            .unwrap();
+        let d = text.split("class=\"before\" d=\"").nth(1).unwrap().split('"').next().unwrap();
         assert_eq!(d.matches('M').count(), 2, "{d}");
     }
 

@@ -26,11 +26,7 @@ pub fn number(x: f64) -> String {
     if size != 0.0 && !(1e-4..1e6).contains(&size) {
         return power_of_ten(x);
     }
-    let decimals = if size == 0.0 {
-        0.0
-    } else {
-        2.0 - size.log10().floor()
-    };
+    let decimals = if size == 0.0 { 0.0 } else { 2.0 - size.log10().floor() };
     fixed(x, decimals)
 }
 
@@ -38,11 +34,8 @@ pub fn number(x: f64) -> String {
 pub(crate) fn fixed(x: f64, decimals: f64) -> String {
     let decimals = decimals.clamp(0.0, 7.0) as usize;
     let text = format!("{x:.decimals$}");
-    let text = if text.contains('.') {
-        text.trim_end_matches('0').trim_end_matches('.')
-    } else {
-        &text
-    };
+    let text =
+        if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
     if text == "-0" { "0" } else { text }.to_owned()
 }
 
@@ -82,9 +75,6 @@ mod tests {
 
     #[test]
     fn text_is_made_safe() {
-        assert_eq!(
-            escape("<a href=\"x\">&'"),
-            "&lt;a href=&quot;x&quot;&gt;&amp;&#39;"
-        );
+        assert_eq!(escape("<a href=\"x\">&'"), "&lt;a href=&quot;x&quot;&gt;&amp;&#39;");
     }
 }

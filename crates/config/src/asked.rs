@@ -26,9 +26,7 @@ pub fn ask(run: &Path, set: &[String]) -> Result<PathBuf, ConfigError> {
     let cannot = |error: &dyn std::fmt::Display| refused(format!("cannot be written: {error}"));
     std::fs::create_dir_all(&folder).map_err(|error| cannot(&error))?;
     if waiting(run).len() >= WAITING_MAX {
-        return Err(refused(format!(
-            "holds {WAITING_MAX} requests that nobody has taken yet"
-        )));
+        return Err(refused(format!("holds {WAITING_MAX} requests that nobody has taken yet")));
     }
     let since = SystemTime::now().duration_since(UNIX_EPOCH);
     let now_ns = since.unwrap_or_default().as_nanos();

@@ -41,11 +41,7 @@ impl Size {
         };
         let feet = model.feet().len();
         let lowest = match feet {
-            0 => places
-                .links
-                .iter()
-                .map(|l| l.pos_m[2])
-                .fold(com_z, f64::min),
+            0 => places.links.iter().map(|l| l.pos_m[2]).fold(com_z, f64::min),
             _ => (0..feet).map(foot_z).fold(f64::INFINITY, f64::min),
         };
         let hip_z = |foot: usize| {
@@ -126,10 +122,7 @@ pub fn can_walk(model: &RobotModel) -> Result<(), ConfigError> {
     } else {
         return Ok(());
     };
-    Err(ConfigError::Robot(format!(
-        "robot '{}' {why}",
-        model.name()
-    )))
+    Err(ConfigError::Robot(format!("robot '{}' {why}", model.name())))
 }
 
 /// Whether the networks of a training may treat left and right alike: the robot is its own mirror image, and
@@ -184,11 +177,7 @@ fn write_layer(
         slip = round(0.2 * speed),
         clearance = round(0.6 * swing_m),
         vibration = round(4.5 * stride_hz),
-        duty = if size.feet <= 2 {
-            "[0.35, 0.85]"
-        } else {
-            "[0.35, 0.75]"
-        },
+        duty = if size.feet <= 2 { "[0.35, 0.85]" } else { "[0.35, 0.75]" },
         scale = if size.feet == 2 { 0.5 } else { 0.8 },
         alpha = round(1.0 - (-std::f64::consts::TAU * size.filter_hz() * PERIOD_S).exp()),
         filter_hz = size.filter_hz(),
@@ -206,11 +195,7 @@ fn write_layer(
         power_weight = -round(2e-2 * (2.6 * GRAVITY_MPS2 * 0.3) / (weight_n * speed)),
         slip_weight = -round(2.0 * slower) * walks,
         trunk_weight = -5.0 * walks,
-        com_low = round(if size.feet == 0 {
-            -0.1
-        } else {
-            0.55 * size.com_m
-        }),
+        com_low = round(if size.feet == 0 { -0.1 } else { 0.55 * size.com_m }),
         com_high = round(3.0 * size.com_m + 0.2),
         push_n = round(1.5 * size.mass_kg),
     )

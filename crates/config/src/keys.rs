@@ -87,11 +87,7 @@ fn sections(table: &Table, prefix: &str) -> Vec<String> {
 }
 
 fn join(prefix: &str, name: &str) -> String {
-    if prefix.is_empty() {
-        name.to_owned()
-    } else {
-        format!("{prefix}.{name}")
-    }
+    if prefix.is_empty() { name.to_owned() } else { format!("{prefix}.{name}") }
 }
 
 #[cfg(test)]
@@ -99,9 +95,7 @@ mod tests {
     use super::*;
 
     fn known() -> Table {
-        "[learner.ppo]\ngamma = 0.97\nlambda = 0.9\n[actors]\ncount = 2\nlanes = 4"
-            .parse()
-            .unwrap()
+        "[learner.ppo]\ngamma = 0.97\nlambda = 0.9\n[actors]\ncount = 2\nlanes = 4".parse().unwrap()
     }
 
     #[test]
@@ -127,9 +121,6 @@ mod tests {
     #[test]
     fn entries_are_full_keys() {
         let entries = entries(&known());
-        assert!(
-            entries.contains(&("learner.ppo.gamma".into(), "0.97".into())),
-            "{entries:?}"
-        );
+        assert!(entries.contains(&("learner.ppo.gamma".into(), "0.97".into())), "{entries:?}");
     }
 }

@@ -25,18 +25,12 @@ pub struct Source {
 impl Source {
     /// A preset alone.
     pub fn preset(name: &str) -> Self {
-        Self {
-            preset: Some(name.to_owned()),
-            ..Self::default()
-        }
+        Self { preset: Some(name.to_owned()), ..Self::default() }
     }
 
     /// A file alone.
     pub fn file(path: &Path) -> Self {
-        Self {
-            file: Some(path.to_owned()),
-            ..Self::default()
-        }
+        Self { file: Some(path.to_owned()), ..Self::default() }
     }
 
     /// With one more override.
@@ -64,11 +58,7 @@ pub(crate) fn lay(mut merged: Table, layers: &[(String, Table)]) -> Result<Confi
             return Err(match unknown {
                 Some(key) => {
                     let suggestion = keys::nearest(&key, &known);
-                    ConfigError::UnknownKey {
-                        key,
-                        origin: origin.clone(),
-                        suggestion,
-                    }
+                    ConfigError::UnknownKey { key, origin: origin.clone(), suggestion }
                 }
                 None => wrong_type(&error),
             });
@@ -105,20 +95,13 @@ pub(crate) fn layers(source: &Source) -> Result<Vec<(String, Table)>, ConfigErro
         layers.push((origin.clone(), parse(&origin, preset.text)?));
     }
     if let Some(path) = &source.file {
-        let text = caudata_durable::read_text_at_most(path, FILE_BYTES_MAX).map_err(|source| {
-            ConfigError::Read {
-                path: path.clone(),
-                source,
-            }
-        })?;
+        let text = caudata_durable::read_text_at_most(path, FILE_BYTES_MAX)
+            .map_err(|source| ConfigError::Read { path: path.clone(), source })?;
         let origin = path.display().to_string();
         layers.push((origin.clone(), parse(&origin, &text)?));
     }
     for assignment in &source.overrides {
-        layers.push((
-            format!("override `{assignment}`"),
-            parse_override(assignment)?,
-        ));
+        layers.push((format!("override `{assignment}`"), parse_override(assignment)?));
     }
     Ok(layers)
 }
@@ -133,11 +116,7 @@ fn with_derived(
         return Ok(layers);
     }
     let robot = robot_of(layers.iter().map(|(_, layer)| layer));
-    let path = Config {
-        robot,
-        ..Config::default()
-    }
-    .robot_path();
+    let path = Config { robot, ..Config::default() }.robot_path();
     let model = RobotModel::load(&path).map_err(|error| ConfigError::Robot(error.to_string()))?;
     let origin = format!("what follows from {}", path.display());
     let own = layers.iter().any(|(_, layer)| lists_terms(layer));
@@ -161,10 +140,7 @@ fn lists_terms(layer: &Table) -> bool {
 /// The robot file that the last layer with one names, else the default.
 fn robot_of<'a>(layers: impl DoubleEndedIterator<Item = &'a Table>) -> PathBuf {
     let named = |layer: &'a Table| layer.get("robot")?.as_str();
-    layers
-        .rev()
-        .find_map(named)
-        .map_or_else(|| Config::default().robot, PathBuf::from)
+    layers.rev().find_map(named).map_or_else(|| Config::default().robot, PathBuf::from)
 }
 
 impl Source {
@@ -178,11 +154,7 @@ impl Source {
         let parsed = self.overrides.iter().map(|o| parse_override(o));
         let layers: Vec<Table> = parsed.filter_map(Result::ok).collect();
         let named = layers.iter().any(|layer| layer.contains_key("robot"));
-        let path = Config {
-            robot: robot_of(layers.iter()),
-            ..Config::default()
-        }
-        .robot_path();
+        let path = Config { robot: robot_of(layers.iter()), ..Config::default() }.robot_path();
         let preset = match RobotModel::load(&path) {
             Ok(model) if named => Preset::for_robot(wanted, model.name()),
             _ => wanted,
@@ -193,20 +165,11 @@ impl Source {
 
 fn parse(origin: &str, text: &str) -> Result<Table, ConfigError> {
     text.parse().map_err(|error: toml::de::Error| {
-        let before = error
-            .span()
-            .and_then(|span| text.get(..span.start))
-            .unwrap_or_default();
+        let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
         ConfigError::Syntax {
             origin: origin.to_owned(),
             line: before.matches('\n').count() + 1,
-            column: before
-                .rsplit('\n')
-                .next()
-                .unwrap_or_default()
-                .chars()
-                .count()
-                + 1,
+            column: before.rsplit('\n').next().unwrap_or_default().chars().count() + 1,
             message: error.message().to_owned(),
         }
     })
@@ -273,8 +236,5 @@ fn wrong_type(error: &toml::de::Error) -> ConfigError {
         .lines()
         .find_map(|line| line.strip_prefix("in `")?.strip_suffix('`'))
         .map(str::to_owned);
-    ConfigError::WrongType {
-        key,
-        message: error.message().to_owned(),
-    }
+    ConfigError::WrongType { key, message: error.message().to_owned() }
 }

@@ -91,14 +91,8 @@ impl Config {
     /// Left out are the names of things, how long the run is, how it is watched, and the robot (which has its
     /// own hash), so that a longer or moved run keeps its hash.
     pub fn hash(&self) -> [u8; 32] {
-        let decisive = (
-            self.run.seed,
-            &self.actors,
-            &self.learner,
-            &self.engine,
-            &self.terrain,
-            &self.task,
-        );
+        let decisive =
+            (self.run.seed, &self.actors, &self.learner, &self.engine, &self.terrain, &self.task);
         // Plain structs always have a JSON form; the order of their fields is fixed.
         let json = serde_json::to_vec(&decisive).unwrap_or_default();
         Sha256::digest(json).into()

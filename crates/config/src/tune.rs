@@ -42,24 +42,12 @@ const KEYS: [(&str, Key); 14] = [
     ("learner.ppo.value_learning_rate", Key::Learner),
     ("learner.ppo.target_kl", Key::Learner),
     ("learner.ppo.entropy_weight", Key::Learner),
-    (
-        "actors.",
-        Key::Fixed("how much is collected at a time stays"),
-    ),
-    (
-        "learner.network.",
-        Key::Fixed("the networks keep their form"),
-    ),
+    ("actors.", Key::Fixed("how much is collected at a time stays")),
+    ("learner.network.", Key::Fixed("the networks keep their form")),
     ("engine.", Key::Fixed(BUILT)),
     ("terrain.", Key::Fixed(BUILT)),
-    (
-        "task.reward.",
-        Key::Fixed("of the rewards only weights change"),
-    ),
-    (
-        "task.",
-        Key::Fixed("what a policy sees and does, and what ends an episode, stays"),
-    ),
+    ("task.reward.", Key::Fixed("of the rewards only weights change")),
+    ("task.", Key::Fixed("what a policy sees and does, and what ends an episode, stays")),
     ("", Key::Fixed(ONCE)),
 ];
 
@@ -109,10 +97,7 @@ impl Changes {
                 return Err(ConfigError::Read { path, source });
             }
         };
-        let bad = |message: String| ConfigError::Changes {
-            origin: origin.clone(),
-            message,
-        };
+        let bad = |message: String| ConfigError::Changes { origin: origin.clone(), message };
         let found: Self = toml::from_str(&text).map_err(|error| bad(error.message().to_owned()))?;
         if found.change.len() > CHANGES_MAX {
             return Err(bad(format!("has more than {CHANGES_MAX} changes")));
@@ -121,9 +106,7 @@ impl Changes {
         if !found.change.windows(2).all(in_order) {
             return Err(bad("is not in the order of its iterations".into()));
         }
-        found
-            .at(config, u64::MAX)
-            .map_err(|error| bad(error.to_string()))?;
+        found.at(config, u64::MAX).map_err(|error| bad(error.to_string()))?;
         Ok(found)
     }
 
@@ -147,9 +130,7 @@ impl Changes {
     pub fn at(&self, config: &Config, iteration: u64) -> Result<Config, ConfigError> {
         let until = self.change.partition_point(|c| c.iteration <= iteration);
         let changed = |now: Config, change: &Change| now.changed(config, &change.set);
-        self.change[..until]
-            .iter()
-            .try_fold(config.clone(), changed)
+        self.change[..until].iter().try_fold(config.clone(), changed)
     }
 
     /// As a file.
@@ -212,11 +193,7 @@ impl Config {
         for (key, now, then) in [
             ("task.command.vx_mps", now.vx_mps, then.vx_mps),
             ("task.command.vy_mps", now.vy_mps, then.vy_mps),
-            (
-                "task.command.yaw_rate_radps",
-                now.yaw_rate_radps,
-                then.yaw_rate_radps,
-            ),
+            ("task.command.yaw_rate_radps", now.yaw_rate_radps, then.yaw_rate_radps),
         ] {
             if now[0] < then[0] || now[1] > then[1] {
                 return Err(ConfigError::OutOfRange {
@@ -289,10 +266,7 @@ mod tests {
             ("task.reward.weights.bend=hello", "wrong value"),
             ("learner.ppo.learning_rate=2", "must lie in"),
             ("task.command.vx_mps=[0.0, 3.0]", "with which the run began"),
-            (
-                "task.randomisation.kp_scale=[1.0, 0.9]",
-                "must be [min, max]",
-            ),
+            ("task.randomisation.kp_scale=[1.0, 0.9]", "must be [min, max]"),
             ("actors.lanes=3", "cannot change while a run goes on"),
             ("task.reward.lin_vel_sigma=0.1", "only weights change"),
             ("learner.network.symmetric=true", "keep their form"),
@@ -350,9 +324,7 @@ mod tests {
             iteration,
             set: vec![format!("task.reward.weights.bend={weight}")],
         };
-        let record = Changes {
-            change: vec![change(3, "-1"), change(3, "-2"), change(8, "-3")],
-        };
+        let record = Changes { change: vec![change(3, "-1"), change(3, "-2"), change(8, "-3")] };
         std::fs::write(&path, record.to_toml().unwrap()).unwrap();
         let read = Changes::of_run(dir.path(), &config).unwrap();
         assert_eq!(read, record);

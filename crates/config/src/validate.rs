@@ -25,11 +25,7 @@ fn positive(key: &'static str, value: f64, high: f64) -> Check {
 }
 
 fn broken(key: &'static str, value: impl Display, rule: impl Into<String>) -> Check {
-    Err(ConfigError::OutOfRange {
-        key,
-        value: value.to_string(),
-        rule: rule.into(),
-    })
+    Err(ConfigError::OutOfRange { key, value: value.to_string(), rule: rule.into() })
 }
 
 fn word(key: &'static str, value: &str, longest: usize, extra: &str) -> Check {
@@ -164,11 +160,7 @@ impl Config {
         rule!(self, learner.ppo.epochs in 1, 100);
         rule!(self, learner.ppo.minibatches in 1, 1_024);
         if !(0.0..1.0).contains(&ppo.gamma) {
-            return broken(
-                "learner.ppo.gamma",
-                ppo.gamma,
-                "must be at least 0 and below 1",
-            );
+            return broken("learner.ppo.gamma", ppo.gamma, "must be at least 0 and below 1");
         }
         rule!(self, learner.ppo.lambda in 0.0, 1.0);
         if !(ppo.clip > 0.0 && ppo.clip < 1.0) {
@@ -212,15 +204,9 @@ impl Config {
             section,
             message: error.to_string(),
         };
-        self.engine
-            .validate()
-            .map_err(|error| section("engine", &error))?;
-        self.terrain
-            .validate()
-            .map_err(|error| section("terrain", &error))?;
-        self.task
-            .validate()
-            .map_err(|error| section("task", &error))?;
+        self.engine.validate().map_err(|error| section("engine", &error))?;
+        self.terrain.validate().map_err(|error| section("terrain", &error))?;
+        self.task.validate().map_err(|error| section("task", &error))?;
         let (physics, policy) = (self.engine.control_period_s(), self.task.control_period_s);
         if (physics - policy).abs() > 1e-6 {
             let rule = format!(

@@ -101,10 +101,7 @@ impl Disk for OsDisk {
     }
 
     fn open_folder(&self, folder: &Path) -> io::Result<Folder> {
-        Ok(Folder {
-            path: folder.to_owned(),
-            handle: File::open(folder)?,
-        })
+        Ok(Folder { path: folder.to_owned(), handle: File::open(folder)? })
     }
 
     fn sync_folder(&self, folder: &Folder) -> io::Result<()> {

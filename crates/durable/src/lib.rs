@@ -54,11 +54,7 @@ impl DurableError {
             | io::ErrorKind::QuotaExceeded
             | io::ErrorKind::FileTooLarge => Self::DiskFull { path },
             io::ErrorKind::AlreadyExists => Self::Exists { path },
-            _ => Self::Io {
-                action,
-                path,
-                source,
-            },
+            _ => Self::Io { action, path, source },
         }
     }
 
@@ -115,9 +111,8 @@ pub fn create_new_on(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<(), D
     let folder = folder_of(disk, path)?;
     let temporary = write_temporary(disk, path, bytes)?;
     // A hard link fails where the name is taken; a rename would silently replace it.
-    let linked = disk
-        .link(&temporary, path)
-        .map_err(|source| DurableError::from_io("create", path, source));
+    let linked =
+        disk.link(&temporary, path).map_err(|source| DurableError::from_io("create", path, source));
     let _ = disk.remove(&temporary);
     linked?;
     sync(disk, &folder)
@@ -130,8 +125,7 @@ pub fn make_folder_on(disk: &dyn Disk, path: &Path) -> Result<(), DurableError> 
         return Ok(());
     }
     let above = folder_of(disk, path)?;
-    disk.make_folder(path)
-        .map_err(|source| DurableError::from_io("make", path, source))?;
+    disk.make_folder(path).map_err(|source| DurableError::from_io("make", path, source))?;
     sync(disk, &above)
 }
 
@@ -148,9 +142,8 @@ pub fn sync_folder(folder: &Path) -> Result<(), DurableError> {
 /// # Errors
 /// As [`sync_folder`].
 pub fn sync_folder_on(disk: &dyn Disk, folder: &Path) -> Result<(), DurableError> {
-    let opened = disk
-        .open_folder(folder)
-        .map_err(|source| DurableError::from_io("open", folder, source))?;
+    let opened =
+        disk.open_folder(folder).map_err(|source| DurableError::from_io("open", folder, source))?;
     sync(disk, &opened)
 }
 
@@ -163,10 +156,7 @@ pub fn remove_leftovers(folder: &Path) -> Result<usize, DurableError> {
         fs::read_dir(folder).map_err(|source| DurableError::from_io("read", folder, source))?;
     let mut removed = 0;
     for entry in entries.flatten() {
-        let is_leftover = entry
-            .file_name()
-            .to_string_lossy()
-            .ends_with(TEMPORARY_SUFFIX);
+        let is_leftover = entry.file_name().to_string_lossy().ends_with(TEMPORARY_SUFFIX);
         if is_leftover && fs::remove_file(entry.path()).is_ok() {
             removed += 1;
         }
@@ -177,11 +167,10 @@ pub fn remove_leftovers(folder: &Path) -> Result<usize, DurableError> {
 /// Writes and syncs the temporary file beside `path`; on failure nothing is left behind.
 fn write_temporary(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<PathBuf, DurableError> {
     let temporary = temporary_path(path);
-    disk.write_synced(&temporary, bytes)
-        .map_err(|(action, source)| {
-            let _ = disk.remove(&temporary);
-            DurableError::from_io(action, path, source)
-        })?;
+    disk.write_synced(&temporary, bytes).map_err(|(action, source)| {
+        let _ = disk.remove(&temporary);
+        DurableError::from_io(action, path, source)
+    })?;
     Ok(temporary)
 }
 
@@ -198,13 +187,11 @@ fn folder_of(disk: &dyn Disk, path: &Path) -> Result<Folder, DurableError> {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
         _ => Path::new("."),
     };
-    disk.open_folder(folder)
-        .map_err(|source| DurableError::from_io("open", path, source))
+    disk.open_folder(folder).map_err(|source| DurableError::from_io("open", path, source))
 }
 
 fn sync(disk: &dyn Disk, folder: &Folder) -> Result<(), DurableError> {
-    disk.sync_folder(folder)
-        .map_err(|source| DurableError::from_io("sync", folder.path(), source))
+    disk.sync_folder(folder).map_err(|source| DurableError::from_io("sync", folder.path(), source))
 }
 
 #[cfg(test)]

@@ -61,10 +61,7 @@ impl Owner {
 
     /// Takes the lock file `path`, which is made where it is absent, or refuses at once.
     pub fn now(path: &Path) -> Result<Self, OwnerError> {
-        let failed = |source| OwnerError::Io {
-            path: path.to_owned(),
-            source,
-        };
+        let failed = |source| OwnerError::Io { path: path.to_owned(), source };
         // Not truncated: the number in it is the other one's.
         let mut options = File::options();
         options.create(true).truncate(false).read(true).write(true);

@@ -157,11 +157,7 @@ impl<P: Port> Bus<P> {
         let &[low, high, firmware] = &self.scratch[..length] else {
             return Err(BusFault::Silent { id, deadline });
         };
-        Ok(Pong {
-            model: u16::from_le_bytes([low, high]),
-            firmware,
-            error,
-        })
+        Ok(Pong { model: u16::from_le_bytes([low, high]), firmware, error })
     }
 
     /// Reads one register, sign by its size. The error byte comes along: it may hold an alert.
@@ -176,9 +172,7 @@ impl<P: Port> Bus<P> {
         let size = usize::from(register.size);
         let (error, _) = self.ask(id, Instruction::Read, &[a0, a1, s0, s1], size, deadline)?;
         let value = register.value_in(&self.scratch[..size], register.address);
-        value
-            .map(|value| (value, error))
-            .ok_or(BusFault::Silent { id, deadline })
+        value.map(|value| (value, error)).ok_or(BusFault::Silent { id, deadline })
     }
 
     /// Reads `out.len()` bytes from `address`.

@@ -162,12 +162,7 @@ impl Default for Framer {
 impl Framer {
     /// Without bytes.
     pub fn new() -> Self {
-        Self {
-            bytes: Vec::with_capacity(2 * FRAME_MAX),
-            given: 0,
-            crc_errors: 0,
-            skipped: 0,
-        }
+        Self { bytes: Vec::with_capacity(2 * FRAME_MAX), given: 0, crc_errors: 0, skipped: 0 }
     }
 
     /// Forgets all bytes.

@@ -103,9 +103,7 @@ impl GroupRead {
         if body.len() + 2 != stride * self.ids.len() {
             return false;
         }
-        let whole = body
-            .chunks(stride)
-            .all(|block| block[1] <= crate::frame::ID_MAX);
+        let whole = body.chunks(stride).all(|block| block[1] <= crate::frame::ID_MAX);
         whole
             && body
                 .chunks(stride)
@@ -150,21 +148,14 @@ impl GroupWrite {
 
     pub(crate) fn prepare(&mut self) {
         self.parameters.clear();
-        self.parameters
-            .extend_from_slice(&self.address.to_le_bytes());
-        self.parameters
-            .extend_from_slice(&(self.length as u16).to_le_bytes());
+        self.parameters.extend_from_slice(&self.address.to_le_bytes());
+        self.parameters.extend_from_slice(&(self.length as u16).to_le_bytes());
         for (id, data) in self.ids.iter().zip(self.data.chunks(self.length)) {
             self.parameters.push(*id);
             self.parameters.extend_from_slice(data);
         }
         self.request.clear();
-        encode(
-            BROADCAST_ID,
-            Instruction::SyncWrite as u8,
-            &self.parameters,
-            &mut self.request,
-        );
+        encode(BROADCAST_ID, Instruction::SyncWrite as u8, &self.parameters, &mut self.request);
     }
 }
 

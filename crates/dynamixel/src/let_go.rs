@@ -35,11 +35,9 @@ impl fmt::Display for LetGo {
         match (self.hold.as_slice(), self.silent.as_slice()) {
             ([], []) => f.write_str("every servo says that its torque is off"),
             (hold, []) => write!(f, "the torque is still on of servos {}", list(hold)),
-            ([], silent) => write!(
-                f,
-                "servos {} do not say whether their torque is off",
-                list(silent)
-            ),
+            ([], silent) => {
+                write!(f, "servos {} do not say whether their torque is off", list(silent))
+            }
             (hold, silent) => write!(
                 f,
                 "the torque is still on of servos {}; servos {} do not say",
@@ -93,10 +91,7 @@ pub fn let_go<P: Port>(
         let of = ids.iter().zip(&on).filter(|(_, on)| **on == wanted);
         of.map(|(id, _)| *id).collect()
     };
-    Ok(LetGo {
-        hold: those(Some(true)),
-        silent: those(None),
-    })
+    Ok(LetGo { hold: those(Some(true)), silent: those(None) })
 }
 
 fn ask<P: Port>(
@@ -137,10 +132,7 @@ mod tests {
     #[test]
     fn all_let_go_and_say_so_on_a_bad_wire_too() {
         for flipped_bit in [0.0, 0.2] {
-            let mut bus = bus(WireFaults {
-                flipped_bit,
-                ..WireFaults::default()
-            });
+            let mut bus = bus(WireFaults { flipped_bit, ..WireFaults::default() });
             let done = let_go(&mut bus, &IDS, PATIENCE).unwrap();
             assert!(done.is_proved(), "{done}");
             assert_eq!(torque(&mut bus), [false; 4]);
@@ -153,15 +145,9 @@ mod tests {
         bus.port_mut().bus().servos_mut()[1].jam(true);
         bus.port_mut().bus().servos_mut()[3].unplug(true);
         let done = let_go(&mut bus, &IDS, PATIENCE).unwrap();
-        assert_eq!(
-            (done.hold.as_slice(), done.silent.as_slice()),
-            (&[2][..], &[4][..])
-        );
+        assert_eq!((done.hold.as_slice(), done.silent.as_slice()), (&[2][..], &[4][..]));
         assert!(!done.is_proved());
-        assert_eq!(
-            done.to_string(),
-            "the torque is still on of servos 2; servos 4 do not say"
-        );
+        assert_eq!(done.to_string(), "the torque is still on of servos 2; servos 4 do not say");
         // The others were let go all the same.
         assert_eq!(torque(&mut bus), [false, true, false, true]);
     }

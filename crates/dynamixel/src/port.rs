@@ -68,10 +68,7 @@ impl SerialPort {
     pub fn open(path: &Path, baud: u32) -> io::Result<Self> {
         let (port, alone) = Self::open_whoever_has_it(path)?;
         if !alone {
-            return Err(io::Error::new(
-                ErrorKind::ResourceBusy,
-                "another program has this port",
-            ));
+            return Err(io::Error::new(ErrorKind::ResourceBusy, "another program has this port"));
         }
         port.at(baud)
     }
@@ -135,10 +132,7 @@ impl Port for SerialPort {
                 Err(rustix::io::Errno::INTR) => {}
                 Err(rustix::io::Errno::AGAIN) => {
                     if !self.ready(PollFlags::OUT, deadline)? {
-                        return Err(io::Error::new(
-                            ErrorKind::TimedOut,
-                            "the port takes no bytes",
-                        ));
+                        return Err(io::Error::new(ErrorKind::TimedOut, "the port takes no bytes"));
                     }
                 }
                 Err(e) => return Err(e.into()),

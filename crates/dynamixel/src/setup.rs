@@ -41,14 +41,8 @@ pub struct Finding {
 
 impl fmt::Display for Finding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            id, want, found, ..
-        } = self;
-        write!(
-            f,
-            "servo {id}: {} is {found}, must be {}",
-            want.register.name, want.value
-        )
+        let Self { id, want, found, .. } = self;
+        write!(f, "servo {id}: {} is {found}, must be {}", want.register.name, want.value)
     }
 }
 
@@ -93,12 +87,7 @@ pub fn compare<P: Port>(
             let (now, _) = persistently(|| bus.read(id, register, deadline))?;
             right = now == want.value;
         }
-        findings.push(Finding {
-            id,
-            want: *want,
-            found,
-            right,
-        });
+        findings.push(Finding { id, want: *want, found, right });
     }
     Ok(findings)
 }

@@ -140,14 +140,8 @@ mod tests {
 
     #[test]
     fn alert_and_number_are_told_apart() {
-        assert_eq!(
-            (StatusError(0).alert(), StatusError(0).number()),
-            (false, None)
-        );
-        assert_eq!(
-            (StatusError(0x80).alert(), StatusError(0x80).number()),
-            (true, None)
-        );
+        assert_eq!((StatusError(0).alert(), StatusError(0).number()), (false, None));
+        assert_eq!((StatusError(0x80).alert(), StatusError(0x80).number()), (true, None));
         assert_eq!(StatusError(0x87).number(), Some(ErrorNumber::Access));
         assert_eq!(StatusError(0x7F).number(), Some(ErrorNumber::Unknown(0x7F)));
         for number in 1..=0x7F_u8 {
@@ -160,9 +154,6 @@ mod tests {
     fn hardware_errors_have_names() {
         assert_eq!(HardwareError(0x24).to_string(), "overheating, overload");
         assert_eq!(HardwareError(0).to_string(), "none");
-        assert_eq!(
-            HardwareError(0x41).to_string(),
-            "supply voltage (unknown bits 0x40)"
-        );
+        assert_eq!(HardwareError(0x41).to_string(), "supply voltage (unknown bits 0x40)");
     }
 }

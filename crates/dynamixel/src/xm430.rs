@@ -35,14 +35,7 @@ const fn r(
     writable: bool,
     initial: i32,
 ) -> Register {
-    Register {
-        name,
-        address,
-        size,
-        area,
-        writable,
-        initial,
-    }
+    Register { name, address, size, area, writable, initial }
 }
 
 macro_rules! registers {
@@ -182,12 +175,7 @@ mod tests {
     fn registers_lie_in_order_and_do_not_overlap() {
         for pair in REGISTERS.windows(2) {
             let end = pair[0].address + pair[0].size;
-            assert!(
-                end <= pair[1].address,
-                "{} / {}",
-                pair[0].name,
-                pair[1].name
-            );
+            assert!(end <= pair[1].address, "{} / {}", pair[0].name, pair[1].name);
         }
         let last = REGISTERS.last().unwrap();
         assert_eq!(usize::from(last.address + last.size), TABLE_BYTES);

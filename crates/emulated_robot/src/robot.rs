@@ -126,9 +126,8 @@ impl EmulatedRobot {
         wiring: &Wiring,
         seed: u64,
     ) -> Result<Self, EmulationError> {
-        let joints = wiring
-            .joints(&engine.model().actuated_names())
-            .map_err(EmulationError::Wiring)?;
+        let joints =
+            wiring.joints(&engine.model().actuated_names()).map_err(EmulationError::Wiring)?;
         let baud = register_of_baud(wiring.bus.baud).unwrap_or(1);
         let servos = joints.iter().map(|joint| {
             let mut servo = EmulatedServo::new(joint.id, joint.model.number());
@@ -242,12 +241,7 @@ impl EmulatedRobot {
 
     /// Servos without torque turn freely.
     fn follow_torque(&mut self) -> Result<(), EmulationError> {
-        let torque: Vec<bool> = self
-            .bus
-            .servos()
-            .iter()
-            .map(EmulatedServo::torque_on)
-            .collect();
+        let torque: Vec<bool> = self.bus.servos().iter().map(EmulatedServo::torque_on).collect();
         if torque == self.torque {
             return Ok(());
         }
@@ -298,21 +292,9 @@ impl EmulatedRobot {
 /// A world vector in the body frame of orientation `q` (w, x, y, z; world from body).
 fn into_body([w, x, y, z]: [f64; 4], v: [f64; 3]) -> [f64; 3] {
     let rows = [
-        [
-            1.0 - 2.0 * (y * y + z * z),
-            2.0 * (x * y + w * z),
-            2.0 * (x * z - w * y),
-        ],
-        [
-            2.0 * (x * y - w * z),
-            1.0 - 2.0 * (x * x + z * z),
-            2.0 * (y * z + w * x),
-        ],
-        [
-            2.0 * (x * z + w * y),
-            2.0 * (y * z - w * x),
-            1.0 - 2.0 * (x * x + y * y),
-        ],
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)],
+        [2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)],
+        [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)],
     ];
     rows.map(|row| (0..3).map(|i| row[i] * v[i]).sum())
 }
@@ -326,10 +308,7 @@ mod tests {
         // Yaw +90°: the body's x points to world y, its y to world −x.
         let half = std::f64::consts::FRAC_PI_4;
         let seen = into_body([half.cos(), 0.0, 0.0, half.sin()], [1.0, 0.0, 0.0]);
-        assert!(
-            seen[0].abs() < 1e-12 && (seen[1] + 1.0).abs() < 1e-12,
-            "{seen:?}"
-        );
+        assert!(seen[0].abs() < 1e-12 && (seen[1] + 1.0).abs() < 1e-12, "{seen:?}");
     }
 
     #[test]
@@ -345,9 +324,6 @@ mod tests {
         let travel = trace.travel().unwrap();
         // What the last window has begun does not count yet.
         assert!((travel.forward_m - 4.0).abs() < 1e-6, "{travel:?}");
-        assert!(
-            (travel.forward_mps.unwrap() - 0.25).abs() < 1e-3,
-            "{travel:?}"
-        );
+        assert!((travel.forward_mps.unwrap() - 0.25).abs() < 1e-3, "{travel:?}");
     }
 }

@@ -125,10 +125,7 @@ pub fn serve(
         }
         if due > CATCH_UP_STEPS {
             let lost = f64::from(due - CATCH_UP_STEPS) * robot.step_s();
-            tracing::warn!(
-                lost_s = lost,
-                "the machine was busy: the robot's time stood still"
-            );
+            tracing::warn!(lost_s = lost, "the machine was busy: the robot's time stood still");
             start += Duration::from_secs_f64(lost);
         }
         terminals.show_water(robot.in_water())?;

@@ -25,10 +25,7 @@ pub(crate) fn check_engine(
     }
     let engine_s = engine.config().control_period_s();
     if (engine_s - task.control_period_s).abs() > CONTROL_PERIOD_TOLERANCE_S {
-        return Err(EnvError::ControlPeriod {
-            task_s: task.control_period_s,
-            engine_s,
-        });
+        return Err(EnvError::ControlPeriod { task_s: task.control_period_s, engine_s });
     }
     Ok(())
 }
@@ -36,11 +33,7 @@ pub(crate) fn check_engine(
 pub(crate) fn check_actions(actions: &[f32], lanes: usize, width: usize) -> Result<(), EnvError> {
     let expected = lanes * width;
     if actions.len() != expected {
-        return Err(EnvError::Shape {
-            what: "actions",
-            found: actions.len(),
-            expected,
-        });
+        return Err(EnvError::Shape { what: "actions", found: actions.len(), expected });
     }
     match actions.iter().position(|a| !a.is_finite()) {
         None => Ok(()),

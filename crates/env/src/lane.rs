@@ -65,18 +65,12 @@ impl Lane {
         let mut command_stream = Stream::new(key, Purpose::Command);
         let mut push_stream = Stream::new(key, Purpose::Push);
         let mut sensor_stream = Stream::new(key, Purpose::Sensor);
-        let command = CommandState::draw(
-            &task.command,
-            control_period_s,
-            heading_rad,
-            &mut command_stream,
-        );
+        let command =
+            CommandState::draw(&task.command, control_period_s, heading_rad, &mut command_stream);
         let mut clock = PhaseClock::draw(&task.phase, reset_stream);
         clock.set_command(&task.phase, &command.value);
         let joint_offset_rad = task.noise.draw_joint_offsets(joints, &mut sensor_stream);
-        let imu_bias = sensors
-            .map(|s| s.draw_bias(&mut sensor_stream))
-            .unwrap_or_default();
+        let imu_bias = sensors.map(|s| s.draw_bias(&mut sensor_stream)).unwrap_or_default();
         let step_limit = if stagger {
             1 + reset_stream.below(u64::from(task.episode_steps)) as u32
         } else {
@@ -113,11 +107,7 @@ impl Lane {
     /// Follows `command` for the rest of the episode, if there is one.
     pub fn hold(&mut self, phase: &PhaseConfig, command: Option<&[f32; 3]>) {
         if let Some(&value) = command {
-            self.command = CommandState {
-                value,
-                steps_left: u32::MAX,
-                course_rad: None,
-            };
+            self.command = CommandState { value, steps_left: u32::MAX, course_rad: None };
             self.clock.set_command(phase, &value);
         }
     }
@@ -235,11 +225,7 @@ pub(crate) fn reward_input<'a>(
         foot_vel_mps: &truth.foot_vel_mps,
         foot_force_n: &truth.foot_force_n,
         trunk_force_n: truth.trunk_force_n,
-        push_n: [
-            cos * push_x + sin * push_y,
-            cos * push_y - sin * push_x,
-            0.0,
-        ],
+        push_n: [cos * push_x + sin * push_y, cos * push_y - sin * push_x, 0.0],
         friction: lane.friction,
         submerged: truth.submerged,
         afloat: truth.afloat,

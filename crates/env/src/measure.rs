@@ -285,9 +285,7 @@ pub(crate) struct Sensors {
 impl Sensors {
     pub fn new(model: &RobotModel, control_period_s: f64) -> Self {
         Self {
-            servos: (0..model.actuated().len())
-                .map(|i| model.servo(i).clone())
-                .collect(),
+            servos: (0..model.actuated().len()).map(|i| model.servo(i).clone()).collect(),
             imu: model.sensors().imu.clone(),
             control_period_s,
         }
@@ -295,10 +293,7 @@ impl Sensors {
 
     /// Offsets of the IMU in one episode.
     pub fn draw_bias(&self, stream: &mut Stream) -> sensors::ImuBias {
-        self.imu
-            .as_ref()
-            .map(|imu| sensors::ImuBias::draw(imu, stream))
-            .unwrap_or_default()
+        self.imu.as_ref().map(|imu| sensors::ImuBias::draw(imu, stream)).unwrap_or_default()
     }
 
     /// Turns true values into readings, in place. (Gravity comes from an attitude estimate, not from a
@@ -440,10 +435,7 @@ mod tests {
             for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
                 let mut state = state();
                 *part(&mut state) = bad;
-                assert!(
-                    !read_lane(&reader(), &state, None, 0).is_finite(),
-                    "part {i} {bad}"
-                );
+                assert!(!read_lane(&reader(), &state, None, 0).is_finite(), "part {i} {bad}");
                 assert!(read_lane(&reader(), &state, None, 1).is_finite());
             }
         }
@@ -471,10 +463,8 @@ mod tests {
                 state.foot_height_m[foot] = 0.06;
             }
             state.foot_height_m[2] = 0.36 - shallow_m;
-            let water = surface_m.map(|surface_m| Water {
-                surface_m,
-                girdle_ground_m: [girdle_ground_m, 0.0],
-            });
+            let water = surface_m
+                .map(|surface_m| Water { surface_m, girdle_ground_m: [girdle_ground_m, 0.0] });
             let truth = read_lane(&reader(), &state, water, 0);
             (truth.submerged, truth.afloat)
         };
@@ -489,19 +479,13 @@ mod tests {
 
     #[test]
     fn feet_walk_in_water_where_their_girdle_has_the_ground_in_reach() {
-        let reader = Reader {
-            girdles_ahead_m: [0.16, -0.16],
-            ..reader()
-        };
+        let reader = Reader { girdles_ahead_m: [0.16, -0.16], ..reader() };
         let read = |front_ground_m, nose_up_rad: f32, surface_m| {
             let mut state = state();
             state.com_pos_m[2] = 0.4;
             state.foot_height_m.fill(0.3);
             state.imu_gravity[..3].copy_from_slice(&[-nose_up_rad.sin(), 0.0, -nose_up_rad.cos()]);
-            let water = Water {
-                surface_m,
-                girdle_ground_m: [front_ground_m, 0.2],
-            };
+            let water = Water { surface_m, girdle_ground_m: [front_ground_m, 0.2] };
             read_lane(&reader, &state, Some(water), 0).on_ground
         };
         // The ground 0.08 under the fore girdle and 0.2 under the hind one.

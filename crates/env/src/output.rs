@@ -83,12 +83,10 @@ impl OutputBuffers {
         self.output.terminated.fill(false);
         self.output.truncated.fill(false);
         let observations = self.output.final_observations.drain(..);
-        self.observation_pool
-            .extend(observations.map(|(_, buffer)| buffer));
+        self.observation_pool.extend(observations.map(|(_, buffer)| buffer));
         self.output.final_privileged.clear();
         let episodes = self.output.episodes.drain(..);
-        self.terms_pool
-            .extend(episodes.map(|episode| episode.terms));
+        self.terms_pool.extend(episodes.map(|episode| episode.terms));
     }
 
     /// Notes that a lane's episode ended, with its last observation and what the value function saw besides.
@@ -124,11 +122,8 @@ mod tests {
         let mut seen = Vec::new();
         for round in 0..5 {
             buffers.clear();
-            let stats = EpisodeStats {
-                lane: 2,
-                terminated: round % 2 == 0,
-                ..EpisodeStats::default()
-            };
+            let stats =
+                EpisodeStats { lane: 2, terminated: round % 2 == 0, ..EpisodeStats::default() };
             buffers.finish(stats, &[0.5; 18], (&[round as f32; 97], &[-1.0]));
             let output = &buffers.output;
             assert_eq!(output.terminated, [false, false, round % 2 == 0]);
@@ -136,10 +131,7 @@ mod tests {
             assert_eq!(output.final_observations, [(2, vec![round as f32; 97])]);
             assert_eq!(output.final_privileged, [-1.0]);
             assert_eq!(output.episodes[0].terms, [0.5; 18]);
-            seen.push((
-                output.final_observations[0].1.as_ptr(),
-                output.episodes[0].terms.as_ptr(),
-            ));
+            seen.push((output.final_observations[0].1.as_ptr(), output.episodes[0].terms.as_ptr()));
         }
         assert!(seen.iter().all(|pointers| *pointers == seen[0]));
     }

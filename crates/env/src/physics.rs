@@ -38,12 +38,7 @@ impl PhysicsDraws {
 
     /// Sets `params` to the nominal robot changed by `draw`, with these factors on the torques. `[A]`
     pub fn apply_draw(&mut self, strengths: &[f32]) {
-        let Self {
-            nominal,
-            params,
-            draw,
-            ..
-        } = self;
+        let Self { nominal, params, draw, .. } = self;
         params.gravity_mps2 = nominal.gravity_mps2;
         params.foot_friction = nominal.foot_friction * draw.foot_friction_scale;
         params.body_friction = nominal.body_friction * draw.body_friction_scale;
@@ -85,11 +80,7 @@ impl PhysicsDraws {
         let [roll, pitch] = start.roll_pitch_rad;
         self.init.base_rpy_rad = [roll, pitch, start.yaw_rad];
         self.init.base_vel_mps = [start.base_vel_mps[0], start.base_vel_mps[1], 0.0];
-        self.init
-            .joint_pos_rad
-            .copy_from_slice(&start.joint_pos_rad);
-        self.init
-            .joint_vel_radps
-            .copy_from_slice(&start.joint_vel_radps);
+        self.init.joint_pos_rad.copy_from_slice(&start.joint_pos_rad);
+        self.init.joint_vel_radps.copy_from_slice(&start.joint_vel_radps);
     }
 }

@@ -57,10 +57,7 @@ impl VecEnv {
             Err(error) => return refuse(format!("cannot be read: {error}")),
         };
         if saved.format != FORMAT {
-            return refuse(format!(
-                "has format {}, this version reads {FORMAT}",
-                saved.format
-            ));
+            return refuse(format!("has format {}, this version reads {FORMAT}", saved.format));
         }
         if saved.contract_hash != self.contract.hash() {
             return refuse("is of another robot or policy contract".to_owned());

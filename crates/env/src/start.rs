@@ -41,10 +41,7 @@ mod tests {
             joint_pos_rad: [0.0; 16].into(),
             joint_vel_radps: [0.0; 16].into(),
         };
-        let shift = StartShift {
-            xy_m: [3.0, 1.0],
-            yaw_rad: FRAC_PI_2,
-        };
+        let shift = StartShift { xy_m: [3.0, 1.0], yaw_rad: FRAC_PI_2 };
         let moved = shift.apply(start);
         assert_eq!(moved.base_xy_m, [3.5, 0.5]);
         assert_eq!(moved.yaw_rad, 0.25 + FRAC_PI_2);

@@ -345,14 +345,8 @@ impl VecEnv {
             let cost_scale = self.task.reward.cost_scale(self.progress);
             let config = &self.task.reward;
             let own = &mut self.own_rewards;
-            reward = reward::evaluate(
-                config,
-                own,
-                &input,
-                control_period_s,
-                cost_scale,
-                &mut terms,
-            );
+            reward =
+                reward::evaluate(config, own, &input, control_period_s, cost_scale, &mut terms);
             if !self.own_ends.is_empty() {
                 let signals = StateSignals::new(&input, config.contact_force_n);
                 own_end = self.own_ends.first(&signals).is_some();
@@ -362,11 +356,8 @@ impl VecEnv {
         }
         self.buffers.output.rewards[lane] = reward;
 
-        let input = TerminationInput {
-            diverged,
-            gravity: truth.gravity,
-            com_height_m: truth.com_height_m,
-        };
+        let input =
+            TerminationInput { diverged, gravity: truth.gravity, com_height_m: truth.com_height_m };
         let reason = termination::check(&self.task.termination, &input)
             .or(own_end.then_some(TerminationReason::Condition));
         let ended = reason.is_some() || now.step >= now.step_limit;
@@ -443,12 +434,8 @@ impl VecEnv {
 
     /// Makes the robot of a lane the one of an episode, whose key is returned.
     pub(crate) fn draw_robot(&mut self, lane: usize, episode: u64) -> Result<Key, EnvError> {
-        let key = Key {
-            seed: self.seed,
-            actor: self.actor,
-            env: self.first_lane + lane as u64,
-            episode,
-        };
+        let key =
+            Key { seed: self.seed, actor: self.actor, env: self.first_lane + lane as u64, episode };
         let mut physics_stream = Stream::new(key, Purpose::Randomisation);
         let randomisation = &self.task.randomisation;
         self.physics.draw.redraw(randomisation, &mut physics_stream);

@@ -14,10 +14,7 @@ struct Found {
 
 impl Found {
     fn plain(measured: Option<f64>) -> Self {
-        Self {
-            measured,
-            against: String::new(),
-        }
+        Self { measured, against: String::new() }
     }
 
     /// A figure of walking counts only where the scenario is walked by its gates.
@@ -31,10 +28,7 @@ impl Found {
 
 /// Why a scenario does not count as walked; empty where it does.
 fn objections(scenario: &ScenarioResult) -> String {
-    let missed = scenario
-        .gates
-        .as_ref()
-        .map_or_else(Vec::new, |g| g.missed());
+    let missed = scenario.gates.as_ref().map_or_else(Vec::new, |g| g.missed());
     match scenario.walks() {
         Some(false) if missed.is_empty() => {
             format!("falls in {:.1} %", 100.0 * scenario.fall_share.mean)
@@ -126,11 +120,7 @@ fn walked_straight(result: &SuiteResult) -> Found {
     let walked = all.iter().filter(|s| objections(s).is_empty()).count();
     Found {
         measured: Some(walked as f64 / all.len() as f64),
-        against: all
-            .iter()
-            .filter_map(against)
-            .collect::<Vec<_>>()
-            .join(" | "),
+        against: all.iter().filter_map(against).collect::<Vec<_>>().join(" | "),
     }
 }
 
@@ -153,18 +143,13 @@ fn fastest(result: &SuiteResult) -> Found {
         Some(_) => String::new(),
         None => tracked.last().map(|(_, a)| a.clone()).unwrap_or_default(),
     };
-    Found {
-        measured: Some(*best),
-        against,
-    }
+    Found { measured: Some(*best), against }
 }
 
 fn standing_and_pushes(result: &SuiteResult) -> Vec<Row> {
     let omni = |i: usize| Found::plain(result.scenario(suite::OMNI).map(|s| s.rmse_of_means[i]));
     let stand = result.scenario(suite::STAND);
-    let survived = result
-        .scenario(suite::PUSH)
-        .map(|s| 1.0 - s.fall_share.mean);
+    let survived = result.scenario(suite::PUSH).map(|s| 1.0 - s.fall_share.mean);
     #[rustfmt::skip]
     let rows = vec![
         row("omni grid: RMSE of vx", "m/s", AtMost(0.04, 0.02), omni(0)),
@@ -216,14 +201,8 @@ fn elsewhere(result: &SuiteResult) -> Vec<Row> {
         },
         _ => Found::plain(None),
     };
-    let referee = result
-        .referee
-        .as_ref()
-        .and_then(|r| r.scenario(suite::FLAT));
-    let (nominal, worst) = (
-        result.scenario(suite::NOMINAL),
-        result.scenario(suite::WORST_CORNER),
-    );
+    let referee = result.referee.as_ref().and_then(|r| r.scenario(suite::FLAT));
+    let (nominal, worst) = (result.scenario(suite::NOMINAL), result.scenario(suite::WORST_CORNER));
     vec![
         row(
             "on the second engine: speed kept",
@@ -251,10 +230,7 @@ mod tests {
             command: [command, 0.0, 0.0],
             vx_mps: Estimate::of(&[vx]),
             cost_of_transport: Estimate::of(&[0.9]),
-            gates: Some(GateReport {
-                walks,
-                gates: Vec::new(),
-            }),
+            gates: Some(GateReport { walks, gates: Vec::new() }),
             ..ScenarioResult::default()
         }
     }

@@ -63,14 +63,12 @@ impl Anatomy {
         let places = places.unwrap_or_default();
         let girdles = Girdles::of(model, &places);
         Self {
-            pelvis: girdles.as_ref().map(|g| Pelvis {
-                model: Arc::clone(model),
-                nominal_rad: g.pelvis_off_rad,
-            }),
+            pelvis: girdles
+                .as_ref()
+                .map(|g| Pelvis { model: Arc::clone(model), nominal_rad: g.pelvis_off_rad }),
             sides: girdles.as_ref().map_or_else(Vec::new, |g| g.sides(model)),
-            snout_vent_m: girdles.map_or(0.0, |g| {
-                shapes.foremost_m(&places, g.ahead) - g.along(g.hind_m)
-            }),
+            snout_vent_m: girdles
+                .map_or(0.0, |g| shapes.foremost_m(&places, g.ahead) - g.along(g.hind_m)),
             nominal_rad: PerJoint::of(nominal),
             range_rad: PerJoint::from_fn(joints, range),
             counterpart: PerJoint::from_fn(joints, counterpart),
@@ -157,10 +155,7 @@ impl<'a> Girdles<'a> {
             _ => None,
         };
         let sides = [true, false].map(side);
-        sides
-            .into_iter()
-            .collect::<Option<Vec<_>>>()
-            .unwrap_or_default()
+        sides.into_iter().collect::<Option<Vec<_>>>().unwrap_or_default()
     }
 }
 
@@ -185,10 +180,6 @@ pub(crate) mod tests {
         assert_eq!(anatomy.other_foot, [1, 0, 3, 2]);
         assert_eq!(anatomy.nominal_rad[9], 36.0_f64.to_radians());
         assert_eq!(anatomy.sides, [[2, 0], [3, 1]]);
-        assert!(
-            (0.4..0.7).contains(&anatomy.snout_vent_m),
-            "{}",
-            anatomy.snout_vent_m
-        );
+        assert!((0.4..0.7).contains(&anatomy.snout_vent_m), "{}", anatomy.snout_vent_m);
     }
 }

@@ -36,14 +36,7 @@ fn row(
             false => (x / nearest).min(nearest / x),
         }
     });
-    AnimalRow {
-        name: name.into(),
-        unit: unit.into(),
-        animal,
-        robot,
-        score,
-        source: source.into(),
-    }
+    AnimalRow { name: name.into(), unit: unit.into(), animal, robot, score, source: source.into() }
 }
 
 /// The table from walks straight ahead and from swimming; empty for robots of another build.
@@ -54,9 +47,7 @@ pub fn animal(scenarios: &[ScenarioResult], anatomy: &Anatomy) -> Vec<AnimalRow>
     }
     let per_s = |s: &ScenarioResult| s.vx_mps.mean / anatomy.snout_vent_m;
     let nearest = |to: f64| {
-        let walks = scenarios
-            .iter()
-            .filter(|s| s.walks() == Some(true) && s.command[0] > 0.0);
+        let walks = scenarios.iter().filter(|s| s.walks() == Some(true) && s.command[0] > 0.0);
         walks.min_by(|a, b| (per_s(a) - to).abs().total_cmp(&(per_s(b) - to).abs()))
     };
     let (walk, trot) = (nearest(WALK_PER_S), nearest(TROT_PER_S));
@@ -76,13 +67,7 @@ pub fn animal(scenarios: &[ScenarioResult], anatomy: &Anatomy) -> Vec<AnimalRow>
     let lag = |s: Option<&ScenarioResult>| s.and_then(|s| trunk_lag_rad(s, anatomy));
     let degrees = |x: Option<f64>| x.map(f64::to_degrees);
     vec![
-        row(
-            "duty factor of the hind feet at a walk",
-            "1",
-            [0.77, 0.77],
-            walk.map(duty),
-            NEWT,
-        ),
+        row("duty factor of the hind feet at a walk", "1", [0.77, 0.77], walk.map(duty), NEWT),
         row(
             "… and its change per snout-vent length/s",
             "s",
@@ -165,10 +150,7 @@ mod tests {
 
     #[test]
     fn a_robot_that_cannot_bend_has_no_table() {
-        let quadruped = concat!(
-            env!("CARGO_MANIFEST_DIR"),
-            "/../../robots/quadruped.robot.toml"
-        );
+        let quadruped = concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/quadruped.robot.toml");
         let model = caudata_model::RobotModel::load(std::path::Path::new(quadruped)).unwrap();
         assert!(animal(&[], &Anatomy::of(&std::sync::Arc::new(model))).is_empty());
     }

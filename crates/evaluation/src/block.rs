@@ -59,9 +59,7 @@ pub(crate) fn run_blocks<T: Send>(
             };
             let result = run(block);
             failed.fetch_or(result.is_err(), Ordering::Relaxed);
-            let mut done = done
-                .lock()
-                .unwrap_or_else(std::sync::PoisonError::into_inner);
+            let mut done = done.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
             done.insert(block.number, result);
         }
     };
@@ -71,9 +69,7 @@ pub(crate) fn run_blocks<T: Send>(
         }
         work();
     });
-    let done = done
-        .into_inner()
-        .unwrap_or_else(std::sync::PoisonError::into_inner);
+    let done = done.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
     done.into_values().collect()
 }
 
@@ -142,10 +138,7 @@ impl Round {
             }
             time_s += period_s;
         }
-        let film = camera.map(|lane| Film {
-            trace: traces[lane].clone(),
-            poses,
-        });
+        let film = camera.map(|lane| Film { trace: traces[lane].clone(), poses });
         Ok(Self {
             traces,
             commands,

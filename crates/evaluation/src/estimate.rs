@@ -26,16 +26,8 @@ impl Estimate {
         let n = values.len() as f64;
         let mean = values.iter().sum::<f64>() / n;
         let squares: f64 = values.iter().map(|x| (x - mean).powi(2)).sum();
-        let error = if values.len() > 1 {
-            (squares / (n - 1.0) / n).sqrt()
-        } else {
-            0.0
-        };
-        Self {
-            mean,
-            ci_low: mean - Z_95 * error,
-            ci_high: mean + Z_95 * error,
-        }
+        let error = if values.len() > 1 { (squares / (n - 1.0) / n).sqrt() } else { 0.0 };
+        Self { mean, ci_low: mean - Z_95 * error, ci_high: mean + Z_95 * error }
     }
 
     /// A share of `count` out of `total`, with Wilson's interval, which also holds near 0 and 1; it lies
@@ -69,10 +61,7 @@ mod tests {
         let standard_error = (e.ci_high - e.ci_low) / (2.0 * Z_95);
         assert!((standard_error - 1.527_525_231_651_947).abs() < 1e-12);
         let single = Estimate::of(&[5.0]);
-        assert_eq!(
-            (single.ci_low, single.mean, single.ci_high),
-            (5.0, 5.0, 5.0)
-        );
+        assert_eq!((single.ci_low, single.mean, single.ci_high), (5.0, 5.0, 5.0));
     }
 
     #[test]

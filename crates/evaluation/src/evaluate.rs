@@ -39,10 +39,7 @@ impl Evaluation<'_> {
     /// How many scenarios there are to run, on all engines.
     pub fn scenarios(&self) -> usize {
         let speed_mps = self.config.evaluation.command_mps as f32;
-        let all = self
-            .suite
-            .scenarios(self.model.total_mass_kg(), speed_mps)
-            .len();
+        let all = self.suite.scenarios(self.model.total_mass_kg(), speed_mps).len();
         match (self.referee, self.suite) {
             (Some(_), _) => 2 * all,
             (None, Suite::Acceptance) => all + 1,
@@ -60,10 +57,9 @@ impl Evaluation<'_> {
         go_on: &(dyn Fn() -> bool + Sync),
         done: &mut dyn FnMut(&str, &ScenarioResult),
     ) -> Result<(SuiteResult, Vec<Outcome>), EvaluationError> {
-        let scenarios = self.suite.scenarios(
-            self.model.total_mass_kg(),
-            self.config.evaluation.command_mps as f32,
-        );
+        let scenarios = self
+            .suite
+            .scenarios(self.model.total_mass_kg(), self.config.evaluation.command_mps as f32);
         let engine = self.config.engine.kind;
         let mut outcomes = Vec::new();
         for scenario in &scenarios {
@@ -110,10 +106,7 @@ impl Evaluation<'_> {
         go_on: &(dyn Fn() -> bool + Sync),
         done: &mut dyn FnMut(&str, &ScenarioResult),
     ) -> Result<Option<Referee>, EvaluationError> {
-        let mut settings = Settings {
-            film: false,
-            ..self.settings
-        };
+        let mut settings = Settings { film: false, ..self.settings };
         let (kind, chosen) = match (self.referee, self.suite) {
             (Some(kind), _) => (kind, scenarios),
             (None, Suite::Acceptance) => {
@@ -131,9 +124,6 @@ impl Evaluation<'_> {
             done(engine, &outcome.result);
             results.push(outcome.result);
         }
-        Ok(Some(Referee {
-            engine: engine.into(),
-            scenarios: results,
-        }))
+        Ok(Some(Referee { engine: engine.into(), scenarios: results }))
     }
 }

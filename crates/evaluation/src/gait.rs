@@ -97,9 +97,7 @@ impl Gait {
         }
         let spectrum = Spectrum::new(frames.len(), 1.0 / trace.period_s);
         let speed = |f: &Frame| f64::from(f.velocity_mps[0]).hypot(f64::from(f.velocity_mps[1]));
-        let power_w = mean(frames, |f| {
-            f.power_w.iter().map(|&p| f64::from(p.abs())).sum()
-        });
+        let power_w = mean(frames, |f| f.power_w.iter().map(|&p| f64::from(p.abs())).sum());
         let duty_factor = PerFoot::from_fn(feet_of(frames), |foot| {
             mean(frames, |f| f64::from(on_ground(f, foot, measure)))
         });
@@ -231,8 +229,7 @@ fn clearance_m(frames: &[Frame], stride: usize) -> PerFoot<f64> {
         let strides = frames.chunks_exact(stride.min(frames.len()));
         let n = strides.len() as f64;
         let highest = |s: &[Frame]| {
-            s.iter()
-                .fold(f64::MIN, |top, f| top.max(f64::from(f.foot_height_m[foot])))
+            s.iter().fold(f64::MIN, |top, f| top.max(f64::from(f.foot_height_m[foot])))
         };
         strides.map(highest).sum::<f64>() / n
     })
@@ -267,14 +264,9 @@ fn vibration_share(frames: &[Frame], period_s: f64, vibration_hz: f64) -> f64 {
     let (mut above, mut all) = (0.0, 0.0);
     for joint in 0..frames[0].joint_pos_rad.len() {
         let pos = |f: &Frame| f64::from(f.joint_pos_rad[joint]);
-        let speeds: Vec<f64> = frames
-            .windows(2)
-            .map(|w| (pos(&w[1]) - pos(&w[0])) / period_s)
-            .collect();
-        let torques: Vec<f64> = frames[1..]
-            .iter()
-            .map(|f| f64::from(f.torque_nm[joint]))
-            .collect();
+        let speeds: Vec<f64> =
+            frames.windows(2).map(|w| (pos(&w[1]) - pos(&w[0])) / period_s).collect();
+        let torques: Vec<f64> = frames[1..].iter().map(|f| f64::from(f.torque_nm[joint])).collect();
         let mut bands = [0.0; 2];
         for (k, power) in welch.in_phase(&speeds, &torques).into_iter().enumerate() {
             match welch.frequency_hz(k) {
@@ -354,12 +346,7 @@ pub(crate) mod tests {
             frame.power_w[5..8].fill((0.05 * speed * speed) as f32);
             frame
         });
-        Trace {
-            period_s: 0.02,
-            clock_hz: stride_hz,
-            frames: frames.collect(),
-            fell: None,
-        }
+        Trace { period_s: 0.02, clock_hz: stride_hz, frames: frames.collect(), fell: None }
     }
 
     fn near(got: f64, want: f64, by: f64) {
@@ -385,11 +372,7 @@ pub(crate) mod tests {
         near(gait.joint_accel_rms_radps2, 12.44, 0.1);
         assert!(gait.vibration_share < 0.01);
         // sway averages out over whole strides
-        assert!(
-            gait.tracking_rmse.iter().all(|e| *e < 2e-3),
-            "{:?}",
-            gait.tracking_rmse
-        );
+        assert!(gait.tracking_rmse.iter().all(|e| *e < 2e-3), "{:?}", gait.tracking_rmse);
         assert_eq!(gait.trunk_contact_share, 0.0);
     }
 

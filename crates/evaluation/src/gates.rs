@@ -65,19 +65,12 @@ impl GateReport {
         if limits.posture {
             gates.extend(means.of_posture(flat));
         }
-        Self {
-            walks: gates.iter().all(|g| g.met),
-            gates,
-        }
+        Self { walks: gates.iter().all(|g| g.met), gates }
     }
 
     /// Names of the gates that are not met.
     pub fn missed(&self) -> Vec<&str> {
-        self.gates
-            .iter()
-            .filter(|g| !g.met)
-            .map(|g| g.name.as_ref())
-            .collect()
+        self.gates.iter().filter(|g| !g.met).map(|g| g.name.as_ref()).collect()
     }
 }
 
@@ -103,11 +96,7 @@ impl Means<'_> {
         let mut gates = Vec::new();
         if limits.speed_share > 0.0 {
             let share = self.of(|g| g.speed_share);
-            gates.push(at_least(
-                "share of the commanded speed",
-                share,
-                limits.speed_share,
-            ));
+            gates.push(at_least("share of the commanded speed", share, limits.speed_share));
         }
         let feet = self.0[0].duty_factor.len();
         if feet > 0 {
@@ -118,10 +107,7 @@ impl Means<'_> {
         gates.push(at_most("power, W", self.of(|g| g.power_w), limits.power_w));
         gates.push(at_most(name, vibration, limits.vibration_share));
         if flat && feet > 0 {
-            let (share, most) = (
-                self.of(|g| g.trunk_contact_share),
-                limits.trunk_contact_share,
-            );
+            let (share, most) = (self.of(|g| g.trunk_contact_share), limits.trunk_contact_share);
             gates.push(at_most("trunk on the ground", share, most));
         }
         gates
@@ -160,11 +146,7 @@ impl Means<'_> {
         let mut gates = vec![
             at_most("joint off nominal and mirror, rad", off, OFF_RAD),
             at_most("at an end stop", at_stop, AT_STOP_SHARE),
-            at_most(
-                "leg swing apart left and right, rad",
-                sides,
-                SIDES_APART_RAD,
-            ),
+            at_most("leg swing apart left and right, rad", sides, SIDES_APART_RAD),
             at_most("duty factor apart left and right", duty, DUTY_APART),
             at_most("tail's share of the power", tail, TAIL_POWER_SHARE),
             at_most("trunk bend in one joint", bend, TRUNK_BEND_SHARE),
@@ -195,13 +177,7 @@ fn gate(
 ) -> Gate {
     let met =
         at_least.is_none_or(|least| value >= least) && at_most.is_none_or(|most| value <= most);
-    Gate {
-        name: name.into(),
-        value,
-        at_least,
-        at_most,
-        met: met && value.is_finite(),
-    }
+    Gate { name: name.into(), value, at_least, at_most, met: met && value.is_finite() }
 }
 
 #[cfg(test)]
@@ -240,37 +216,20 @@ mod tests {
             ("clearance, m", |g| g.clearance_m[3] = 0.029),
             ("joint power above 6 Hz", |g| g.vibration_share = 0.051),
             ("trunk on the ground", |g| g.trunk_contact_share = 0.011),
-            ("joint off nominal and mirror, rad", |g| {
-                g.posture.off_rad[3] = 0.18
-            }),
+            ("joint off nominal and mirror, rad", |g| g.posture.off_rad[3] = 0.18),
             ("at an end stop", |g| g.posture.at_stop_share[0] = 0.021),
-            ("leg swing apart left and right, rad", |g| {
-                g.posture.sides_apart_rad = 0.09
-            }),
-            ("duty factor apart left and right", |g| {
-                g.posture.duty_apart = 0.06
-            }),
-            ("tail's share of the power", |g| {
-                g.posture.tail_power_share = 0.16
-            }),
-            ("trunk bend in one joint", |g| {
-                g.posture.trunk_bend_share = 0.51
-            }),
+            ("leg swing apart left and right, rad", |g| g.posture.sides_apart_rad = 0.09),
+            ("duty factor apart left and right", |g| g.posture.duty_apart = 0.06),
+            ("tail's share of the power", |g| g.posture.tail_power_share = 0.16),
+            ("trunk bend in one joint", |g| g.posture.trunk_bend_share = 0.51),
             ("overlaps itself", |g| g.posture.overlap_share = 0.002),
-            ("yaw off the command, rad/s", |g| {
-                g.posture.yaw_off_radps = 0.021
-            }),
-            ("sideways off the command, m/s", |g| {
-                g.posture.side_off_mps = 0.011
-            }),
+            ("yaw off the command, rad/s", |g| g.posture.yaw_off_radps = 0.021),
+            ("sideways off the command, m/s", |g| g.posture.side_off_mps = 0.011),
         ];
         for (name, change) in spoil {
             let mut gait = good.clone();
             change(&mut gait);
-            assert_eq!(
-                GateReport::of(&[gait], &GatesConfig::default(), true).missed(),
-                [name]
-            );
+            assert_eq!(GateReport::of(&[gait], &GatesConfig::default(), true).missed(), [name]);
         }
     }
 

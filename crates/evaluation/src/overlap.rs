@@ -36,11 +36,7 @@ impl Shapes {
         let capsules: Vec<Capsule> = links
             .flat_map(|(link, l)| l.geoms.iter().filter_map(move |g| capsule(link, g)))
             .collect();
-        let mut shapes = Self {
-            model: Arc::clone(model),
-            capsules,
-            pairs: Vec::new(),
-        };
+        let mut shapes = Self { model: Arc::clone(model), capsules, pairs: Vec::new() };
         let mut at = Kinematics::default();
         if !shapes.place(model.nominal_pos_rad(), &mut at) {
             return shapes;
@@ -67,12 +63,7 @@ impl Shapes {
                 let at_m = at.links[capsule.link].point(end);
                 at_m[0] * ahead[0] + at_m[1] * ahead[1]
             };
-            capsule
-                .ends_m
-                .map(along)
-                .into_iter()
-                .fold(f64::MIN, f64::max)
-                + capsule.radius_m
+            capsule.ends_m.map(along).into_iter().fold(f64::MIN, f64::max) + capsule.radius_m
         };
         self.capsules.iter().map(reach).fold(f64::MIN, f64::max)
     }
@@ -107,22 +98,14 @@ fn capsule(link: usize, geom: &Geom) -> Option<Capsule> {
     let along =
         |axis: usize, half_m: f64| std::array::from_fn(|i| if i == axis { half_m } else { 0.0 });
     let longest = |sizes: [f64; 3]| {
-        let axis = (0..3)
-            .max_by(|&a, &b| sizes[a].total_cmp(&sizes[b]))
-            .unwrap_or(0);
+        let axis = (0..3).max_by(|&a, &b| sizes[a].total_cmp(&sizes[b])).unwrap_or(0);
         let across = (0..3).filter(|&i| i != axis).map(|i| sizes[i]);
         (axis, across.fold(f64::INFINITY, f64::min))
     };
     let (axis_m, radius_m): ([f64; 3], f64) = match geom.shape {
         Shape::Sphere { radius_m } => ([0.0; 3], radius_m),
-        Shape::Capsule {
-            radius_m,
-            half_length_m,
-        } => (along(2, half_length_m), radius_m),
-        Shape::Cylinder {
-            radius_m,
-            half_length_m,
-        } => {
+        Shape::Capsule { radius_m, half_length_m } => (along(2, half_length_m), radius_m),
+        Shape::Cylinder { radius_m, half_length_m } => {
             let radius_m = radius_m.min(half_length_m);
             (along(2, half_length_m - radius_m), radius_m)
         }
@@ -143,11 +126,7 @@ fn capsule(link: usize, geom: &Geom) -> Option<Capsule> {
         Shape::Plane => return None,
     };
     let end = |sign: f64| geom.link_from_geom.point(axis_m.map(|x| sign * x));
-    Some(Capsule {
-        link,
-        ends_m: [end(-1.0), end(1.0)],
-        radius_m,
-    })
+    Some(Capsule { link, ends_m: [end(-1.0), end(1.0)], radius_m })
 }
 
 /// Distance between two segments (Ericson 2004, "Real-Time Collision Detection", section 5.1.9), m.

@@ -63,10 +63,7 @@ impl Posture {
         let feet = duty_factor.iter().zip(&anatomy.other_foot);
         let duty = feet.map(|(own, &other)| (own - duty_factor[other]).abs());
         let power_w = each(&|f, j| f64::from(f.power_w[j].abs()));
-        let tail_w: f64 = (0..joints)
-            .filter(|&j| anatomy.in_tail[j])
-            .map(|j| power_w[j])
-            .sum();
+        let tail_w: f64 = (0..joints).filter(|&j| anatomy.in_tail[j]).map(|j| power_w[j]).sum();
         Self {
             off_rad: PerJoint::from_fn(joints, off),
             sides_apart_rad: sides.fold(0.0, f64::max),
@@ -89,10 +86,7 @@ impl Posture {
 
 /// Share of the most bent joint of the trunk.
 fn bend_share(swing_rad: &[f64], anatomy: &Anatomy) -> f64 {
-    let trunk = swing_rad
-        .iter()
-        .zip(&anatomy.in_trunk)
-        .filter(|&(_, &is)| is);
+    let trunk = swing_rad.iter().zip(&anatomy.in_trunk).filter(|&(_, &is)| is);
     let bends: Vec<f64> = trunk.map(|(&bend, _)| bend).collect();
     let all: f64 = bends.iter().sum();
     match bends.len() > 1 && all > 0.0 {
@@ -105,9 +99,7 @@ fn bend_share(swing_rad: &[f64], anatomy: &Anatomy) -> f64 {
 fn overlap_share(frames: &[Frame], anatomy: &Anatomy) -> f64 {
     let mut at = Kinematics::default();
     let mut meet = |frame: &&Frame| {
-        let q = PerJoint::from_fn(frame.joint_pos_rad.len(), |j| {
-            f64::from(frame.joint_pos_rad[j])
-        });
+        let q = PerJoint::from_fn(frame.joint_pos_rad.len(), |j| f64::from(frame.joint_pos_rad[j]));
         anatomy.shapes.deepest_m(&q, &mut at) > DEPTH_M
     };
     let looked_at = frames.len().div_ceil(OVERLAP_EVERY).max(1);
@@ -133,9 +125,7 @@ impl PostureResult {
         let n = postures.len() as f64;
         let joints = anatomy.nominal_rad.len();
         let mean = |value: &dyn Fn(&Posture) -> &PerJoint<f64>| {
-            PerJoint::from_fn(joints, |j| {
-                postures.iter().map(|p| value(p)[j]).sum::<f64>() / n
-            })
+            PerJoint::from_fn(joints, |j| postures.iter().map(|p| value(p)[j]).sum::<f64>() / n)
         };
         (!postures.is_empty()).then(|| Self {
             mean_rad: mean(&|p| &p.mean_rad),
@@ -196,9 +186,6 @@ mod tests {
         assert!(posture.at_stop_share.iter().all(|&share| share == 0.0));
         let [_, high] = anatomy.range_rad[0];
         let at_stop = Posture::of(&frames(high as f32 - 0.01, 0.3, 0.3), &[0.5; 4], &anatomy);
-        assert_eq!(
-            (at_stop.at_stop_share[0], at_stop.sides_apart_rad),
-            (1.0, 0.0)
-        );
+        assert_eq!((at_stop.at_stop_share[0], at_stop.sides_apart_rad), (1.0, 0.0));
     }
 }

@@ -290,12 +290,7 @@ mod tests {
     #[test]
     fn falls_and_errors_by_hand() {
         let gait = Gait::of(&trot(1.4, 0.0), &measure()).unwrap();
-        let episode = |command, fell, gait| Episode {
-            command,
-            fell,
-            gait,
-            ..Episode::default()
-        };
+        let episode = |command, fell, gait| Episode { command, fell, gait, ..Episode::default() };
         let episodes = [
             episode([0.3, 0.0, 0.0], None, Some(gait.clone())),
             episode([0.5, 0.0, 0.1], None, Some(gait)),
@@ -313,10 +308,7 @@ mod tests {
     #[test]
     fn who_falls_too_often_does_not_walk() {
         let gait = Gait::of(&trot(1.4, 0.0), &measure()).unwrap();
-        let walks = GateReport {
-            walks: true,
-            gates: Vec::new(),
-        };
+        let walks = GateReport { walks: true, gates: Vec::new() };
         let mut episodes = vec![
             Episode {
                 command: [0.3, 0.0, 0.0],

@@ -50,20 +50,13 @@ mod tests {
     /// Twenty seconds with the robot on its back in these stretches, s.
     fn trace(on_its_back: &[std::ops::Range<f64>]) -> Trace {
         let frame = |i: i32| Frame {
-            upright: match on_its_back
-                .iter()
-                .any(|s| s.contains(&(f64::from(i) * 0.02)))
-            {
+            upright: match on_its_back.iter().any(|s| s.contains(&(f64::from(i) * 0.02))) {
                 true => -1.0,
                 false => 0.99,
             },
             ..Frame::still(16, 4)
         };
-        Trace {
-            period_s: 0.02,
-            frames: (0..1000).map(frame).collect(),
-            ..Trace::default()
-        }
+        Trace { period_s: 0.02, frames: (0..1000).map(frame).collect(), ..Trace::default() }
     }
 
     #[test]

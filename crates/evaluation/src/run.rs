@@ -97,9 +97,7 @@ pub fn run_scenario(
         config.actors.threads = 1;
         let key = EVALUATION_KEY - block.number as u64;
         let mut env = build_env(&config, Arc::clone(model), key)?;
-        policy
-            .check_runs_on(env.contract())
-            .map_err(EvaluationError::Refused)?;
+        policy.check_runs_on(env.contract()).map_err(EvaluationError::Refused)?;
         let held: Vec<[f32; 3]> = (block.first..block.first + block.lanes)
             .map(|episode| scenario.commands[episode % commands])
             .collect();
@@ -122,9 +120,7 @@ pub fn run_scenario(
         tracks.extend(round.tracks);
         film = film.or(round.film);
     }
-    let gates = scenario
-        .judged
-        .then(|| judge(&measured, scenario, &config.evaluation.gates));
+    let gates = scenario.judged.then(|| judge(&measured, scenario, &config.evaluation.gates));
     let mut result = ScenarioResult::of(&scenario.name, model.feet().len(), &measured, gates);
     what_it_is_about(&mut result, scenario, &measured, shore.is_some());
     let gaits = measured.iter().filter_map(|e| e.gait.as_ref());

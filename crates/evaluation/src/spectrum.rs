@@ -15,10 +15,7 @@ pub(crate) struct Spectrum {
 impl Spectrum {
     /// For signals of `samples` values, `rate_hz` a second.
     pub fn new(samples: usize, rate_hz: f64) -> Self {
-        Self {
-            fft: FftPlanner::new().plan_fft_forward(samples),
-            rate_hz,
-        }
+        Self { fft: FftPlanner::new().plan_fft_forward(samples), rate_hz }
     }
 
     /// Frequency of bin `k`, Hz.
@@ -56,11 +53,7 @@ impl Spectrum {
         let side = |k: usize| power.get(k).copied().unwrap_or(0.0).sqrt();
         let (below, at, above) = (side(peak.saturating_sub(1)), side(peak), side(peak + 1));
         let bend = below - 2.0 * at + above;
-        let shift = if bend < 0.0 {
-            (0.5 * (below - above) / bend).clamp(-0.5, 0.5)
-        } else {
-            0.0
-        };
+        let shift = if bend < 0.0 { (0.5 * (below - above) / bend).clamp(-0.5, 0.5) } else { 0.0 };
         Some(self.frequency_hz(peak) + shift * self.frequency_hz(1))
     }
 }

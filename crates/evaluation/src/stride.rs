@@ -33,17 +33,11 @@ impl Stride {
         anatomy: &Anatomy,
         on_ground: &dyn Fn(&Frame, usize) -> bool,
     ) -> Option<Self> {
-        let pelvis = anatomy
-            .pelvis
-            .as_ref()
-            .filter(|_| !anatomy.sides.is_empty())?;
+        let pelvis = anatomy.pelvis.as_ref().filter(|_| !anatomy.sides.is_empty())?;
         let mut at = Kinematics::default();
         let bends = |f: &Frame| -> f64 {
             let joints = f.joint_pos_rad.iter().zip(&anatomy.in_trunk);
-            joints
-                .filter(|&(_, &is)| is)
-                .map(|(&q, _)| f64::from(q))
-                .sum()
+            joints.filter(|&(_, &is)| is).map(|(&q, _)| f64::from(q)).sum()
         };
         let yaws = unwrapped(frames.iter().map(|f| {
             let joints = f.joint_pos_rad.len();
@@ -107,16 +101,11 @@ fn limb_phase(
         let down = |f: &Frame| f64::from(u8::from(on_ground(f, foot)));
         spectrum.of(frames.iter().map(down))
     };
-    let pairs: Vec<[Vec<Complex<f64>>; 2]> = sides
-        .iter()
-        .map(|side| [contact(&side[0]), contact(&side[1])])
-        .collect();
+    let pairs: Vec<[Vec<Complex<f64>>; 2]> =
+        sides.iter().map(|side| [contact(&side[0]), contact(&side[1])]).collect();
     let power = |k: usize| -> f64 { pairs.iter().flatten().map(|foot| foot[k].norm_sqr()).sum() };
     let peak = (1..spectrum.bins()).max_by(|&a, &b| power(a).total_cmp(&power(b)))?;
-    let cross: Complex<f64> = pairs
-        .iter()
-        .map(|[hind, fore]| hind[peak].conj() * fore[peak])
-        .sum();
+    let cross: Complex<f64> = pairs.iter().map(|[hind, fore]| hind[peak].conj() * fore[peak]).sum();
     (cross.norm_sqr() > 0.0).then(|| (-cross.arg() / TAU).rem_euclid(1.0))
 }
 
@@ -149,9 +138,7 @@ mod tests {
     fn measured(frames: &[Frame]) -> Option<Stride> {
         let anatomy = Anatomy::of(&polymander());
         let spectrum = Spectrum::new(frames.len(), 50.0);
-        Stride::of(frames, 50, &spectrum, &anatomy, &|f, foot| {
-            f.foot_force_n[foot] > 1.0
-        })
+        Stride::of(frames, 50, &spectrum, &anatomy, &|f, foot| f.foot_force_n[foot] > 1.0)
     }
 
     #[test]

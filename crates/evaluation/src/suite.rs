@@ -98,16 +98,10 @@ impl Suite {
                 all.extend(swim(speed_mps).into_iter().filter(|s| s.name == SWIM));
                 all
             }
-            Self::Paper => [
-                Self::Flat,
-                Self::Rough,
-                Self::Omni,
-                Self::Push,
-                Self::Robust,
-            ]
-            .into_iter()
-            .flat_map(|suite| suite.scenarios(mass_kg, speed_mps))
-            .collect(),
+            Self::Paper => [Self::Flat, Self::Rough, Self::Omni, Self::Push, Self::Robust]
+                .into_iter()
+                .flat_map(|suite| suite.scenarios(mass_kg, speed_mps))
+                .collect(),
             Self::Acceptance => {
                 let mut all = Self::Paper.scenarios(mass_kg, speed_mps);
                 all.extend(transition(speed_mps));
@@ -133,10 +127,7 @@ fn times(speed_mps: f32) -> f32 {
 fn flat(speed_mps: f32) -> Vec<Scenario> {
     let mut all = vec![
         Scenario::walk(&flat_name(speed_mps), [speed_mps, 0.0, 0.0]),
-        Scenario {
-            judged: false,
-            ..Scenario::walk(STAND, [0.0; 3])
-        },
+        Scenario { judged: false, ..Scenario::walk(STAND, [0.0; 3]) },
     ];
     for command in [0.1, 0.2, 0.4, 0.5, 0.6, 0.7, 0.8] {
         let (name, command) = scaled("flat", command, speed_mps);
@@ -160,18 +151,10 @@ fn scaled(what: &str, mps: f32, speed_mps: f32) -> (String, f32) {
 
 /// Commands that change every 4 s, within what the paper's robot was asked for.
 fn changing(speed_mps: f32) -> Scenario {
-    let commands = [
-        [0.3, 0.0, 0.0],
-        [0.3, 0.0, 0.3],
-        [0.15, 0.0, -0.3],
-        [0.2, 0.05, 0.0],
-        [0.0, 0.0, 0.0],
-    ]
-    .map(|[vx, vy, yaw_rate]| [vx * times(speed_mps), vy * times(speed_mps), yaw_rate]);
-    let leg = |(i, command)| Leg {
-        from_s: 4.0 * i as f64,
-        order: Order::Command(command),
-    };
+    let commands =
+        [[0.3, 0.0, 0.0], [0.3, 0.0, 0.3], [0.15, 0.0, -0.3], [0.2, 0.05, 0.0], [0.0, 0.0, 0.0]]
+            .map(|[vx, vy, yaw_rate]| [vx * times(speed_mps), vy * times(speed_mps), yaw_rate]);
+    let leg = |(i, command)| Leg { from_s: 4.0 * i as f64, order: Order::Command(command) };
     Scenario {
         course: commands.into_iter().enumerate().map(leg).collect(),
         judged: false,
@@ -181,10 +164,7 @@ fn changing(speed_mps: f32) -> Scenario {
 
 fn rough(speed_mps: f32) -> Vec<Scenario> {
     let grade = |name: &str, kind| Scenario {
-        terrain: TerrainConfig {
-            size_m: ROUGH_SIZE_M,
-            ..TerrainConfig::of(kind)
-        },
+        terrain: TerrainConfig { size_m: ROUGH_SIZE_M, ..TerrainConfig::of(kind) },
         spawn_half_extent_m: SPAWN_HALF_EXTENT_M,
         ..Scenario::walk(name, [speed_mps, 0.0, 0.0])
     };
@@ -238,48 +218,15 @@ fn robust(mass_kg: f64, speed_mps: f32) -> Vec<Scenario> {
     let nominal = Corner::nominal();
     let corners = [
         (NOMINAL, nominal),
-        (
-            "robust: latency 18 ms",
-            Corner {
-                command_delay_s: 0.018,
-                ..nominal
-            },
-        ),
-        (
-            "robust: friction 0.6",
-            Corner {
-                foot_friction_scale: 0.6,
-                ..nominal
-            },
-        ),
-        (
-            "robust: Kp 0.75",
-            Corner {
-                kp_scale: 0.75,
-                ..nominal
-            },
-        ),
-        (
-            "robust: mass 1.15",
-            Corner {
-                mass_scale: 1.15,
-                ..nominal
-            },
-        ),
+        ("robust: latency 18 ms", Corner { command_delay_s: 0.018, ..nominal }),
+        ("robust: friction 0.6", Corner { foot_friction_scale: 0.6, ..nominal }),
+        ("robust: Kp 0.75", Corner { kp_scale: 0.75, ..nominal }),
+        ("robust: mass 1.15", Corner { mass_scale: 1.15, ..nominal }),
         (
             "robust: a load in front",
-            Corner {
-                payload_kg: (LOAD_SHARE * mass_kg) as f32,
-                ..nominal
-            },
+            Corner { payload_kg: (LOAD_SHARE * mass_kg) as f32, ..nominal },
         ),
-        (
-            "robust: play twice as wide",
-            Corner {
-                backlash_scale: 2.0,
-                ..nominal
-            },
-        ),
+        ("robust: play twice as wide", Corner { backlash_scale: 2.0, ..nominal }),
         (
             WORST_CORNER,
             Corner {
@@ -311,18 +258,11 @@ const STEEP_BEACH_DEG: f64 = 15.0;
 const GENTLE_BEACH_DEG: f64 = 10.0;
 
 fn transition(speed_mps: f32) -> Vec<Scenario> {
-    let beach = |slope_deg| TerrainConfig {
-        slope_deg,
-        ..TerrainConfig::of(TerrainKind::Shore)
-    };
+    let beach = |slope_deg| TerrainConfig { slope_deg, ..TerrainConfig::of(TerrainKind::Shore) };
     let ahead = [speed_mps, 0.0, 0.0];
     let shore = |name: &str, xy_m, yaw_rad, goal| Scenario {
         terrain: beach(STEEP_BEACH_DEG),
-        start: Start {
-            xy_m,
-            yaw_rad,
-            yaw_range_rad: Some(SHORE_YAW_RANGE_RAD),
-        },
+        start: Start { xy_m, yaw_rad, yaw_range_rad: Some(SHORE_YAW_RANGE_RAD) },
         goal: Some(goal),
         judged: false,
         ..Scenario::walk(name, ahead)
@@ -333,10 +273,7 @@ fn transition(speed_mps: f32) -> Vec<Scenario> {
         terrain: beach(slope_deg),
         episode_s: Some(30.0),
         // as a pilot does who wants to get ashore: what drifts for half a minute does not arrive
-        course: vec![Leg {
-            from_s: 0.0,
-            order: Order::Heading(PI),
-        }],
+        course: vec![Leg { from_s: 0.0, order: Order::Heading(PI) }],
         ..shore(name, afloat, PI, Goal::OntoLand)
     };
     let mut all = vec![
@@ -346,14 +283,8 @@ fn transition(speed_mps: f32) -> Vec<Scenario> {
         Scenario {
             episode_s: Some(60.0),
             course: vec![
-                Leg {
-                    from_s: 0.0,
-                    order: Order::Heading(0.0),
-                },
-                Leg {
-                    from_s: 15.0,
-                    order: Order::Heading(PI),
-                },
+                Leg { from_s: 0.0, order: Order::Heading(0.0) },
+                Leg { from_s: 15.0, order: Order::Heading(PI) },
             ],
             ..shore(THERE_AND_BACK, [0.0; 2], 0.0, Goal::ThereAndBack)
         },
@@ -370,11 +301,7 @@ fn swim(speed_mps: f32) -> Vec<Scenario> {
         ..Scenario::walk(name, [speed_mps, 0.0, yaw_radps])
     };
     let [left, right] = SWIM_TURN;
-    vec![
-        swim(left, SWIM_TURN_RADPS),
-        swim(right, -SWIM_TURN_RADPS),
-        swim(SWIM, 0.0),
-    ]
+    vec![swim(left, SWIM_TURN_RADPS), swim(right, -SWIM_TURN_RADPS), swim(SWIM, 0.0)]
 }
 
 /// Straight over terraces, as a pilot does who holds a course.
@@ -387,15 +314,8 @@ fn steps(speed_mps: f32) -> Vec<Scenario> {
         },
         // half of a terrace: feet meet the risers at any phase
         spawn_half_extent_m: 0.75,
-        start: Start {
-            yaw_rad,
-            yaw_range_rad: Some(SHORE_YAW_RANGE_RAD),
-            ..Start::default()
-        },
-        course: vec![Leg {
-            from_s: 0.0,
-            order: Order::Heading(yaw_rad),
-        }],
+        start: Start { yaw_rad, yaw_range_rad: Some(SHORE_YAW_RANGE_RAD), ..Start::default() },
+        course: vec![Leg { from_s: 0.0, order: Order::Heading(yaw_rad) }],
         goal: Some(Goal::Ahead),
         judged: false,
         ..Scenario::walk(
@@ -418,20 +338,8 @@ fn servo(speed_mps: f32) -> Vec<Scenario> {
         ..Scenario::walk(name, [speed_mps, 0.0, 0.0])
     };
     vec![
-        scenario(
-            "one servo limp",
-            Corner {
-                limp_share: 1.0,
-                ..nominal
-            },
-        ),
-        scenario(
-            "one servo stuck",
-            Corner {
-                stuck_share: 1.0,
-                ..nominal
-            },
-        ),
+        scenario("one servo limp", Corner { limp_share: 1.0, ..nominal }),
+        scenario("one servo stuck", Corner { stuck_share: 1.0, ..nominal }),
     ]
 }
 
@@ -441,16 +349,9 @@ mod tests {
 
     #[test]
     fn names_are_unique_and_configurations_valid() {
-        let suites = [
-            Suite::Acceptance,
-            Suite::Servo,
-            Suite::Righting,
-            Suite::Steps,
-        ];
-        let all: Vec<Scenario> = suites
-            .iter()
-            .flat_map(|suite| suite.scenarios(2.596, PAPER_COMMAND_MPS))
-            .collect();
+        let suites = [Suite::Acceptance, Suite::Servo, Suite::Righting, Suite::Steps];
+        let all: Vec<Scenario> =
+            suites.iter().flat_map(|suite| suite.scenarios(2.596, PAPER_COMMAND_MPS)).collect();
         let mut names: Vec<&str> = all.iter().map(|s| s.name.as_str()).collect();
         names.sort_unstable();
         names.dedup();

@@ -150,10 +150,7 @@ impl Summary {
 
     fn parse(path: &Path, bytes: &[u8], policy_sha256: &str) -> Result<Self, SummaryError> {
         let path = path.to_owned();
-        let invalid = |reason: String| SummaryError::Invalid {
-            path: path.clone(),
-            reason,
-        };
+        let invalid = |reason: String| SummaryError::Invalid { path: path.clone(), reason };
         if bytes.len() > MAX_BYTES {
             let reason = format!("{} bytes, at most {MAX_BYTES} are allowed", bytes.len());
             return Err(invalid(reason));

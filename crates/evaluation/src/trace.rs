@@ -152,8 +152,6 @@ impl Track {
             let ([cx, cy, cw], [vx, vy]) = (f.command, f.velocity_mps);
             [cx, cy, cw, vx, vy, f.yaw_rate_radps]
         };
-        Self {
-            rows: trace.frames.iter().map(row).collect(),
-        }
+        Self { rows: trace.frames.iter().map(row).collect() }
     }
 }

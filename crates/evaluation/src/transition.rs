@@ -55,10 +55,7 @@ impl Shore {
         let x = |i: i32| i as f32 * WATERLINE_STEP_M;
         let wet = |i: &i32| terrain.height_m(x(*i), 0.0) < surface_m;
         let first = (0..steps).find(wet).filter(|&i| i > 0)?;
-        Some(Self {
-            waterline_x_m: f64::from(x(first)),
-            goal,
-        })
+        Some(Self { waterline_x_m: f64::from(x(first)), goal })
     }
 
     fn is_in_water(&self, frame: &Frame) -> bool {
@@ -112,9 +109,8 @@ impl Motion {
         let mean = |value: &dyn Fn(&Frame) -> f64| {
             frames.iter().map(value).sum::<f64>() / frames.len() as f64
         };
-        let legs: Vec<usize> = (0..measure.anatomy.in_leg.len())
-            .filter(|&j| measure.anatomy.in_leg[j])
-            .collect();
+        let legs: Vec<usize> =
+            (0..measure.anatomy.in_leg.len()).filter(|&j| measure.anatomy.in_leg[j]).collect();
         let swing = |joint: usize| {
             let middle = mean(&|f| f64::from(f.joint_pos_rad[joint]));
             mean(&|f| (f64::from(f.joint_pos_rad[joint]) - middle).powi(2)).sqrt()
@@ -224,12 +220,7 @@ mod tests {
             frame.foot_force_n = [if wet { 0.0 } else { 12.0 }; 4].into();
             frame
         };
-        Trace {
-            period_s: 0.02,
-            clock_hz: 1.25,
-            frames: (0..1000).map(frame).collect(),
-            fell: None,
-        }
+        Trace { period_s: 0.02, clock_hz: 1.25, frames: (0..1000).map(frame).collect(), fell: None }
     }
 
     #[test]

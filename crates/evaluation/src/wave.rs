@@ -42,9 +42,8 @@ impl Wave {
         let spectra: Vec<Vec<Complex<f64>>> = body.iter().map(spectrum).collect();
         let power = |k: usize| spectra.iter().map(|q| q[k].norm_sqr()).sum::<f64>();
         let inside = |&k: &usize| (BAND_HZ[0]..=BAND_HZ[1]).contains(&welch.frequency_hz(k));
-        let peak = (1..frames.len() / 2)
-            .filter(inside)
-            .max_by(|&a, &b| power(a).total_cmp(&power(b)))?;
+        let peak =
+            (1..frames.len() / 2).filter(inside).max_by(|&a, &b| power(a).total_cmp(&power(b)))?;
         // a Hann window spreads a line over three bins and passes half of its height; of those the power is
         // 3/2 of the middle one's
         let line = peak.saturating_sub(1).max(1)..=peak + 1;
@@ -60,11 +59,7 @@ impl Wave {
             let product = |k: usize| spectra[j][k].conj() * spectra[j + 1][k];
             line.clone().map(product).sum()
         });
-        Some(Self {
-            hz: welch.frequency_hz(peak),
-            amplitude_rad,
-            neighbours,
-        })
+        Some(Self { hz: welch.frequency_hz(peak), amplitude_rad, neighbours })
     }
 }
 

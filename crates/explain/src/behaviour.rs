@@ -17,13 +17,8 @@ pub const WALKS: f64 = 0.8;
 /// short trainings (of a yaw rate to 0.02 to 0.8, which says nothing).
 const OBEYS: f64 = 0.4;
 /// How episodes are rolled out: short, for the answer is coarse.
-const SETTINGS: Settings = Settings {
-    episodes: 12,
-    episode_s: 8.0,
-    settle_s: 2.0,
-    seed: 1,
-    film: false,
-};
+const SETTINGS: Settings =
+    Settings { episodes: 12, episode_s: 8.0, settle_s: 2.0, seed: 1, film: false };
 
 /// Something that a robot does which does not walk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -163,10 +158,7 @@ impl Behaviour {
             (vibrates, Sign::Vibrates),
             (share < -0.15 || vy.abs() > 0.5 * command, Sign::OtherWay),
             (yaw.abs() > 0.25, Sign::Turns),
-            (
-                moves && idle > 0 && idle < result.duty_factor.len(),
-                Sign::FewerLegs,
-            ),
+            (moves && idle > 0 && idle < result.duty_factor.len(), Sign::FewerLegs),
             (moves && (0.15..WALKS).contains(&share), Sign::Slow),
         ];
         let fell_by = result.falls.iter().max_by_key(|(_, n)| **n);

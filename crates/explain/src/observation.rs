@@ -28,16 +28,8 @@ const DROWNS: f64 = 2.0;
 
 /// Each part of the standard observation, how suspect its absence is, and what a robot does without it.
 const PARTS: [(Part, f64, &[Sign]); 7] = [
-    (
-        Part::Command,
-        2.5,
-        &[Sign::IgnoresCommand, Sign::StandsStill, Sign::Slow],
-    ),
-    (
-        Part::Phase,
-        2.5,
-        &[Sign::StandsStill, Sign::FewerLegs, Sign::Vibrates],
-    ),
+    (Part::Command, 2.5, &[Sign::IgnoresCommand, Sign::StandsStill, Sign::Slow]),
+    (Part::Phase, 2.5, &[Sign::StandsStill, Sign::FewerLegs, Sign::Vibrates]),
     (Part::JointPos, 1.5, &[Sign::StandsStill, Sign::Falls]),
     (Part::JointVel, 1.1, &[Sign::Vibrates, Sign::Falls]),
     (Part::Gravity, 1.2, &[Sign::Falls, Sign::Turns]),
@@ -58,10 +50,7 @@ fn watch(run: &Run, config: &Config) -> Result<Watched, Failure> {
     let task = &mut config.task;
     task.noise.enabled = false;
     task.push.enabled = false;
-    task.observation
-        .term
-        .iter_mut()
-        .for_each(|term| term.noise_std = 0.0);
+    task.observation.term.iter_mut().for_each(|term| term.noise_std = 0.0);
     let mut env = build_env(&config, Arc::clone(&run.model), KEY).map_err(|e| e.into_failure())?;
     let (lanes, width, joints) = (env.lanes(), env.obs_dim(), env.act_dim());
     let mut rows = vec![Vec::new(); width];
@@ -79,10 +68,7 @@ fn watch(run: &Run, config: &Config) -> Result<Watched, Failure> {
     }
     let slices = env.contract().observation.slices().iter();
     let slices = slices.map(|s| (s.name.clone(), s.start..s.start + s.width()));
-    Ok(Watched {
-        slices: slices.collect(),
-        rows,
-    })
+    Ok(Watched { slices: slices.collect(), rows })
 }
 
 fn moments(row: &[f64]) -> (f64, f64) {
@@ -120,25 +106,15 @@ pub fn suspects(run: &Run, behaviour: &Behaviour) -> Result<Vec<Suspect>, Failur
         let slice = standard.slices.iter().find(|(name, _)| name == part.name());
         let Some((name, range)) = slice else { continue };
         // what does not change in this motion cannot be missed in it
-        let moving = range
-            .clone()
-            .filter(|i| moments(&standard.rows[*i]).1 > 1e-6);
-        let seen = |i: &usize| {
-            own.rows
-                .iter()
-                .any(|r| correlation(r, &standard.rows[*i]) > SAME)
-        };
+        let moving = range.clone().filter(|i| moments(&standard.rows[*i]).1 > 1e-6);
+        let seen = |i: &usize| own.rows.iter().any(|r| correlation(r, &standard.rows[*i]) > SAME);
         let (there, missing): (Vec<usize>, Vec<usize>) = moving.partition(seen);
         if missing.len() <= there.len() {
             continue;
         }
         let under_its_name = terms.iter().any(|term| term.name == *name);
         let suspect = Suspect {
-            id: if under_its_name {
-                "observation_dead"
-            } else {
-                "observation_missing"
-            },
+            id: if under_its_name { "observation_dead" } else { "observation_missing" },
             keys: vec![format!("task.observation.term.{name}")],
             says: match under_its_name {
                 true => {
@@ -146,10 +122,7 @@ pub fn suspects(run: &Run, behaviour: &Behaviour) -> Result<Vec<Suspect>, Failur
                 }
                 false => format!("the policy does not see {name}"),
             },
-            edit: Edit::Observe {
-                name: name.clone(),
-                value: Seen::BuiltIn,
-            },
+            edit: Edit::Observe { name: name.clone(), value: Seen::BuiltIn },
             suspicion: suspicion + if under_its_name { 1.0 } else { 0.0 },
         };
         all.push(suspect.seen_in(leads, behaviour));

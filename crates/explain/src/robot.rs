@@ -99,19 +99,14 @@ impl Sides<'_> {
             other if close(other, axis, 0.02) => -1,
             _ => 0,
         };
-        (0..self.model.actuated().len())
-            .filter(alike)
-            .map(vote)
-            .sum()
+        (0..self.model.actuated().len()).filter(alike).map(vote).sum()
     }
 }
 
 /// The suspects in a robot file; none for a robot without two sides.
 pub fn suspects(model: &RobotModel) -> Vec<Suspect> {
     let zeros = vec![0.0; model.actuated().len()];
-    let at_zero = model
-        .full_pos_rad(&zeros)
-        .and_then(|q| model.kinematics(&Pose::IDENTITY, &q));
+    let at_zero = model.full_pos_rad(&zeros).and_then(|q| model.kinematics(&Pose::IDENTITY, &q));
     let Ok(at_zero) = at_zero else {
         return Vec::new();
     };
@@ -185,14 +180,8 @@ mod tests {
         let robot = read("quadruped.robot.toml");
         let model = RobotModel::from_bytes("q", robot.as_bytes(), mjcf.as_bytes()).unwrap();
         let found = suspects(&model);
-        let worst = found
-            .iter()
-            .max_by(|a, b| a.suspicion.total_cmp(&b.suspicion))
-            .unwrap();
-        assert_eq!(
-            (worst.id, worst.keys[0].as_str()),
-            ("joint_reversed", "robot.FR_thigh")
-        );
+        let worst = found.iter().max_by(|a, b| a.suspicion.total_cmp(&b.suspicion)).unwrap();
+        assert_eq!((worst.id, worst.keys[0].as_str()), ("joint_reversed", "robot.FR_thigh"));
         let axis = [0.0, 1.0, 0.0];
         assert!(matches!(&worst.edit, Edit::Axis { axis: to, .. } if close(*to, axis, 1e-9)));
     }

@@ -10,14 +10,8 @@ use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use toml::{Table, Value};
 
 /// Sections that decide how training goes.
-const DECISIVE: [&str; 6] = [
-    "actors.",
-    "learner.",
-    "engine.",
-    "terrain.",
-    "task.",
-    "evaluation.command_mps",
-];
+const DECISIVE: [&str; 6] =
+    ["actors.", "learner.", "engine.", "terrain.", "task.", "evaluation.command_mps"];
 /// Keys among them that decide how fast it goes, or what is kept of it.
 const INCIDENTAL: [&str; 13] = [
     "actors.threads",

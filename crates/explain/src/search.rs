@@ -72,10 +72,7 @@ impl Search<'_> {
             [one] => format!("with {} put right", one.id),
             all => format!("with {} suspects put right", all.len()),
         };
-        let folder = self
-            .folder
-            .path()
-            .join(format!("trial {}", self.trials.len()));
+        let folder = self.folder.path().join(format!("trial {}", self.trials.len()));
         let start = Start {
             run: self.run,
             trainer: &self.trainer,
@@ -236,10 +233,7 @@ fn searched<'s>(
         Some(false) => {}
         None => return nothing(Verdict::Suspected),
     }
-    let alone = suspects
-        .iter()
-        .take_while(|s| s.suspicion >= SUSPECT)
-        .take(ALONE);
+    let alone = suspects.iter().take_while(|s| s.suspicion >= SUSPECT).take(ALONE);
     let mut tried = 0;
     for suspect in alone {
         match search.helps(&[suspect])? {
@@ -276,13 +270,8 @@ fn sort_out(report: &mut Report, run: &Run, suspects: &[Suspect], named: &[&Susp
         suspicion: suspect.suspicion,
         helps,
     };
-    let causes = named
-        .iter()
-        .map(|suspect| cause(suspect, Some(true)))
-        .collect();
-    let others = suspects
-        .iter()
-        .filter(|s| !named.contains(s) && s.suspicion >= 0.5);
+    let causes = named.iter().map(|suspect| cause(suspect, Some(true))).collect();
+    let others = suspects.iter().filter(|s| !named.contains(s) && s.suspicion >= 0.5);
     let (last, first): (Vec<&Suspect>, Vec<&Suspect>) = others.partition(|s| refuted(s));
     let first = first.into_iter().map(|suspect| cause(suspect, None));
     let last = last.into_iter().map(|suspect| cause(suspect, Some(false)));

@@ -40,42 +40,28 @@ fn of(model: &RobotModel, mjcf: &Path) -> Option<Suspect> {
             let hip_m = places.links[leg.last()?].pos_m[2];
             Some(hip_m - places.links[end.link].point(end.centre_m)[2])
         };
-        (0..robot.feet().len())
-            .map(leg)
-            .collect::<Option<Vec<f64>>>()
+        (0..robot.feet().len()).map(leg).collect::<Option<Vec<f64>>>()
     };
     let (now, then) = (below(model)?, below(&bent)?);
     let stretched = now.len() == then.len()
-        && now
-            .iter()
-            .zip(&then)
-            .all(|(a, b)| *b > 0.0 && *a > STRETCHED * b);
+        && now.iter().zip(&then).all(|(a, b)| *b > 0.0 && *a > STRETCHED * b);
     if now.is_empty() || !stretched {
         return None;
     }
     let names = model.actuated_names();
     let (from, to) = (model.nominal_pos_rad(), bent.nominal_pos_rad());
     let turned = (0..names.len()).filter_map(|joint| {
-        let other = bent
-            .actuated_names()
-            .iter()
-            .position(|name| *name == names[joint])?;
+        let other = bent.actuated_names().iter().position(|name| *name == names[joint])?;
         ((from[joint] - to[other]).abs() > NEAR_RAD).then(|| (names[joint].to_owned(), to[other]))
     });
     let turned: Vec<(String, f64)> = turned.collect();
     Some(Suspect {
         id: "legs_straight",
-        keys: turned
-            .iter()
-            .map(|(joint, _)| format!("robot.{joint}"))
-            .collect(),
+        keys: turned.iter().map(|(joint, _)| format!("robot.{joint}")).collect(),
         says: "the legs are stretched out in the nominal pose, at the end of their reach"
             .to_owned(),
         edit: Edit::All(
-            turned
-                .into_iter()
-                .map(|(joint, rad)| Edit::Nominal { joint, rad })
-                .collect(),
+            turned.into_iter().map(|(joint, rad)| Edit::Nominal { joint, rad }).collect(),
         ),
         suspicion: 2.5,
     })
@@ -117,14 +103,8 @@ mod tests {
         };
         let mjcf = robots().join("quadruped.xml");
         let found = of(&robot("quadruped", straight), &mjcf).unwrap();
-        assert!(
-            found.keys.contains(&"robot.FL_calf".to_owned()),
-            "{:?}",
-            found.keys
-        );
-        let Edit::All(edits) = &found.edit else {
-            panic!("{:?}", found.edit)
-        };
+        assert!(found.keys.contains(&"robot.FL_calf".to_owned()), "{:?}", found.keys);
+        let Edit::All(edits) = &found.edit else { panic!("{:?}", found.edit) };
         let knee = edits.iter().find_map(|edit| match edit {
             Edit::Nominal { joint, rad } if joint == "FL_calf" => Some(*rad),
             _ => None,

@@ -31,24 +31,14 @@ use Sign::{Belly, Falls, FewerLegs, IgnoresCommand, OtherWay, Slow, StandsStill,
 use Wrong::{Differs, Horizon, Larger, LowerEnd, Off, Smaller, UpperEnd};
 
 /// Id, keys that are put back together, when, what a robot does then, what is wrong.
-type Row = (
-    &'static str,
-    &'static [&'static str],
-    Wrong,
-    &'static [Sign],
-    &'static str,
-);
+type Row = (&'static str, &'static [&'static str], Wrong, &'static [Sign], &'static str);
 
 /// Suspicion of a difference that no row knows.
 const UNKNOWN: f64 = 0.3;
 /// What no value is more suspect than.
 const MOST: f64 = 4.0;
 /// Lists that [`crate::terms`] and [`crate::observation`] look into.
-const ELSEWHERE: [&str; 3] = [
-    "task.reward.term",
-    "task.termination.when",
-    "task.observation.term",
-];
+const ELSEWHERE: [&str; 3] = ["task.reward.term", "task.termination.when", "task.observation.term"];
 
 #[rustfmt::skip]
 const ROWS: &[Row] = &[
@@ -199,10 +189,7 @@ pub fn suspects(run: &Run, behaviour: &Behaviour) -> Vec<Suspect> {
             },
         };
         // keys that go back together are one suspect, as suspect as the worst of them
-        match all
-            .iter_mut()
-            .find(|other| other.id == suspect.id && suspect.id != "other_value")
-        {
+        match all.iter_mut().find(|other| other.id == suspect.id && suspect.id != "other_value") {
             Some(other) => other.suspicion = other.suspicion.max(suspect.suspicion),
             None => all.push(suspect),
         }

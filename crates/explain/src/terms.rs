@@ -36,9 +36,8 @@ const DECIDES: f64 = 0.25;
 
 /// Names of signals in an expression, each once.
 pub(crate) fn signals(expression: &str) -> Vec<&'static str> {
-    let words: Vec<&str> = expression
-        .split(|c: char| !c.is_ascii_alphanumeric() && c != '_')
-        .collect();
+    let words: Vec<&str> =
+        expression.split(|c: char| !c.is_ascii_alphanumeric() && c != '_').collect();
     let known = SIGNALS.iter().map(|signal| signal.name);
     known.filter(|name| words.contains(name)).collect()
 }
@@ -86,18 +85,10 @@ fn wrong_term(value: &str, weight: f32) -> (&'static str, f64, &'static str, Opt
             "pays whatever the robot does: it looks at the command, not at the motion",
             None,
         ),
-        () if all_in(&SPENT) && weight > 0.0 && !falls_off => (
-            "cost_pays",
-            2.0,
-            "is a cost, and its weight makes it pay",
-            Some(-weight),
-        ),
-        () => (
-            "own_term",
-            0.5,
-            "may pay for something else than walking",
-            None,
-        ),
+        () if all_in(&SPENT) && weight > 0.0 && !falls_off => {
+            ("cost_pays", 2.0, "is a cost, and its weight makes it pay", Some(-weight))
+        }
+        () => ("own_term", 0.5, "may pay for something else than walking", None),
     }
 }
 
@@ -116,15 +107,8 @@ pub fn suspects(run: &Run, behaviour: &Behaviour) -> Vec<Suspect> {
         if share.is_some_and(|(_, share)| *share > DECIDES) {
             suspicion += 0.6;
         }
-        let edit = Edit::Term {
-            table: "task.reward.term",
-            name: term.name.clone(),
-            weight,
-        };
-        if signals(&term.value)
-            .iter()
-            .any(|n| n.starts_with("command"))
-        {
+        let edit = Edit::Term { table: "task.reward.term", name: term.name.clone(), weight };
+        if signals(&term.value).iter().any(|n| n.starts_with("command")) {
             tracks.push(edit.clone());
         }
         all.push(Suspect {
@@ -173,10 +157,7 @@ fn replaced_tracking(run: &Run, tracks: Vec<Edit>) -> Option<Suspect> {
         _ => String::new(),
     };
     let names: Vec<String> = tracks.iter().map(name).collect();
-    let mut keys: Vec<String> = names
-        .iter()
-        .map(|n| format!("task.reward.term.{n}"))
-        .collect();
+    let mut keys: Vec<String> = names.iter().map(|n| format!("task.reward.term.{n}")).collect();
     keys.push(KEY.to_owned());
     let mut edits = tracks;
     edits.push(Edit::Set(vec![assignment(KEY, &was.to_string())]));
@@ -204,13 +185,7 @@ mod tests {
         assert_eq!(id("exp(-sum(torque ^ 2))", 0.1), "own_term");
         assert_eq!(id("command_vx", 1.0), "term_ignores_motion");
         assert_eq!(id("1", -5.0), "living_costs");
-        assert_eq!(
-            id("exp(-(velocity.y - command_vx)^2 / 0.05)", 3.0),
-            "term_in_wrong_frame"
-        );
-        assert_eq!(
-            id("exp(-(velocity.x - command_vx)^2 / 0.05)", 3.0),
-            "own_term"
-        );
+        assert_eq!(id("exp(-(velocity.y - command_vx)^2 / 0.05)", 3.0), "term_in_wrong_frame");
+        assert_eq!(id("exp(-(velocity.x - command_vx)^2 / 0.05)", 3.0), "own_term");
     }
 }

@@ -48,10 +48,7 @@ impl Trainer {
         config.learner.checkpoint_every = config.run.iterations;
         files::make_folder(folder)?;
         let file = folder.join("config.toml");
-        files::write_whole(
-            &file,
-            config.to_toml().or_exit(ExitCode::BadConfig)?.as_bytes(),
-        )?;
+        files::write_whole(&file, config.to_toml().or_exit(ExitCode::BadConfig)?.as_bytes())?;
         let log = std::fs::File::create(folder.join("progress.jsonl"));
         let said = std::fs::File::create(folder.join("learner.log"));
         let words = ["--config".into(), file.into_os_string()];
@@ -66,19 +63,13 @@ impl Trainer {
                     return Ok(Some(folder.join("policy.onnx")));
                 }
                 let said = std::fs::read_to_string(folder.join("learner.log")).unwrap_or_default();
-                let said = said
-                    .lines()
-                    .find(|line| !line.trim().is_empty())
-                    .unwrap_or("");
+                let said = said.lines().find(|line| !line.trim().is_empty()).unwrap_or("");
                 let message = format!("a training ended with {status}: {said}");
                 return Err(Failure::message(ExitCode::Internal, message));
             }
             if self.stop.is_set() || Instant::now() >= self.until {
                 // nothing of it is needed: it need not save
-                child
-                    .kill()
-                    .and_then(|()| child.wait())
-                    .or_exit(ExitCode::Internal)?;
+                child.kill().and_then(|()| child.wait()).or_exit(ExitCode::Internal)?;
                 return match self.stop.is_set() {
                     true => Err(stopped(&self.stop)),
                     false => Ok(None),
@@ -157,17 +148,9 @@ pub(crate) fn apply(run: &Run, suspects: &[&Suspect], folder: &Path) -> Result<C
     let task = &mut config.task;
     for edit in &edits {
         match edit {
-            Edit::Term {
-                table,
-                name,
-                weight,
-            } if table.ends_with("term") => match weight {
+            Edit::Term { table, name, weight } if table.ends_with("term") => match weight {
                 Some(weight) => {
-                    let of = task
-                        .reward
-                        .term
-                        .iter_mut()
-                        .filter(|term| term.name == *name);
+                    let of = task.reward.term.iter_mut().filter(|term| term.name == *name);
                     of.for_each(|term| term.weight = *weight);
                 }
                 None => task.reward.term.retain(|term| term.name != *name),
@@ -177,10 +160,7 @@ pub(crate) fn apply(run: &Run, suspects: &[&Suspect], folder: &Path) -> Result<C
             _ => {}
         }
     }
-    if edits
-        .iter()
-        .any(|e| matches!(e, Edit::Axis { .. } | Edit::Nominal { .. }))
-    {
+    if edits.iter().any(|e| matches!(e, Edit::Axis { .. } | Edit::Nominal { .. })) {
         config.robot = mended(&config.robot_path(), &edits, folder)?;
         let _: RobotModel = files::robot(&config.robot)?;
     }
@@ -193,10 +173,9 @@ fn observe(terms: &mut Vec<ObservationTerm>, name: &str, value: &Seen) {
     match (there, value) {
         (Some(term), Seen::BuiltIn) => term.value.clear(),
         (Some(term), Seen::Quiet) => term.noise_std = 0.0,
-        (None, _) => terms.push(ObservationTerm {
-            name: name.to_owned(),
-            ..ObservationTerm::default()
-        }),
+        (None, _) => {
+            terms.push(ObservationTerm { name: name.to_owned(), ..ObservationTerm::default() })
+        }
     }
 }
 
@@ -206,19 +185,13 @@ fn mended(robot: &Path, edits: &[&Edit], folder: &Path) -> Result<PathBuf, Failu
         String::from_utf8(files::read(path)?).or_exit(ExitCode::BadInput)
     };
     let mut file: Table = read(robot)?.parse().or_exit(ExitCode::BadInput)?;
-    let name = file
-        .get("mjcf")
-        .and_then(Value::as_str)
-        .unwrap_or_default()
-        .to_owned();
+    let name = file.get("mjcf").and_then(Value::as_str).unwrap_or_default().to_owned();
     let mut mjcf = read(&robot.with_file_name(&name))?;
     for edit in edits {
         match edit {
             Edit::Axis { joint, axis } => mjcf = turned(&mjcf, joint, *axis),
             Edit::Nominal { joint, rad } => {
-                let pose = file
-                    .get_mut("pose")
-                    .and_then(|pose| pose.get_mut("nominal_rad"));
+                let pose = file.get_mut("pose").and_then(|pose| pose.get_mut("nominal_rad"));
                 if let Some(Value::Table(pose)) = pose {
                     pose.insert(joint.clone(), Value::Float(*rad));
                 }
@@ -270,27 +243,18 @@ pub(crate) fn change(run: &Run, suspect: &Suspect) -> Vec<String> {
     let after = after.map_or_else(|_| Vec::new(), |config| config.entries());
     let differs = |(a, b): &(&(String, String), &(String, String))| a != b;
     let pairs = before.iter().zip(&after).filter(differs);
-    pairs
-        .map(|(_, (key, value))| assignment(key, value))
-        .collect()
+    pairs.map(|(_, (key, value))| assignment(key, value)).collect()
 }
 
 /// What is to be changed in the robot file, in words; empty where it is the configuration.
 fn edit_words(edit: &Edit) -> Vec<String> {
     match edit {
         Edit::All(inner) => inner.iter().flat_map(edit_words).collect(),
-        Edit::Axis {
-            joint,
-            axis: [x, y, z],
-        } => {
-            vec![format!(
-                "in the robot's MJCF: joint {joint} with axis=\"{x} {y} {z}\""
-            )]
+        Edit::Axis { joint, axis: [x, y, z] } => {
+            vec![format!("in the robot's MJCF: joint {joint} with axis=\"{x} {y} {z}\"")]
         }
         Edit::Nominal { joint, rad } => {
-            vec![format!(
-                "in the robot file: [pose.nominal_rad] {joint} = {rad:.4}"
-            )]
+            vec![format!("in the robot file: [pose.nominal_rad] {joint} = {rad:.4}")]
         }
         _ => Vec::new(),
     }

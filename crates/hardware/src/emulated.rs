@@ -31,12 +31,7 @@ impl Default for EmulatedImu {
         lsm6[usize::from(LSM6_CTRL3_C)] = 0b100;
         lis3[usize::from(WHO_AM_I)] = LIS3_ID;
         lis3[usize::from(LIS3_CTRL3)] = 0b11;
-        Self {
-            lsm6,
-            lis3,
-            acc_mps2: VecDeque::with_capacity(FILTER_SAMPLES),
-            unplugged: false,
-        }
+        Self { lsm6, lis3, acc_mps2: VecDeque::with_capacity(FILTER_SAMPLES), unplugged: false }
     }
 }
 
@@ -155,11 +150,7 @@ impl EmulatedBridge {
 enum Request {
     Incomplete,
     Nonsense,
-    Whole {
-        chip: u8,
-        write: Vec<u8>,
-        read: usize,
-    },
+    Whole { chip: u8, write: Vec<u8>, read: usize },
 }
 
 fn parse(request: &[u8]) -> Request {
@@ -172,11 +163,7 @@ fn parse(request: &[u8]) -> Request {
             let (chip, write) = (address >> 1, write.to_vec());
             match rest {
                 [] | [b'S'] | [b'S', _] | [b'S', _, _] => Request::Incomplete,
-                [b'P'] => Request::Whole {
-                    chip,
-                    write,
-                    read: 0,
-                },
+                [b'P'] => Request::Whole { chip, write, read: 0 },
                 [b'S', again, count, b'P']
                     if again >> 1 == chip
                         && again & 1 == 1
@@ -213,23 +200,14 @@ mod tests {
         let mut chips = EmulatedImu::default();
         chips.feel([1.0, -0.5, 0.25], [0.0, -9.8, 1.0], [2e-5, 0.0, -4e-5]);
         // The chip's y points forward, its x to the right (minus left), z up.
-        let turned = ImuWiring {
-            axes: [Axis::PlusY, Axis::MinusX, Axis::PlusZ],
-            ..wiring()
-        };
+        let turned = ImuWiring { axes: [Axis::PlusY, Axis::MinusX, Axis::PlusZ], ..wiring() };
         let mut imu = ImuChip::start(chips, &turned).unwrap();
         let sample = imu.sample().unwrap();
         for (found, expected) in sample.gyro_radps.iter().zip([-0.5, -1.0, 0.25]) {
-            assert!(
-                (found - expected).abs() < 0.51 * LSM6_RATE_LSB_RADPS,
-                "{sample:?}"
-            );
+            assert!((found - expected).abs() < 0.51 * LSM6_RATE_LSB_RADPS, "{sample:?}");
         }
         for (found, expected) in sample.acc_mps2.iter().zip([-9.8, 0.0, 1.0]) {
-            assert!(
-                (found - expected).abs() < 0.51 * LSM6_ACC_LSB_MPS2,
-                "{sample:?}"
-            );
+            assert!((found - expected).abs() < 0.51 * LSM6_ACC_LSB_MPS2, "{sample:?}");
         }
         assert!(!sample.saturated);
         let field = imu.field_t().unwrap().unwrap();
@@ -261,10 +239,7 @@ mod tests {
 
     #[test]
     fn another_chip_at_the_address_is_refused() {
-        let other = ImuWiring {
-            address: LIS3_ADDRESS,
-            ..wiring()
-        };
+        let other = ImuWiring { address: LIS3_ADDRESS, ..wiring() };
         let error = ImuChip::start(EmulatedImu::default(), &other).unwrap_err();
         assert!(error.to_string().contains("0x3d"), "{error}");
     }
@@ -279,10 +254,7 @@ mod tests {
         out.clear();
         bridge.hear(&[b'S', 0xD4, 2, LSM6_CTRL1_XL, 0x58, b'P'], &mut out);
         assert!(out.is_empty());
-        bridge.hear(
-            &[b'S', 0xD4, 1, LSM6_CTRL1_XL, b'S', 0xD5, 1, b'P'],
-            &mut out,
-        );
+        bridge.hear(&[b'S', 0xD4, 1, LSM6_CTRL1_XL, b'S', 0xD5, 1, b'P'], &mut out);
         assert_eq!(out, [0x58]);
         bridge.imu.unplug(true);
         out.clear();

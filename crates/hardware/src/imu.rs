@@ -44,10 +44,7 @@ impl<B: I2c> ImuChip<B> {
             set(&mut bus, address, LIS3_CTRL1, LIS3_CTRL1_VALUE)?;
             set(&mut bus, address, LIS3_CTRL3, LIS3_CTRL3_VALUE)?;
         }
-        Ok(Self {
-            bus,
-            wiring: wiring.clone(),
-        })
+        Ok(Self { bus, wiring: wiring.clone() })
     }
 
     /// The bus, for tests to play tricks on.
@@ -58,8 +55,7 @@ impl<B: I2c> ImuChip<B> {
     /// The newest rates and accelerations.
     pub fn sample(&mut self) -> io::Result<ImuSample> {
         let mut block = [0; 12];
-        self.bus
-            .write_read(self.wiring.address, &[LSM6_OUT], &mut block)?;
+        self.bus.write_read(self.wiring.address, &[LSM6_OUT], &mut block)?;
         let raw: [i16; 6] =
             std::array::from_fn(|i| i16::from_le_bytes([block[2 * i], block[2 * i + 1]]));
         let vector =
@@ -77,8 +73,7 @@ impl<B: I2c> ImuChip<B> {
             return Ok(None);
         };
         let mut block = [0; 6];
-        self.bus
-            .write_read(address, &[LIS3_OUT | LIS3_COUNT_UP], &mut block)?;
+        self.bus.write_read(address, &[LIS3_OUT | LIS3_COUNT_UP], &mut block)?;
         let field = std::array::from_fn(|i| {
             f32::from(i16::from_le_bytes([block[2 * i], block[2 * i + 1]])) * LIS3_FIELD_LSB_T
         });

@@ -246,11 +246,7 @@ impl ImuWiring {
     fn right_handed(&self) -> bool {
         let rows = self.axes.map(Axis::parts);
         let at = |row: usize, column: usize| {
-            if rows[row].0 == column {
-                rows[row].1
-            } else {
-                0.0
-            }
+            if rows[row].0 == column { rows[row].1 } else { 0.0 }
         };
         let minor = |a: usize, b: usize| at(1, a) * at(2, b) - at(1, b) * at(2, a);
         at(0, 0) * minor(1, 2) - at(0, 1) * minor(0, 2) + at(0, 2) * minor(0, 1) == 1.0
@@ -278,17 +274,11 @@ impl Wiring {
     /// # Errors
     /// [`WiringError`] with what is wrong.
     pub fn read(path: &Path) -> Result<Self, WiringError> {
-        let wrong = |reason| WiringError::Wrong {
-            path: path.to_owned(),
-            reason,
-        };
+        let wrong = |reason| WiringError::Wrong { path: path.to_owned(), reason };
         let text =
             read_text_at_most(path, FILE_BYTES_MAX).map_err(|source| match source.kind() {
                 ErrorKind::FileTooLarge | ErrorKind::InvalidData => wrong(source.to_string()),
-                _ => WiringError::Read {
-                    path: path.to_owned(),
-                    source,
-                },
+                _ => WiringError::Read { path: path.to_owned(), source },
             })?;
         Self::parse(&text).map_err(wrong)
     }
@@ -305,14 +295,9 @@ impl Wiring {
     }
 
     fn check(&self) -> Result<(), String> {
-        let Self {
-            bus, servo, limits, ..
-        } = self;
+        let Self { bus, servo, limits, .. } = self;
         if self.format != WIRING_FORMAT {
-            return Err(format!(
-                "format is `{}`, not `{WIRING_FORMAT}`",
-                self.format
-            ));
+            return Err(format!("format is `{}`, not `{WIRING_FORMAT}`", self.format));
         }
         if register_of_baud(bus.baud).is_none() {
             return Err(format!("bus.baud: servos have no speed of {}", bus.baud));
@@ -341,10 +326,7 @@ impl Wiring {
         let mut ids = BTreeSet::new();
         for (name, joint) in &self.joint {
             if joint.id > caudata_dynamixel::frame::ID_MAX || !ids.insert(joint.id) {
-                return Err(format!(
-                    "joint.{name}: id {} is taken or above 252",
-                    joint.id
-                ));
+                return Err(format!("joint.{name}: id {} is taken or above 252", joint.id));
             }
             if joint.direction.abs() != 1 {
                 return Err(format!("joint.{name}: direction must be 1 or -1"));
@@ -368,10 +350,7 @@ impl Wiring {
             return Err(format!("joint.{extra}: the robot has no such joint"));
         }
         let of = |name: &&str| {
-            self.joint
-                .get(*name)
-                .cloned()
-                .ok_or_else(|| format!("joint.{name} is missing"))
+            self.joint.get(*name).cloned().ok_or_else(|| format!("joint.{name} is missing"))
         };
         names.iter().map(of).collect()
     }

@@ -54,12 +54,8 @@ fn a_file_that_is_no_text_or_has_no_end_is_wrong_and_not_absent() {
 fn angles_by_hand() {
     // Reversed, zero at a quarter turn: at 3072 counts (a quarter) the joint is at 0, at 4096 (half a turn)
     // at −π/2.
-    let joint = JointWiring {
-        id: 1,
-        model: ServoModel::Xm430W210,
-        direction: -1,
-        zero_rad: FRAC_PI_2,
-    };
+    let joint =
+        JointWiring { id: 1, model: ServoModel::Xm430W210, direction: -1, zero_rad: FRAC_PI_2 };
     assert!(joint.joint_rad(3072).abs() < 1e-12);
     assert!((joint.joint_rad(4096) + FRAC_PI_2).abs() < 1e-12);
     assert_eq!((joint.counts(0.0), joint.counts(-FRAC_PI_2)), (3072, 4096));
@@ -75,22 +71,10 @@ fn what_cannot_be_is_refused_with_its_place() {
         ("baud = 1000000", "baud = 250000", "bus.baud"),
         ("watchdog_ms = 100", "watchdog_ms = 0", "bus.watchdog_ms"),
         ("id = 2\n", "id = 1\n", "joint.spine_2: id 1 is taken"),
-        (
-            "[\"+x\", \"+y\", \"+z\"]",
-            "[\"+x\", \"-y\", \"+z\"]",
-            "imu.axes",
-        ),
-        (
-            "[\"+x\", \"+y\", \"+z\"]",
-            "[\"+x\", \"+x\", \"+z\"]",
-            "imu.axes",
-        ),
+        ("[\"+x\", \"+y\", \"+z\"]", "[\"+x\", \"-y\", \"+z\"]", "imu.axes"),
+        ("[\"+x\", \"+y\", \"+z\"]", "[\"+x\", \"+x\", \"+z\"]", "imu.axes"),
         ("operating_mode = 3", "operating_mode = 1", "operating_mode"),
-        (
-            "current_limit_a = 2.3",
-            "current_limit_a = 9.0",
-            "current_limit_a",
-        ),
+        ("current_limit_a = 2.3", "current_limit_a = 9.0", "current_limit_a"),
         ("fast_sync_read = true", "fast = true", "unknown field"),
         ("direction = 1\n", "direction = 0\n", "direction must be"),
     ] {

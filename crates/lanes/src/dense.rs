@@ -94,10 +94,7 @@ impl Dense {
     /// `y = W·x + b`: rows of `x` have at least the inputs, rows of `y` room for `padded(out)` values.
     pub fn forward(&self, rows: Rows, x: &[f32], y: &mut [f32]) {
         widest(Product {
-            left: Left::Rows {
-                values: x,
-                stride: rows.input,
-            },
+            left: Left::Rows { values: x, stride: rows.input },
             right: &self.by_output,
             right_stride: BLOCK,
             block_stride: self.inputs * BLOCK,
@@ -113,10 +110,7 @@ impl Dense {
     /// Gradient `dx` with respect to the inputs, rows with room for `padded(in)` values, from `dy`.
     pub fn input_gradient(&self, rows: Rows, dy: &[f32], dx: &mut [f32]) {
         widest(Product {
-            left: Left::Rows {
-                values: dy,
-                stride: rows.output,
-            },
+            left: Left::Rows { values: dy, stride: rows.output },
             right: &self.by_input,
             right_stride: BLOCK,
             block_stride: self.outputs * BLOCK,
@@ -133,10 +127,7 @@ impl Dense {
     /// `dy`. What its padding gets has no meaning.
     pub fn weight_gradient(&self, rows: Rows, dy: &[f32], x: &[f32], weight: &mut [f32]) {
         widest(Product {
-            left: Left::Columns {
-                values: dy,
-                stride: rows.output,
-            },
+            left: Left::Columns { values: dy, stride: rows.output },
             right: x,
             right_stride: rows.input,
             block_stride: BLOCK,
@@ -179,20 +170,12 @@ pub fn activate(activation: Activation, z: &mut [f32]) {
 /// Turns the gradient after the non-linearity into the one before it, in place. `h`: the values after it, or with
 /// [`Activation::Swish`] those before it.
 pub fn activation_gradient(activation: Activation, h: &[f32], gradient: &mut [f32]) {
-    widest(ActivationGradient {
-        activation,
-        h,
-        gradient,
-    });
+    widest(ActivationGradient { activation, h, gradient });
 }
 
 /// [`activate`] of folded rows: `part` even parts e, then as many odd parts o, of pairs e + o and e − o.
 pub fn activate_folded(activation: Activation, part: usize, z: &mut [f32]) {
-    widest(ActivateFolded {
-        activation,
-        part,
-        z,
-    });
+    widest(ActivateFolded { activation, part, z });
 }
 
 /// [`activation_gradient`] of folded rows.
@@ -202,12 +185,7 @@ pub fn folded_activation_gradient(
     h: &[f32],
     gradient: &mut [f32],
 ) {
-    widest(FoldedActivationGradient {
-        activation,
-        part,
-        h,
-        gradient,
-    });
+    widest(FoldedActivationGradient { activation, part, h, gradient });
 }
 
 /// The left matrix of a product, of which single values are read.

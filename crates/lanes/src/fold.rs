@@ -37,26 +37,14 @@ impl Side {
     /// The mirror image of value i is `sign[i]` times value `source[i]`; twice mirrored is as it was. A first
     /// part of the values that is mirrored in itself is folded into the first parts of both halves.
     pub fn new(source: &[usize], sign: &[f32]) -> Self {
-        let mut side = Self {
-            len: source.len(),
-            ..Self::default()
-        };
+        let mut side = Self { len: source.len(), ..Self::default() };
         for (index, (&other, &sign)) in source.iter().zip(sign).enumerate() {
-            let alone = Unit {
-                index,
-                other,
-                sign: 0.0,
-                share: 1.0,
-            };
+            let alone = Unit { index, other, sign: 0.0, share: 1.0 };
             match (index == other, sign > 0.0) {
                 (true, true) => side.even.push(alone),
                 (true, false) => side.odd.push(alone),
                 (false, _) if index < other => {
-                    let pair = Unit {
-                        sign,
-                        share: 0.5,
-                        ..alone
-                    };
+                    let pair = Unit { sign, share: 0.5, ..alone };
                     side.even.push(pair);
                     side.odd.push(pair);
                 }
@@ -133,18 +121,13 @@ impl Side {
 
 /// The two matrices, even and odd, row-major, that a layer with `weight` `[out, in]` is between folded rows.
 pub fn fold_weights(weight: &[f32], output: &Side, input: &Side) -> [Vec<f32>; 2] {
-    let halves = [
-        (&output.even, &input.even, 1.0),
-        (&output.odd, &input.odd, -1.0),
-    ];
+    let halves = [(&output.even, &input.even, 1.0), (&output.odd, &input.odd, -1.0)];
     halves.map(|(output, inputs, parity)| {
         let mut half = Vec::with_capacity(output.len() * inputs.len());
         for to in output {
             let row = &weight[to.index * input.len..][..input.len];
             half.extend(
-                inputs
-                    .iter()
-                    .map(|from| row[from.index] + parity * from.sign * row[from.other]),
+                inputs.iter().map(|from| row[from.index] + parity * from.sign * row[from.other]),
             );
         }
         half
@@ -155,10 +138,8 @@ pub fn fold_weights(weight: &[f32], output: &Side, input: &Side) -> [Vec<f32>; 2
 /// matrices, `[even, odd]`, whose rows are padded. Weights that the mirror ties get the mean of their gradients.
 pub fn unfold_weights(halves: [&[f32]; 2], output: &Side, input: &Side, weight: &mut [f32]) {
     weight.fill(0.0);
-    let halves = [
-        (halves[0], &output.even, &input.even, 1.0),
-        (halves[1], &output.odd, &input.odd, -1.0),
-    ];
+    let halves =
+        [(halves[0], &output.even, &input.even, 1.0), (halves[1], &output.odd, &input.odd, -1.0)];
     for (half, outputs, inputs, parity) in halves {
         let rows = half.chunks_exact(padded(inputs.len()).max(1));
         for (to, row) in outputs.iter().zip(rows) {

@@ -133,11 +133,7 @@ impl Perceptron {
     fn input_of<'a>(&'a self, at: usize, x: Inputs<'a>, below: &'a [Vec<f32>]) -> Inputs<'a> {
         match at {
             0 => x,
-            _ => Inputs {
-                rows: x.rows,
-                values: &below[at - 1],
-                side: &self.sides[at],
-            },
+            _ => Inputs { rows: x.rows, values: &below[at - 1], side: &self.sides[at] },
         }
     }
 
@@ -189,11 +185,7 @@ impl Perceptron {
     fn upstream(&self, at: usize, rows: usize, tape: &mut Tape, done: &mut dyn FnMut(Work)) {
         let (side, output) = (&self.sides[at], &self.sides[at + 1]);
         make_room(&mut tape.upstream, rows, side);
-        let below = Inputs {
-            rows,
-            values: &tape.outputs[at - 1],
-            side,
-        };
+        let below = Inputs { rows, values: &tape.outputs[at - 1], side };
         let offsets = [0, side.part()];
         let pieces = halves(below, output).into_iter().zip(offsets);
         for (half, ((_, from, rows), to)) in self.layers[at].iter().zip(pieces) {
@@ -237,11 +229,7 @@ impl Perceptron {
 
 /// Inputs, place of the outputs in a row, and how rows lie, of the even and of the odd half of a layer.
 fn halves<'a>(input: Inputs<'a>, output: &Side) -> [(&'a [f32], usize, Rows); 2] {
-    let rows = Rows {
-        count: input.rows,
-        input: input.side.width(),
-        output: output.width(),
-    };
+    let rows = Rows { count: input.rows, input: input.side.width(), output: output.width() };
     let odd = match input.side.width() == input.side.part() {
         true => &[],
         // no rows, no odd parts

@@ -53,11 +53,7 @@ struct History {
 
 impl Default for History {
     fn default() -> Self {
-        Self {
-            points: Vec::new(),
-            every: 1,
-            told: None,
-        }
+        Self { points: Vec::new(), every: 1, told: None }
     }
 }
 
@@ -155,10 +151,7 @@ impl Hub {
         let mut inner = self.inner();
         inner.history.add(iteration.iteration, &point);
         let last = iteration.iteration >= iteration.iterations;
-        let due = inner
-            .history
-            .told
-            .is_none_or(|told| told.elapsed() >= ITERATION_EVERY);
+        let due = inner.history.told.is_none_or(|told| told.elapsed() >= ITERATION_EVERY);
         if (due || last) && !inner.clients.is_empty() {
             inner.history.told = Some(Instant::now());
             self.send(&mut inner, event("training", &point));
@@ -166,17 +159,15 @@ impl Hub {
     }
 
     fn send(&self, inner: &mut Inner, event: Bytes) {
-        inner
-            .clients
-            .retain(|client| match client.queue.try_send(Ok(event.clone())) {
-                Ok(()) => true,
-                Err(TrySendError::Closed(_)) => false,
-                Err(TrySendError::Full(_)) => {
-                    tracing::info!("a client of the live page does not keep up, and is cut off");
-                    client.connection.cut();
-                    false
-                }
-            });
+        inner.clients.retain(|client| match client.queue.try_send(Ok(event.clone())) {
+            Ok(()) => true,
+            Err(TrySendError::Closed(_)) => false,
+            Err(TrySendError::Full(_)) => {
+                tracing::info!("a client of the live page does not keep up, and is cut off");
+                client.connection.cut();
+                false
+            }
+        });
     }
 
     fn inner(&self) -> MutexGuard<'_, Inner> {
@@ -214,9 +205,8 @@ mod tests {
     #[test]
     fn clients_are_few_and_slow_ones_are_dropped() {
         let hub = Hub::default();
-        let mut all: Vec<_> = (0..CLIENTS_MAX)
-            .map(|_| hub.join(Connection::default()).unwrap())
-            .collect();
+        let mut all: Vec<_> =
+            (0..CLIENTS_MAX).map(|_| hub.join(Connection::default()).unwrap()).collect();
         assert!(hub.join(Connection::default()).is_none());
         // All but the first read.
         for _ in 0..=EVENTS_WAITING_MAX {

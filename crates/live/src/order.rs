@@ -48,17 +48,13 @@ impl Order {
             Self::Drive { velocity } if velocity.iter().any(|v| !v.is_finite()) => {
                 "velocity must be three finite numbers"
             }
-            Self::Push {
-                velocity_mps: [x, y],
-            } if !(0.0..=PUSH_MPS_MAX).contains(&x.hypot(*y)) => {
+            Self::Push { velocity_mps: [x, y] } if !(0.0..=PUSH_MPS_MAX).contains(&x.hypot(*y)) => {
                 "velocity_mps must be at most 3 m/s"
             }
             Self::Joint { strength, .. } if !(0.0..=1.0).contains(strength) => {
                 "strength must be 0 to 1"
             }
-            Self::Terrain {
-                kind: TerrainKind::Map,
-            } => "kind cannot be map",
+            Self::Terrain { kind: TerrainKind::Map } => "kind cannot be map",
             _ => return Ok(order),
         };
         Err(refused.to_owned())

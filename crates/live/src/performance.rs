@@ -80,16 +80,11 @@ struct Newest {
 impl Newest {
     /// The policy at `path`, if it is another one than before.
     fn policy(&mut self, path: &PathBuf) -> Option<PolicyFile> {
-        if self
-            .looked
-            .is_some_and(|looked| looked.elapsed() < NEWER_EVERY)
-        {
+        if self.looked.is_some_and(|looked| looked.elapsed() < NEWER_EVERY) {
             return None;
         }
         self.looked = Some(Instant::now());
-        let written = std::fs::metadata(path)
-            .and_then(|data| data.modified())
-            .ok()?;
+        let written = std::fs::metadata(path).and_then(|data| data.modified()).ok()?;
         if self.read == Some(written) {
             return None;
         }
@@ -117,10 +112,7 @@ pub fn perform(show: &Show, hub: &Hub, orders: &Receiver<Order>, ended: &AtomicB
         if let Err(error) = done {
             hub.say("note", &format!("the robot starts anew: {error}"));
             stage = None;
-            newest = Newest {
-                set_off: newest.set_off,
-                ..Newest::default()
-            };
+            newest = Newest { set_off: newest.set_off, ..Newest::default() };
             std::thread::sleep(TROUBLE_PAUSE);
         }
         let period = Duration::from_secs_f64(show.config.task.control_period_s);
@@ -189,9 +181,7 @@ fn set_off(show: &Show, stage: &mut Stage, newest: &mut Newest) -> Result<bool, 
     let first = !std::mem::replace(&mut newest.set_off, true);
     if first {
         let vx_max_mps = show.config.task.command.vx_mps[1];
-        stage.obey(&Order::Drive {
-            velocity: [PACE * vx_max_mps, 0.0, 0.0],
-        })?;
+        stage.obey(&Order::Drive { velocity: [PACE * vx_max_mps, 0.0, 0.0] })?;
     }
     Ok(first)
 }

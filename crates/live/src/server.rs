@@ -96,10 +96,7 @@ pub fn router(title: &str, doors: Doors, hub: Arc<Hub>) -> Router {
         .route("/events", get(events))
         .route("/order", post(order))
         .route("/beside", post(beside))
-        .route(
-            "/change",
-            post(change).layer(DefaultBodyLimit::max(CHANGE_BYTES_MAX)),
-        )
+        .route("/change", post(change).layer(DefaultBodyLimit::max(CHANGE_BYTES_MAX)))
         .fallback(|| async { closed() })
         .layer(DefaultBodyLimit::max(ORDER_BYTES_MAX))
         .layer(from_fn_with_state(shared.clone(), admitted))

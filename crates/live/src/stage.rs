@@ -101,9 +101,7 @@ impl Stage {
     /// # Errors
     /// When it does not fit the robot, or cannot be run.
     pub fn follow(&mut self, policy: &PolicyFile) -> Result<(), EvaluationError> {
-        policy
-            .check_runs_on(self.env.contract())
-            .map_err(EvaluationError::Refused)?;
+        policy.check_runs_on(self.env.contract()).map_err(EvaluationError::Refused)?;
         let inference = Inference::new(policy, 1).map_err(EvaluationError::Inference)?;
         self.inference = Some(inference);
         Ok(())
@@ -234,10 +232,7 @@ impl Stage {
 
     /// What it is told at present.
     pub(crate) fn told(&self) -> impl Serialize + '_ {
-        Told {
-            velocity: self.velocity,
-            strengths: &self.strengths,
-        }
+        Told { velocity: self.velocity, strengths: &self.strengths }
     }
 }
 
@@ -249,26 +244,16 @@ fn environment(
 ) -> Result<VecEnv, EvaluationError> {
     let scenario = Scenario {
         terrain: terrain.clone(),
-        start: Start {
-            yaw_range_rad: Some(0.0),
-            ..Start::default()
-        },
+        start: Start { yaw_range_rad: Some(0.0), ..Start::default() },
         ..Scenario::walk("live", [0.0; 3])
     };
-    let settings = Settings {
-        episode_s: EPISODE_S,
-        seed: SEED,
-        ..Settings::default()
-    };
+    let settings = Settings { episode_s: EPISODE_S, seed: SEED, ..Settings::default() };
     let ground =
         Terrain::generate(terrain, SEED).map_err(|error| EvaluationError::Env(error.into()))?;
     let mut config = conditions(config, &scenario, &settings, ground.water_level_m());
     config.actors.lanes = 1;
     config.actors.threads = 1;
-    config.task.push = PushConfig {
-        enabled: false,
-        ..PushConfig::default()
-    };
+    config.task.push = PushConfig { enabled: false, ..PushConfig::default() };
     let mut env = build_env(&config, Arc::clone(model), LIVE_KEY)?;
     env.hold_commands(&[[0.0; 3]])?;
     Ok(env)

@@ -33,14 +33,12 @@ pub(crate) fn base_kind(
     match (file.base, mj.free_base) {
         (BaseWord::Free, true) => Ok(BaseKind::Free),
         (BaseWord::Fixed, false) => Ok(BaseKind::Fixed),
-        (BaseWord::Free, false) => Err(c.error(
-            "base",
-            "is `free`, but the MJCF's root body has no <freejoint>",
-        )),
-        (BaseWord::Fixed, true) => Err(c.error(
-            "base",
-            "is `fixed`, but the MJCF's root body has a <freejoint>",
-        )),
+        (BaseWord::Free, false) => {
+            Err(c.error("base", "is `free`, but the MJCF's root body has no <freejoint>"))
+        }
+        (BaseWord::Fixed, true) => {
+            Err(c.error("base", "is `fixed`, but the MJCF's root body has a <freejoint>"))
+        }
     }
 }
 
@@ -78,10 +76,7 @@ pub(crate) fn actuated_joints(
         }
     }
     if let Some(extra) = mj.actuators.get(names.len()) {
-        return c.refuse(
-            at,
-            format!("lacks `{}`, which the MJCF actuates", extra.joint),
-        );
+        return c.refuse(at, format!("lacks `{}`, which the MJCF actuates", extra.joint));
     }
     Ok(out)
 }
@@ -177,10 +172,7 @@ pub(crate) fn joints(
         }
     }
     for name in file.passive.iter().flat_map(|t| t.joint.keys()) {
-        if !out
-            .iter()
-            .any(|j| &j.name == name && j.kind == JointKind::Passive)
-        {
+        if !out.iter().any(|j| &j.name == name && j.kind == JointKind::Passive) {
             return c.refuse(
                 format!("passive.joint.{name}"),
                 "there is no such joint in the MJCF, or it already has a role",
@@ -205,9 +197,7 @@ pub(crate) fn pose(
     }
     let mut out = Vec::new();
     for (name, &(lo, hi)) in file.joints.actuated.iter().zip(limits_rad) {
-        let q = *by_name
-            .get(name)
-            .ok_or_else(|| c.error(at, format!("lacks `{name}`")))?;
+        let q = *by_name.get(name).ok_or_else(|| c.error(at, format!("lacks `{name}`")))?;
         if !(lo..=hi).contains(&q) {
             return c.refuse(
                 format!("{at}.{name}"),
@@ -219,12 +209,7 @@ pub(crate) fn pose(
     Ok(out)
 }
 
-type Parts = (
-    Vec<Link>,
-    Vec<Site>,
-    Vec<crate::types::Geom>,
-    Vec<(usize, usize)>,
-);
+type Parts = (Vec<Link>, Vec<Site>, Vec<crate::types::Geom>, Vec<(usize, usize)>);
 
 pub(crate) fn parts(mj: Robot) -> Parts {
     let place = |name: &String| mj.bodies.iter().position(|b| b.name == *name);
@@ -279,10 +264,7 @@ pub(crate) fn feet(
         for &geom in &foot.geoms {
             links[foot.link].geoms[geom].friction = file.contact.foot_friction;
         }
-        out.push(Foot {
-            name: entry.name.clone(),
-            ..foot
-        });
+        out.push(Foot { name: entry.name.clone(), ..foot });
     }
     Ok(out)
 }
@@ -290,11 +272,7 @@ pub(crate) fn feet(
 /// The foot that these shapes make up, without its name.
 fn foot(c: &Checker<'_>, at: String, names: &[String], links: &[Link]) -> Result<Foot, ModelError> {
     let place = |name: &String| {
-        let on = |link: &Link| {
-            link.geoms
-                .iter()
-                .position(|g| g.name.as_ref() == Some(name))
-        };
+        let on = |link: &Link| link.geoms.iter().position(|g| g.name.as_ref() == Some(name));
         let mut links = links.iter().enumerate();
         links.find_map(|(l, link)| Some((l, on(link)?)))
     };
@@ -310,10 +288,7 @@ fn foot(c: &Checker<'_>, at: String, names: &[String], links: &[Link]) -> Result
             return c.refuse(at, format!("there is no geom `{name}` on a link"));
         };
         if !out.geoms.is_empty() && link != out.link {
-            return c.refuse(
-                at,
-                format!("geom `{name}` is on another link than the first"),
-            );
+            return c.refuse(at, format!("geom `{name}` is on another link than the first"));
         }
         let g = &links[link].geoms[geom];
         let Some((balls, radius_m)) = g.shape.balls() else {
@@ -333,10 +308,9 @@ fn foot(c: &Checker<'_>, at: String, names: &[String], links: &[Link]) -> Result
         for (sum, pos) in out.centre_m.iter_mut().zip(g.link_from_geom.pos_m) {
             *sum += share * pos;
         }
-        out.balls.extend(balls.into_iter().map(|at| Ball {
-            centre_m: g.link_from_geom.point(at),
-            radius_m,
-        }));
+        out.balls.extend(
+            balls.into_iter().map(|at| Ball { centre_m: g.link_from_geom.point(at), radius_m }),
+        );
     }
     Ok(out)
 }

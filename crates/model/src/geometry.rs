@@ -40,11 +40,7 @@ impl Inertial {
                 }
             }
         }
-        Self {
-            mass_kg,
-            com_m,
-            inertia_kgm2,
-        }
+        Self { mass_kg, com_m, inertia_kgm2 }
     }
 
     /// Principal moments all their mean where one exceeds the sum of the other two (MuJoCo's
@@ -90,10 +86,7 @@ pub(crate) fn principal(inertia: [[f64; 3]; 3]) -> ([f64; 3], [f64; 4]) {
     }
     let column = |k: usize| [axes[0][k], axes[1][k], axes[2][k]];
     let quat = pose::quat_from_axes(column(0), column(1));
-    (
-        [m[0][0], m[1][1], m[2][2]],
-        quat.unwrap_or(Pose::IDENTITY.quat_wxyz),
-    )
+    ([m[0][0], m[1][1], m[2][2]], quat.unwrap_or(Pose::IDENTITY.quat_wxyz))
 }
 
 pub(crate) fn diagonal([x, y, z]: [f64; 3]) -> [[f64; 3]; 3] {
@@ -116,33 +109,20 @@ impl Solid {
         // volume, and moments for mass 1
         let (volume_m3, [x, y, z]) = match *shape {
             Shape::Sphere { radius_m: r } => (4.0 / 3.0 * PI * r.powi(3), [0.4 * r * r; 3]),
-            Shape::Box {
-                half_size_m: [a, b, c],
-            } => {
+            Shape::Box { half_size_m: [a, b, c] } => {
                 let (a2, b2, c2) = (a * a, b * b, c * c);
-                (
-                    8.0 * a * b * c,
-                    [b2 + c2, a2 + c2, a2 + b2].map(|s| s / 3.0),
-                )
+                (8.0 * a * b * c, [b2 + c2, a2 + c2, a2 + b2].map(|s| s / 3.0))
             }
-            Shape::Ellipsoid {
-                semi_axes_m: [a, b, c],
-            } => {
+            Shape::Ellipsoid { semi_axes_m: [a, b, c] } => {
                 let (a2, b2, c2) = (a * a, b * b, c * c);
                 let moments = [b2 + c2, a2 + c2, a2 + b2].map(|s| s / 5.0);
                 (4.0 / 3.0 * PI * a * b * c, moments)
             }
-            Shape::Cylinder {
-                radius_m: r,
-                half_length_m: h,
-            } => {
+            Shape::Cylinder { radius_m: r, half_length_m: h } => {
                 let across = (3.0 * r * r + 4.0 * h * h) / 12.0;
                 (2.0 * PI * r * r * h, [across, across, 0.5 * r * r])
             }
-            Shape::Capsule {
-                radius_m: r,
-                half_length_m: h,
-            } => {
+            Shape::Capsule { radius_m: r, half_length_m: h } => {
                 let (rod, ball) = (2.0 * PI * r * r * h, 4.0 / 3.0 * PI * r.powi(3));
                 let all = rod + ball;
                 // half balls: their centres are 3/8 of the radius beyond the rod's ends
@@ -173,11 +153,7 @@ impl Solid {
 
     /// What stands for a mass that does not matter: 1 kg within 0.1 m.
     pub fn unit_ball() -> Inertial {
-        Inertial {
-            mass_kg: 1.0,
-            com_m: [0.0; 3],
-            inertia_kgm2: diagonal([0.004; 3]),
-        }
+        Inertial { mass_kg: 1.0, com_m: [0.0; 3], inertia_kgm2: diagonal([0.004; 3]) }
     }
 }
 
@@ -193,24 +169,12 @@ pub(crate) fn check_inertia(i: [[f64; 3]; 3]) -> Result<(), String> {
     }
     // scaled to trace 1, so that the tolerance is relative
     let s = |r: usize, c: usize| {
-        (if r == c {
-            half_trace - i[r][c]
-        } else {
-            -i[r][c]
-        }) / (2.0 * half_trace)
+        (if r == c { half_trace - i[r][c] } else { -i[r][c] }) / (2.0 * half_trace)
     };
     let minor2 = |a: usize, b: usize| s(a, a) * s(b, b) - s(a, b) * s(b, a);
     let det = s(0, 0) * minor2(1, 2) - s(0, 1) * (s(1, 0) * s(2, 2) - s(1, 2) * s(2, 0))
         + s(0, 2) * (s(1, 0) * s(2, 1) - s(1, 1) * s(2, 0));
-    let minors = [
-        s(0, 0),
-        s(1, 1),
-        s(2, 2),
-        minor2(0, 1),
-        minor2(0, 2),
-        minor2(1, 2),
-        det,
-    ];
+    let minors = [s(0, 0), s(1, 1), s(2, 2), minor2(0, 1), minor2(0, 2), minor2(1, 2), det];
     const TOLERANCE: f64 = 1e-9;
     if minors.iter().any(|m| *m < -TOLERANCE) {
         return Err(
@@ -248,12 +212,8 @@ mod tests {
     #[test]
     fn a_box_of_two_halves_is_the_box() {
         // 0.2 × 0.4 × 0.6 m of 2 kg cut across x
-        let half = Shape::Box {
-            half_size_m: [0.05, 0.2, 0.3],
-        };
-        let whole = Shape::Box {
-            half_size_m: [0.1, 0.2, 0.3],
-        };
+        let half = Shape::Box { half_size_m: [0.05, 0.2, 0.3] };
+        let whole = Shape::Box { half_size_m: [0.1, 0.2, 0.3] };
         let at = |x: f64| Pose::from_pos([x, 0.0, 0.0]);
         let piece = |x: f64| Solid::of(&half).unwrap().with_mass(1.0, &at(x));
         let both = piece(-0.05).with(&piece(0.05));
@@ -288,18 +248,12 @@ mod tests {
     #[test]
     fn a_capsule_without_a_rod_is_a_ball_and_a_long_one_a_rod() {
         let ball = Solid::of(&Shape::Sphere { radius_m: 0.1 }).unwrap();
-        let capsule = Shape::Capsule {
-            radius_m: 0.1,
-            half_length_m: 0.0,
-        };
+        let capsule = Shape::Capsule { radius_m: 0.1, half_length_m: 0.0 };
         let capsule = Solid::of(&capsule).unwrap();
         near(capsule.volume_m3, ball.volume_m3);
         near(capsule.moments[0][0], ball.moments[0][0]);
         near(capsule.moments[2][2], ball.moments[2][2]);
-        let thin = Shape::Capsule {
-            radius_m: 1e-6,
-            half_length_m: 0.5,
-        };
+        let thin = Shape::Capsule { radius_m: 1e-6, half_length_m: 0.5 };
         let thin = Solid::of(&thin).unwrap();
         // m·l²/12
         assert!((thin.moments[0][0] / thin.volume_m3 - 1.0 / 12.0).abs() < 1e-5);

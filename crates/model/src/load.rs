@@ -43,13 +43,7 @@ fn from_path(robot_toml: &Path) -> Result<RobotModel, ModelError> {
     let file = robot_file::parse(&label, utf8(&label, &toml_bytes)?)?;
     let mjcf_path = robot_toml.with_file_name(&file.mjcf);
     let mjcf_bytes = bytes(&mjcf_path)?;
-    build(
-        &label,
-        &mjcf_path.display().to_string(),
-        file,
-        &toml_bytes,
-        &mjcf_bytes,
-    )
+    build(&label, &mjcf_path.display().to_string(), file, &toml_bytes, &mjcf_bytes)
 }
 
 fn from_bytes(label: &str, robot_toml: &[u8], mjcf: &[u8]) -> Result<RobotModel, ModelError> {
@@ -61,10 +55,7 @@ fn from_bytes(label: &str, robot_toml: &[u8], mjcf: &[u8]) -> Result<RobotModel,
 fn utf8<'a>(file: &str, bytes: &'a [u8]) -> Result<&'a str, ModelError> {
     std::str::from_utf8(bytes).map_err(|e| ModelError::RobotFile {
         file: file.to_owned(),
-        line: 1 + bytes[..e.valid_up_to()]
-            .iter()
-            .filter(|b| **b == b'\n')
-            .count(),
+        line: 1 + bytes[..e.valid_up_to()].iter().filter(|b| **b == b'\n').count(),
         message: "is not UTF-8 text".to_owned(),
     })
 }
@@ -94,15 +85,7 @@ fn build(
     let gains = gains(&c, &file)?;
     let (servo_presets, servo_of) = servos(&c, &file)?;
     let backlash = backlash(&c, &file, &mj)?;
-    let joints = joints(
-        &c,
-        &file,
-        &mj,
-        &actuated,
-        &backlash,
-        &servo_presets,
-        &servo_of,
-    )?;
+    let joints = joints(&c, &file, &mj, &actuated, &backlash, &servo_presets, &servo_of)?;
     let limits_rad = limits(&c, &file, &mj, &actuated, &joints)?;
     let pose = |at, by_name| pose(&c, at, by_name, &file, &limits_rad);
     let nominal_pos_rad = pose("pose.nominal_rad", &file.pose.nominal_rad)?;
@@ -186,12 +169,8 @@ fn gains(c: &Checker<'_>, file: &RobotFile) -> Result<Vec<Gains>, ModelError> {
     let of = |name: &String| {
         let own = of_joint::find(&table.joint, name, file).map(|(_, gains)| gains);
         Gains {
-            kp_nm_per_rad: own
-                .and_then(|g| g.kp_nm_per_rad)
-                .unwrap_or(table.kp_nm_per_rad),
-            kd_nm_s_per_rad: own
-                .and_then(|g| g.kd_nm_s_per_rad)
-                .unwrap_or(table.kd_nm_s_per_rad),
+            kp_nm_per_rad: own.and_then(|g| g.kp_nm_per_rad).unwrap_or(table.kp_nm_per_rad),
+            kd_nm_s_per_rad: own.and_then(|g| g.kd_nm_s_per_rad).unwrap_or(table.kd_nm_s_per_rad),
         }
     };
     Ok(file.joints.actuated.iter().map(of).collect())
@@ -228,10 +207,7 @@ fn frames(
             let hind = named("heading", axis)?;
             let ahead = Pose::from_pos([HEADING_ARM_M, 0.0, 0.0]);
             let link_from_site = hind.link_from_site.compose(&ahead);
-            let front = Site {
-                link_from_site,
-                ..hind.clone()
-            };
+            let front = Site { link_from_site, ..hind.clone() };
             Some((hind, front))
         }
         (None, None, None) => None,

@@ -45,22 +45,14 @@ impl Meshes {
         remarks: &mut Remarks,
     ) -> Self {
         let folder = |key: &str| root.all("compiler").filter_map(|c| c.get(key)).last();
-        let folder = folder("meshdir")
-            .or_else(|| folder("assetdir"))
-            .unwrap_or("");
+        let folder = folder("meshdir").or_else(|| folder("assetdir")).unwrap_or("");
         let mut files = BTreeMap::new();
         for mesh in root.all("asset").flat_map(|a| a.all("mesh")) {
             let Some(path) = mesh.get("file") else {
                 continue;
             };
-            let stem = Path::new(path)
-                .file_stem()
-                .map(|s| s.to_string_lossy().into_owned());
-            let name = mesh
-                .get("name")
-                .map(str::to_owned)
-                .or(stem)
-                .unwrap_or_default();
+            let stem = Path::new(path).file_stem().map(|s| s.to_string_lossy().into_owned());
+            let name = mesh.get("name").map(str::to_owned).or(stem).unwrap_or_default();
             let mut scaled = mesh.clone();
             if let Some(scale) = defaults.get("scale") {
                 let entry = scaled.attributes.entry("scale".to_owned());
@@ -79,16 +71,12 @@ impl Meshes {
             };
             files.insert(name, (path, scale, volumes));
         }
-        Self {
-            files,
-            read: BTreeMap::new(),
-        }
+        Self { files, read: BTreeMap::new() }
     }
 
     /// Names a file beside those of the assets.
     pub fn add(&mut self, name: &str, path: PathBuf, scale: [f64; 3]) {
-        self.files
-            .insert(name.to_owned(), (path, scale, Volumes::Exact));
+        self.files.insert(name.to_owned(), (path, scale, Volumes::Exact));
     }
 
     /// A mesh by name; `None`: there is none, or it cannot be read.
@@ -96,10 +84,8 @@ impl Meshes {
         if let Some(known) = self.read.get(name) {
             return *known;
         }
-        let mesh = self
-            .files
-            .get(name)
-            .and_then(|(path, scale, volumes)| load(path, *scale, *volumes));
+        let mesh =
+            self.files.get(name).and_then(|(path, scale, volumes)| load(path, *scale, *volumes));
         self.read.insert(name.to_owned(), mesh);
         mesh
     }
@@ -196,11 +182,7 @@ fn measure(triangles: &[Triangle], volumes: Volumes) -> Option<Mesh> {
     Some(Mesh {
         middle_m,
         half_size_m,
-        solid: Solid {
-            volume_m3: volume.abs(),
-            centre_m,
-            moments,
-        },
+        solid: Solid { volume_m3: volume.abs(), centre_m, moments },
     })
 }
 
@@ -208,13 +190,8 @@ fn measure(triangles: &[Triangle], volumes: Volumes) -> Option<Mesh> {
 fn stl(bytes: &[u8]) -> Option<Vec<Triangle>> {
     const HEAD: usize = 84;
     const RECORD: usize = 50;
-    let count = bytes
-        .get(80..HEAD)
-        .map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
-    if count.is_some_and(|n| {
-        n.checked_mul(RECORD)
-            .is_some_and(|len| bytes.len() == HEAD + len)
-    }) {
+    let count = bytes.get(80..HEAD).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
+    if count.is_some_and(|n| n.checked_mul(RECORD).is_some_and(|len| bytes.len() == HEAD + len)) {
         let record = |r: &[u8]| {
             let number = |i: usize| {
                 let at = 12 + 4 * i;
@@ -241,11 +218,7 @@ fn obj(text: &str) -> Option<Vec<Triangle>> {
         } else if let Some(rest) = line.strip_prefix("f ") {
             let index = |word: &str| {
                 let number: i64 = word.split('/').next()?.parse().ok()?;
-                let at = if number < 0 {
-                    vertices.len() as i64 + number
-                } else {
-                    number - 1
-                };
+                let at = if number < 0 { vertices.len() as i64 + number } else { number - 1 };
                 vertices.get(usize::try_from(at).ok()?).copied()
             };
             let corners: Vec<[f64; 3]> =
@@ -259,11 +232,8 @@ fn obj(text: &str) -> Option<Vec<Triangle>> {
 }
 
 fn three(text: &str) -> Option<[f64; 3]> {
-    let numbers: Vec<f64> = text
-        .split_whitespace()
-        .take(3)
-        .map(|w| w.parse().ok())
-        .collect::<Option<_>>()?;
+    let numbers: Vec<f64> =
+        text.split_whitespace().take(3).map(|w| w.parse().ok()).collect::<Option<_>>()?;
     numbers.try_into().ok()
 }
 
@@ -279,10 +249,7 @@ mod tests {
     fn a_box_as_a_mesh_has_the_box_s_volume_centre_and_moments() {
         for volumes in [Volumes::Legacy, Volumes::Exact] {
             let mesh = measure(&obj(BOX).unwrap(), volumes).unwrap();
-            assert_eq!(
-                (mesh.middle_m, mesh.half_size_m),
-                ([1.0, 2.0, 3.0], [1.0, 2.0, 3.0])
-            );
+            assert_eq!((mesh.middle_m, mesh.half_size_m), ([1.0, 2.0, 3.0], [1.0, 2.0, 3.0]));
             assert!((mesh.solid.volume_m3 - 48.0).abs() < 1e-9);
             for i in 0..3 {
                 assert!((mesh.solid.centre_m[i] - mesh.middle_m[i]).abs() < 1e-9);

@@ -117,10 +117,7 @@ impl RobotModel {
 
     /// Names of the actuated joints, in policy order.
     pub fn actuated_names(&self) -> Vec<&str> {
-        self.actuated
-            .iter()
-            .map(|&j| self.joints[j].name.as_str())
-            .collect()
+        self.actuated.iter().map(|&j| self.joints[j].name.as_str()).collect()
     }
 
     /// Swimming pose of the actuated joints, rad, policy order.
@@ -151,8 +148,7 @@ impl RobotModel {
     pub fn assumed_of_servo(&self, actuated_index: usize, figure: &str) -> Option<&str> {
         let own = format!(".{}.{figure}", self.servo_name(actuated_index));
         let mut all = self.assumed.iter();
-        all.find(|path| path.starts_with("servo.") && path.ends_with(&own))
-            .map(String::as_str)
+        all.find(|path| path.starts_with("servo.") && path.ends_with(&own)).map(String::as_str)
     }
 
     /// Proportional gain of an actuated joint's position loop, N·m/rad (indices as in [`Self::servo`]).
@@ -228,9 +224,7 @@ impl RobotModel {
     /// The hind and the front site whose connecting line (hind to front) is the robot's heading. Where the
     /// heading is the x axis of one site, the second is a place ahead of it, with the same name.
     pub fn heading_sites(&self) -> Option<(&Site, &Site)> {
-        self.heading_line
-            .as_ref()
-            .map(|(hind, front)| (hind, front))
+        self.heading_line.as_ref().map(|(hind, front)| (hind, front))
     }
 
     /// Sum of all link masses, kg.

@@ -14,15 +14,10 @@ pub(crate) fn find<'a, T>(
     let own = table.get_key_value(joint);
     let by_group = || {
         let groups = &file.joints.groups;
-        let has = |name: &String| {
-            groups
-                .get(name)
-                .is_some_and(|g| g.iter().any(|j| j == joint))
-        };
+        let has = |name: &String| groups.get(name).is_some_and(|g| g.iter().any(|j| j == joint));
         table.iter().find(|(name, _)| has(name))
     };
-    own.or_else(by_group)
-        .map(|(key, value)| (key.as_str(), value))
+    own.or_else(by_group).map(|(key, value)| (key.as_str(), value))
 }
 
 /// Refuses keys that are neither actuated joints nor groups, and a joint that two of the groups share.

@@ -14,17 +14,11 @@ pub struct Pose {
 
 impl Pose {
     /// No shift, no rotation.
-    pub const IDENTITY: Self = Self {
-        pos_m: [0.0; 3],
-        quat_wxyz: [1.0, 0.0, 0.0, 0.0],
-    };
+    pub const IDENTITY: Self = Self { pos_m: [0.0; 3], quat_wxyz: [1.0, 0.0, 0.0, 0.0] };
 
     /// A pure shift by `pos_m`.
     pub fn from_pos(pos_m: [f64; 3]) -> Self {
-        Self {
-            pos_m,
-            quat_wxyz: [1.0, 0.0, 0.0, 0.0],
-        }
+        Self { pos_m, quat_wxyz: [1.0, 0.0, 0.0, 0.0] }
     }
 
     /// `self * inner`: the transform that applies `inner` first.
@@ -50,10 +44,7 @@ impl Pose {
         let [w, x, y, z] = self.quat_wxyz;
         let quat_wxyz = [w, -x, -y, -z];
         let p = quat_rotate(quat_wxyz, self.pos_m);
-        Self {
-            pos_m: [-p[0], -p[1], -p[2]],
-            quat_wxyz,
-        }
+        Self { pos_m: [-p[0], -p[1], -p[2]], quat_wxyz }
     }
 
     /// Rotation matrix, rows first: `outer = R · inner`.
@@ -79,11 +70,7 @@ pub fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
 
 /// Cross product.
 pub fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// Euclidean length.
@@ -157,12 +144,7 @@ pub fn quat_from_axes(x: [f64; 3], y: [f64; 3]) -> Option<[f64; 4]> {
     let m = [[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]];
     let trace = m[0][0] + m[1][1] + m[2][2];
     let quat = if trace > 0.0 {
-        [
-            1.0 + trace,
-            m[2][1] - m[1][2],
-            m[0][2] - m[2][0],
-            m[1][0] - m[0][1],
-        ]
+        [1.0 + trace, m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]]
     } else {
         let i = (0..3).fold(0, |best, i| if m[i][i] > m[best][best] { i } else { best });
         let (j, k) = ((i + 1) % 3, (i + 2) % 3);
@@ -233,11 +215,7 @@ mod tests {
 
     #[test]
     fn axes_give_the_turn_that_has_them() {
-        for q in [
-            [0.3, -0.4, 0.5, 0.7],
-            [0.01, 0.9, 0.1, -0.2],
-            [0.0, 0.0, 0.0, 1.0],
-        ] {
+        for q in [[0.3, -0.4, 0.5, 0.7], [0.01, 0.9, 0.1, -0.2], [0.0, 0.0, 0.0, 1.0]] {
             let q = quat_normalised(q).unwrap();
             let m = |v: [f64; 3]| quat_rotate(q, v);
             let found = quat_from_axes(m([2.0, 0.0, 0.0]), m([0.5, 3.0, 0.0])).unwrap();
@@ -253,10 +231,7 @@ mod tests {
             quat_wxyz: quat_from_axis_angle([0.0, 1.0, 0.0], FRAC_PI_2),
         };
         // shift by x, then turn about y: x goes to -z, and one up again
-        close(
-            turn.compose(&Pose::from_pos([1.0, 0.0, 0.0])).pos_m,
-            [0.0, 0.0, 0.0],
-        );
+        close(turn.compose(&Pose::from_pos([1.0, 0.0, 0.0])).pos_m, [0.0, 0.0, 0.0]);
     }
 
     #[test]
@@ -273,13 +248,9 @@ mod tests {
 
     #[test]
     fn z_to_points_the_z_axis() {
-        for d in [
-            [0.0, 0.0, 1.0],
-            [0.0, 0.0, -1.0],
-            [1.0, 0.0, 0.0],
-            [0.6, 0.0, -0.8],
-            [0.0, -0.6, 0.8],
-        ] {
+        for d in
+            [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.6, 0.0, -0.8], [0.0, -0.6, 0.8]]
+        {
             let z = quat_rotate(z_to(d), [0.0, 0.0, 1.0]);
             for i in 0..3 {
                 assert!((z[i] - d[i]).abs() < 1e-12, "{d:?} gave {z:?}");

@@ -209,9 +209,7 @@ pub(crate) struct DragGroup {
 pub(crate) fn parse(label: &str, text: &str) -> Result<RobotFile, ModelError> {
     let file: RobotFile = toml::from_str(text).map_err(|e| ModelError::RobotFile {
         file: label.to_owned(),
-        line: e.span().map_or(1, |s| {
-            1 + text[..s.start.min(text.len())].matches('\n').count()
-        }),
+        line: e.span().map_or(1, |s| 1 + text[..s.start.min(text.len())].matches('\n').count()),
         message: e.message().replace('\n', " "),
     })?;
     let checker = Checker { file: label };
@@ -227,11 +225,7 @@ pub(crate) struct Checker<'a> {
 
 impl Checker<'_> {
     pub fn error(&self, at: impl Into<String>, message: impl Into<String>) -> ModelError {
-        ModelError::Invalid {
-            file: self.file.to_owned(),
-            at: at.into(),
-            message: message.into(),
-        }
+        ModelError::Invalid { file: self.file.to_owned(), at: at.into(), message: message.into() }
     }
 
     pub fn refuse<T>(
@@ -272,16 +266,11 @@ impl Checker<'_> {
 
     fn run(&self, f: &RobotFile) -> Result<(), ModelError> {
         if f.format != FORMAT {
-            return self.refuse(
-                "format",
-                format!("is `{}`; this version reads `{FORMAT}`", f.format),
-            );
+            return self
+                .refuse("format", format!("is `{}`; this version reads `{FORMAT}`", f.format));
         }
         if f.name.is_empty()
-            || !f
-                .name
-                .chars()
-                .all(|c| c.is_ascii_alphanumeric() || "_-".contains(c))
+            || !f.name.chars().all(|c| c.is_ascii_alphanumeric() || "_-".contains(c))
         {
             return self.refuse("name", "needs letters, digits, _ and - only");
         }
@@ -374,10 +363,7 @@ impl Checker<'_> {
             ("torque_per_current_nm_per_a", s.torque_per_current_nm_per_a),
             ("velocity_lsb_radps", s.velocity_lsb_radps),
             ("current_lsb_a", s.current_lsb_a),
-            (
-                "encoder_counts_per_turn",
-                f64::from(s.encoder_counts_per_turn),
-            ),
+            ("encoder_counts_per_turn", f64::from(s.encoder_counts_per_turn)),
         ] {
             self.above(&at(key), v)?;
         }

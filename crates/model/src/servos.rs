@@ -103,10 +103,7 @@ impl Types {
             let servo = varied(c, name, variant, base, &library)?;
             once("servo.variant", name, servo)?;
         }
-        Ok(Self {
-            presets: described.into_iter().collect(),
-            library,
-        })
+        Ok(Self { presets: described.into_iter().collect(), library })
     }
 
     /// Place of the type called `name` among the presets; one of the library is added to them.
@@ -118,10 +115,7 @@ impl Types {
             let own = self.presets.iter().map(|p| p.0.as_str());
             let all: Vec<&str> = own.chain(self.library.keys().map(String::as_str)).collect();
             let known = all.join(", ");
-            return c.refuse(
-                at,
-                format!("there is no servo preset `{name}` (known: {known})"),
-            );
+            return c.refuse(at, format!("there is no servo preset `{name}` (known: {known})"));
         };
         let servo = read(c, at, table.clone())?;
         self.presets.push((name.to_owned(), servo));
@@ -140,10 +134,7 @@ fn varied(
     let base = preset.and_then(|p| toml::Table::try_from(p).ok());
     let Some(mut table) = base.or_else(|| library.get(&variant.of).cloned()) else {
         let of = &variant.of;
-        return c.refuse(
-            at,
-            format!("there is neither a preset nor a known type `{of}`"),
-        );
+        return c.refuse(at, format!("there is neither a preset nor a known type `{of}`"));
     };
     table.extend(variant.changes.clone());
     read(c, &at, table)
@@ -160,9 +151,7 @@ mod tests {
 
     #[test]
     fn every_type_of_the_library_is_a_servo() {
-        let c = Checker {
-            file: "servos.toml",
-        };
+        let c = Checker { file: "servos.toml" };
         let types = library();
         assert!(types.len() >= 6, "{:?}", types.keys());
         for (name, table) in types {

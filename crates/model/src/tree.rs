@@ -76,11 +76,7 @@ impl Remarks {
     /// A refusal of no line in particular.
     pub fn refuse_plain(&mut self, file: &str, message: String) {
         let file = file.to_owned();
-        self.refusals.push(Remark {
-            file,
-            line: 0,
-            message,
-        });
+        self.refusals.push(Remark { file, line: 0, message });
     }
 
     /// A note that stands for many of one kind.
@@ -94,20 +90,14 @@ impl Remarks {
 
 impl Element {
     pub fn remark(&self, message: impl Into<String>) -> Remark {
-        Remark {
-            file: self.file.clone(),
-            line: self.line,
-            message: message.into(),
-        }
+        Remark { file: self.file.clone(), line: self.line, message: message.into() }
     }
 
     /// A remark of the element, which is named in front, at the line of the attribute that the message begins with.
     pub fn remark_of(&self, message: impl Display) -> Remark {
         let mut remark = self.remark(format!("{}: {message}", self.label()));
         let message = message.to_string();
-        let attribute = message
-            .strip_prefix("attribute `")
-            .and_then(|m| m.split('`').next());
+        let attribute = message.strip_prefix("attribute `").and_then(|m| m.split('`').next());
         if let Some(place) = attribute.and_then(|a| self.elsewhere.get(a)) {
             (remark.file, remark.line) = (**place).clone();
         }
@@ -209,14 +199,10 @@ impl Element {
 /// The bytes of a file, if there are not too many.
 pub(crate) fn bytes(path: &Path) -> Result<Vec<u8>, ModelError> {
     read_at_most(path, FILE_LIMIT_BYTES).map_err(|source| match source.kind() {
-        ErrorKind::FileTooLarge => ModelError::TooLarge {
-            file: path.display().to_string(),
-            limit: FILE_LIMIT_BYTES,
-        },
-        _ => ModelError::Read {
-            path: path.to_owned(),
-            source,
-        },
+        ErrorKind::FileTooLarge => {
+            ModelError::TooLarge { file: path.display().to_string(), limit: FILE_LIMIT_BYTES }
+        }
+        _ => ModelError::Read { path: path.to_owned(), source },
     })
 }
 
@@ -229,20 +215,13 @@ pub(crate) fn read(file: &Path, remarks: &mut Remarks) -> Result<Element, ModelE
 
 fn parse(file: &Path) -> Result<Element, ModelError> {
     let bytes = bytes(file)?;
-    of_text(
-        &file.display().to_string(),
-        &String::from_utf8_lossy(&bytes),
-    )
+    of_text(&file.display().to_string(), &String::from_utf8_lossy(&bytes))
 }
 
 /// What a text holds; `file` names it.
 pub(crate) fn of_text(file: &str, text: &str) -> Result<Element, ModelError> {
     let wrong = |line: u32, message: String| {
-        ModelError::Xml(Remark {
-            file: file.to_owned(),
-            line,
-            message,
-        })
+        ModelError::Xml(Remark { file: file.to_owned(), line, message })
     };
     let document = Document::parse(text)
         .map_err(|e| wrong(e.pos().row, format!("not well-formed XML: {e}")))?;
@@ -262,9 +241,7 @@ fn own(document: &Document<'_>, node: Node<'_, '_>, file: &str, depth: usize) ->
         tag: node.tag_name().name().to_owned(),
         attributes: node.attributes().map(attribute).collect(),
         elsewhere: BTreeMap::new(),
-        children: children
-            .map(|c| own(document, c, file, depth + 1))
-            .collect::<Option<_>>()?,
+        children: children.map(|c| own(document, c, file, depth + 1)).collect::<Option<_>>()?,
         has_text: node.children().any(is_text),
         file: file.to_owned(),
         line: document.text_pos_at(node.range().start).row,
@@ -292,10 +269,7 @@ fn include(
             continue;
         };
         if depth >= INCLUDE_LIMIT {
-            remarks.refuse(
-                &child,
-                format!("<include> nests more than {INCLUDE_LIMIT} files"),
-            );
+            remarks.refuse(&child, format!("<include> nests more than {INCLUDE_LIMIT} files"));
             continue;
         }
         *count += 1;

@@ -123,10 +123,7 @@ impl Softness {
 impl Default for Softness {
     /// MuJoCo's defaults.
     fn default() -> Self {
-        Self {
-            solref: [0.02, 1.0],
-            solimp: [0.9, 0.95, 0.001, 0.5, 2.0],
-        }
+        Self { solref: [0.02, 1.0], solimp: [0.9, 0.95, 0.001, 0.5, 2.0] }
     }
 }
 
@@ -174,14 +171,10 @@ impl Shape {
     pub fn mjcf(&self) -> Option<(&'static str, Vec<f64>)> {
         Some(match *self {
             Self::Sphere { radius_m } => ("sphere", vec![radius_m]),
-            Self::Capsule {
-                radius_m,
-                half_length_m,
-            } => ("capsule", vec![radius_m, half_length_m]),
-            Self::Cylinder {
-                radius_m,
-                half_length_m,
-            } => ("cylinder", vec![radius_m, half_length_m]),
+            Self::Capsule { radius_m, half_length_m } => ("capsule", vec![radius_m, half_length_m]),
+            Self::Cylinder { radius_m, half_length_m } => {
+                ("cylinder", vec![radius_m, half_length_m])
+            }
             Self::Box { half_size_m } => ("box", half_size_m.to_vec()),
             Self::Ellipsoid { semi_axes_m } => ("ellipsoid", semi_axes_m.to_vec()),
             Self::Plane => return None,
@@ -193,20 +186,10 @@ impl Shape {
         let at = |i: usize| sizes.get(i).copied().filter(|x| *x > 0.0);
         Some(match kind {
             "sphere" => Self::Sphere { radius_m: at(0)? },
-            "capsule" => Self::Capsule {
-                radius_m: at(0)?,
-                half_length_m: at(1)?,
-            },
-            "cylinder" => Self::Cylinder {
-                radius_m: at(0)?,
-                half_length_m: at(1)?,
-            },
-            "box" => Self::Box {
-                half_size_m: [at(0)?, at(1)?, at(2)?],
-            },
-            "ellipsoid" => Self::Ellipsoid {
-                semi_axes_m: [at(0)?, at(1)?, at(2)?],
-            },
+            "capsule" => Self::Capsule { radius_m: at(0)?, half_length_m: at(1)? },
+            "cylinder" => Self::Cylinder { radius_m: at(0)?, half_length_m: at(1)? },
+            "box" => Self::Box { half_size_m: [at(0)?, at(1)?, at(2)?] },
+            "ellipsoid" => Self::Ellipsoid { semi_axes_m: [at(0)?, at(1)?, at(2)?] },
             _ => return None,
         })
     }
@@ -221,19 +204,14 @@ impl Shape {
     pub fn balls(&self) -> Option<(Vec<[f64; 3]>, f64)> {
         Some(match *self {
             Self::Sphere { radius_m } => (vec![[0.0; 3]], radius_m),
-            Self::Capsule {
-                radius_m,
-                half_length_m: h,
-            } => {
+            Self::Capsule { radius_m, half_length_m: h } => {
                 let mut centres = vec![[0.0, 0.0, -h], [0.0, 0.0, h]];
                 if 2.0 * h > radius_m {
                     centres.push([0.0; 3]);
                 }
                 (centres, radius_m)
             }
-            Self::Box {
-                half_size_m: [x, y, z],
-            } => {
+            Self::Box { half_size_m: [x, y, z] } => {
                 let signs = [-1.0, 1.0];
                 let mut corners = Vec::new();
                 for sx in signs {
@@ -245,10 +223,7 @@ impl Shape {
                 }
                 (corners, 0.0)
             }
-            Self::Cylinder {
-                radius_m,
-                half_length_m: h,
-            } => {
+            Self::Cylinder { radius_m, half_length_m: h } => {
                 let mut rim = Vec::new();
                 for k in 0..RIM_POINTS {
                     let turn = std::f64::consts::TAU * f64::from(k) / f64::from(RIM_POINTS);
@@ -270,14 +245,10 @@ impl Shape {
     pub fn half_extent_m(&self, dir: [f64; 3]) -> f64 {
         match *self {
             Self::Sphere { radius_m } => radius_m,
-            Self::Capsule {
-                radius_m,
-                half_length_m,
-            } => radius_m + half_length_m * dir[2].abs(),
-            Self::Cylinder {
-                radius_m,
-                half_length_m,
-            } => radius_m * dir[0].hypot(dir[1]) + half_length_m * dir[2].abs(),
+            Self::Capsule { radius_m, half_length_m } => radius_m + half_length_m * dir[2].abs(),
+            Self::Cylinder { radius_m, half_length_m } => {
+                radius_m * dir[0].hypot(dir[1]) + half_length_m * dir[2].abs()
+            }
             Self::Box { half_size_m: h } => (0..3).map(|i| h[i] * dir[i].abs()).sum(),
             Self::Ellipsoid { semi_axes_m: a } => {
                 (0..3).map(|i| (a[i] * dir[i]).powi(2)).sum::<f64>().sqrt()

@@ -92,20 +92,12 @@ impl RobotModel {
             let [x, y, z] = part.axis;
             line(w, 2, &format!("<axis xyz=\"{x} {y} {z}\"/>"));
             let (low, high) = part.range_rad.unwrap_or((0.0, 0.0));
-            let limits = part.range_rad.map_or(String::new(), |_| {
-                format!("lower=\"{low}\" upper=\"{high}\" ")
-            });
-            line(
-                w,
-                2,
-                &format!("<limit {limits}effort=\"{effort}\" velocity=\"{speed}\"/>"),
-            );
+            let limits = part
+                .range_rad
+                .map_or(String::new(), |_| format!("lower=\"{low}\" upper=\"{high}\" "));
+            line(w, 2, &format!("<limit {limits}effort=\"{effort}\" velocity=\"{speed}\"/>"));
             let (damping, friction) = (part.damping_nm_s_per_rad, part.friction_loss_nm);
-            line(
-                w,
-                2,
-                &format!("<dynamics damping=\"{damping}\" friction=\"{friction}\"/>"),
-            );
+            line(w, 2, &format!("<dynamics damping=\"{damping}\" friction=\"{friction}\"/>"));
         });
     }
 }
@@ -119,14 +111,7 @@ fn joint(
     more: impl FnOnce(&mut String),
 ) {
     line(w, 1, &format!("<joint name=\"{name}\" type=\"{kind}\">"));
-    line(
-        w,
-        2,
-        &format!(
-            "<parent link=\"{}\"/><child link=\"{}\"/>",
-            ends[0], ends[1]
-        ),
-    );
+    line(w, 2, &format!("<parent link=\"{}\"/><child link=\"{}\"/>", ends[0], ends[1]));
     line(w, 2, &origin(at));
     more(w);
     line(w, 1, "</joint>");
@@ -149,18 +134,10 @@ fn inertial(w: &mut String, mass_kg: f64, com_m: [f64; 3], i: [[f64; 3]; 3]) {
 
 /// A shape as collision if it touches something, else as visual.
 fn shape(w: &mut String, geom: &Geom) {
-    let tag = if geom.collides() {
-        "collision"
-    } else {
-        "visual"
-    };
+    let tag = if geom.collides() { "collision" } else { "visual" };
     let at = &geom.link_from_geom;
     let mut put = |text: String, at: &Pose| {
-        line(
-            w,
-            2,
-            &format!("<{tag}>{}<geometry>{text}</geometry></{tag}>", origin(at)),
-        );
+        line(w, 2, &format!("<{tag}>{}<geometry>{text}</geometry></{tag}>", origin(at)));
     };
     match geom.shape {
         Shape::Sphere { radius_m } => put(format!("<sphere radius=\"{radius_m}\"/>"), at),
@@ -168,25 +145,13 @@ fn shape(w: &mut String, geom: &Geom) {
             let [x, y, z] = half_size_m.map(|h| 2.0 * h);
             put(format!("<box size=\"{x} {y} {z}\"/>"), at);
         }
-        Shape::Cylinder {
-            radius_m,
-            half_length_m,
-        } => {
+        Shape::Cylinder { radius_m, half_length_m } => {
             let length = 2.0 * half_length_m;
-            put(
-                format!("<cylinder radius=\"{radius_m}\" length=\"{length}\"/>"),
-                at,
-            );
+            put(format!("<cylinder radius=\"{radius_m}\" length=\"{length}\"/>"), at);
         }
-        Shape::Capsule {
-            radius_m,
-            half_length_m,
-        } => {
+        Shape::Capsule { radius_m, half_length_m } => {
             let length = 2.0 * half_length_m;
-            put(
-                format!("<cylinder radius=\"{radius_m}\" length=\"{length}\"/>"),
-                at,
-            );
+            put(format!("<cylinder radius=\"{radius_m}\" length=\"{length}\"/>"), at);
             for z in [-half_length_m, half_length_m] {
                 let end = at.compose(&Pose::from_pos([0.0, 0.0, z]));
                 put(format!("<sphere radius=\"{radius_m}\"/>"), &end);

@@ -10,7 +10,5 @@ pub(crate) fn line(w: &mut String, depth: usize, text: &str) {
 
 /// A text as an attribute may hold it.
 pub(crate) fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('"', "&quot;")
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;")
 }

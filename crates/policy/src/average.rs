@@ -24,11 +24,7 @@ pub fn average(versions: &[PolicyFile]) -> Result<PolicyFile, PolicyError> {
     let specs = || versions.iter().map(PolicyFile::spec);
     let layer = |i: usize| {
         let of = |part: fn(&Dense) -> &Vec<f32>| mean(specs().map(|s| &part(&s.layers[i])[..]));
-        Dense {
-            weight: of(|l| &l.weight),
-            bias: of(|l| &l.bias),
-            ..last.spec().layers[i]
-        }
+        Dense { weight: of(|l| &l.weight), bias: of(|l| &l.bias), ..last.spec().layers[i] }
     };
     let spec = MlpSpec {
         obs_mean: mean(specs().map(|s| &s.obs_mean[..])),
@@ -59,9 +55,7 @@ fn mean<'a>(lists: impl Iterator<Item = &'a [f32]>) -> Vec<f32> {
     let mut sums: Vec<f64> = Vec::new();
     for list in lists {
         sums.resize(list.len(), 0.0);
-        sums.iter_mut()
-            .zip(list)
-            .for_each(|(sum, &x)| *sum += f64::from(x));
+        sums.iter_mut().zip(list).for_each(|(sum, &x)| *sum += f64::from(x));
         n += 1.0;
     }
     sums.iter().map(|sum| (sum / n) as f32).collect()

@@ -27,21 +27,13 @@ impl PolicyFile {
     /// The first thing that is not right.
     pub fn parse(bytes: Arc<[u8]>) -> Result<Self, PolicyError> {
         if bytes.len() > MAX_FILE_BYTES {
-            return Err(PolicyError::TooLarge {
-                bytes: bytes.len(),
-                limit: MAX_FILE_BYTES,
-            });
+            return Err(PolicyError::TooLarge { bytes: bytes.len(), limit: MAX_FILE_BYTES });
         }
         let (spec, properties) = graph::read(&bytes)?;
         let metadata = PolicyMetadata::read(&properties)?;
         metadata.check_sizes(&spec)?;
         let sha256 = Sha256::digest(&bytes).into();
-        Ok(Self {
-            bytes,
-            sha256,
-            metadata,
-            spec,
-        })
+        Ok(Self { bytes, sha256, metadata, spec })
     }
 
     /// The file's bytes, as they were read.

@@ -77,9 +77,7 @@ impl Inference {
             return Ok(());
         };
         bound.obs.extract_tensor_mut().1.copy_from_slice(obs);
-        self.session
-            .run_binding(&bound.binding)
-            .map_err(runtime_error)?;
+        self.session.run_binding(&bound.binding).map_err(runtime_error)?;
         out.copy_from_slice(bound.actions.extract_tensor().1);
         Ok(())
     }
@@ -91,12 +89,7 @@ impl Inference {
         let mut binding = self.session.create_binding()?;
         binding.bind_input(INPUT, &obs)?;
         binding.bind_output(OUTPUT, &mut actions)?;
-        Ok(Bound {
-            lanes,
-            binding,
-            obs,
-            actions,
-        })
+        Ok(Bound { lanes, binding, obs, actions })
     }
 }
 

@@ -55,18 +55,10 @@ pub fn join(
     let first = [a, b].map(|spec| renormalised(spec, &obs_mean, &obs_std));
 
     let last = a.layers.len() - 1;
-    let mut layers = vec![
-        gates(&first, index, threshold),
-        gated(&a.layers[1], &b.layers[1]),
-    ];
+    let mut layers = vec![gates(&first, index, threshold), gated(&a.layers[1], &b.layers[1])];
     layers.extend((2..last).map(|i| carried(&a.layers[i], &b.layers[i])));
     layers.push(summed(a, b));
-    let spec = MlpSpec {
-        obs_mean,
-        obs_std,
-        layers,
-        ..a.clone()
-    };
+    let spec = MlpSpec { obs_mean, obs_std, layers, ..a.clone() };
     let mut metadata = low.metadata().clone();
     metadata.contract = contract(low, high);
     metadata.env_steps = metadata.env_steps.saturating_add(high.metadata().env_steps);
@@ -125,14 +117,7 @@ struct Rows {
 impl Rows {
     fn of(input: usize) -> Self {
         let (weight, bias) = (Vec::new(), Vec::new());
-        Self {
-            layer: Dense {
-                out: 0,
-                input,
-                weight,
-                bias,
-            },
-        }
+        Self { layer: Dense { out: 0, input, weight, bias } }
     }
 
     /// A row with these (input, weight) and zeros elsewhere.
@@ -149,10 +134,7 @@ impl Rows {
     /// The rows of `dense`, whose inputs begin at `from`, each with one more (input, weight) and bias.
     fn push_all(&mut self, dense: &Dense, from: usize, more: Option<(usize, f64)>, bias: f64) {
         for (row, b) in dense.weight.chunks(dense.input).zip(&dense.bias) {
-            let own = row
-                .iter()
-                .enumerate()
-                .map(|(i, &w)| (from + i, f64::from(w)));
+            let own = row.iter().enumerate().map(|(i, &w)| (from + i, f64::from(w)));
             self.push(own.chain(more), f64::from(*b) + bias);
         }
     }
@@ -161,9 +143,7 @@ impl Rows {
 /// First layer: both networks' own, then the gates that shut the low one (above) and the high one (below).
 fn gates(first: &[Dense; 2], index: usize, threshold: f64) -> Dense {
     let mut rows = Rows::of(first[0].input);
-    first
-        .iter()
-        .for_each(|dense| rows.push_all(dense, 0, None, 0.0));
+    first.iter().for_each(|dense| rows.push_all(dense, 0, None, 0.0));
     rows.push([(index, SLOPE)], -SLOPE * threshold);
     rows.push([(index, -SLOPE)], SLOPE * threshold);
     rows.layer
@@ -201,16 +181,9 @@ fn summed(a: &MlpSpec, b: &MlpSpec) -> Dense {
     for action in 0..a.out {
         let row = |dense: &Dense, from: usize| -> Vec<(usize, f64)> {
             let own = &dense.weight[action * dense.input..][..dense.input];
-            own.iter()
-                .enumerate()
-                .map(|(i, &w)| (from + i, f64::from(w)))
-                .collect()
+            own.iter().enumerate().map(|(i, &w)| (from + i, f64::from(w))).collect()
         };
-        let weights = [
-            row(a, 0),
-            row(b, a.input),
-            vec![(which, idle_a[action] - idle_b[action])],
-        ];
+        let weights = [row(a, 0), row(b, a.input), vec![(which, idle_a[action] - idle_b[action])]];
         let bias = f64::from(a.bias[action]) + f64::from(b.bias[action]);
         rows.push(weights.concat(), bias - idle_b[action]);
     }
@@ -223,18 +196,12 @@ fn when_shut(spec: &MlpSpec) -> Vec<f64> {
     for (i, layer) in spec.layers.iter().enumerate().skip(2) {
         let rows = layer.weight.chunks(layer.input).zip(&layer.bias);
         let sums = rows.map(|(row, &bias)| {
-            let sum: f64 = row
-                .iter()
-                .zip(&values)
-                .map(|(&w, x)| f64::from(w) * x)
-                .sum();
+            let sum: f64 = row.iter().zip(&values).map(|(&w, x)| f64::from(w) * x).sum();
             sum + f64::from(bias)
         });
         values = match i + 1 == spec.layers.len() {
             true => sums.collect(),
-            false => sums
-                .map(|x| f64::from(activated(spec.activation, x as f32)))
-                .collect(),
+            false => sums.map(|x| f64::from(activated(spec.activation, x as f32))).collect(),
         };
     }
     values

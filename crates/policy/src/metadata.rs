@@ -53,26 +53,17 @@ impl PolicyMetadata {
     pub fn check(&self) -> Result<(), PolicyError> {
         self.contract.validate().map_err(problem)?;
         if !printable(&self.contract.robot, 1, 64) {
-            return Err(problem(
-                "`robot` must be 1 to 64 printable ASCII characters",
-            ));
+            return Err(problem("`robot` must be 1 to 64 printable ASCII characters"));
         }
         if !printable(&self.run_id, 1, 128) {
-            return Err(problem(
-                "`run_id` must be 1 to 128 printable ASCII characters",
-            ));
+            return Err(problem("`run_id` must be 1 to 128 printable ASCII characters"));
         }
         if !printable(&self.training_commit, 0, 64) || !printable(&self.config_hash, 0, 64) {
-            return Err(problem(
-                "commit and hash must be at most 64 printable ASCII characters",
-            ));
+            return Err(problem("commit and hash must be at most 64 printable ASCII characters"));
         }
         finite("log_std", &self.log_std)?;
         if self.log_std.iter().any(|x| !(-20.0..=5.0).contains(x)) {
-            return Err(PolicyError::Range {
-                field: "log_std",
-                problem: "-20 to 5",
-            });
+            return Err(PolicyError::Range { field: "log_std", problem: "-20 to 5" });
         }
         if self.evaluation.as_ref().is_some_and(|e| !e.is_object()) {
             return Err(problem("`evaluation` must be an object"));
@@ -82,16 +73,8 @@ impl PolicyMetadata {
 
     /// The network takes the contract's observations and gives its actions.
     pub(crate) fn check_sizes(&self, spec: &MlpSpec) -> Result<(), PolicyError> {
-        length(
-            "observation of the network",
-            spec.obs_dim(),
-            self.contract.obs_dim(),
-        )?;
-        length(
-            "actions of the network",
-            spec.act_dim(),
-            self.contract.act_dim(),
-        )?;
+        length("observation of the network", spec.obs_dim(), self.contract.obs_dim())?;
+        length("actions of the network", spec.act_dim(), self.contract.act_dim())?;
         length("log_std", self.log_std.len(), self.contract.act_dim())
     }
 
@@ -114,10 +97,7 @@ impl PolicyMetadata {
             ("joint_damping", csv(&contract.kd_nm_s_per_rad)),
             ("default_joint_pos", csv(&contract.nominal_pos_rad)),
             ("command_names", COMMAND_NAME.to_owned()),
-            (
-                "observation_names",
-                csv(contract.observation.slices().iter().map(|s| &s.name)),
-            ),
+            ("observation_names", csv(contract.observation.slices().iter().map(|s| &s.name))),
             ("action_scale", csv(&scale)),
         ]
     }
@@ -138,11 +118,7 @@ impl PolicyMetadata {
 }
 
 fn csv<T: Display>(values: impl IntoIterator<Item = T>) -> String {
-    values
-        .into_iter()
-        .map(|v| v.to_string())
-        .collect::<Vec<_>>()
-        .join(",")
+    values.into_iter().map(|v| v.to_string()).collect::<Vec<_>>().join(",")
 }
 
 fn printable(text: &str, min: usize, max: usize) -> bool {
@@ -150,7 +126,5 @@ fn printable(text: &str, min: usize, max: usize) -> bool {
 }
 
 fn problem(error: impl Display) -> PolicyError {
-    PolicyError::Metadata {
-        problem: error.to_string(),
-    }
+    PolicyError::Metadata { problem: error.to_string() }
 }

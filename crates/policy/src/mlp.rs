@@ -69,34 +69,19 @@ impl MlpSpec {
     /// The first thing that is not right.
     pub fn check(&self) -> Result<(), PolicyError> {
         if !(1..=MAX_WIDTH).contains(&self.obs_dim()) {
-            return Err(PolicyError::Range {
-                field: "obs_mean",
-                problem: "1 to 4096 entries",
-            });
+            return Err(PolicyError::Range { field: "obs_mean", problem: "1 to 4096 entries" });
         }
         if !(1..=MAX_LAYERS).contains(&self.layers.len()) {
-            return Err(PolicyError::Range {
-                field: "layers",
-                problem: "1 to 16 layers",
-            });
+            return Err(PolicyError::Range { field: "layers", problem: "1 to 16 layers" });
         }
         length("obs_std", self.obs_std.len(), self.obs_dim())?;
         finite("obs_mean", &self.obs_mean)?;
         finite("obs_std", &self.obs_std)?;
         if self.obs_std.iter().any(|&std| std < MIN_OBS_STD) {
-            return Err(PolicyError::Range {
-                field: "obs_std",
-                problem: "at least 1e-6",
-            });
+            return Err(PolicyError::Range { field: "obs_std", problem: "at least 1e-6" });
         }
-        if self
-            .obs_clip
-            .is_some_and(|clip| !(clip > 0.0 && clip.is_finite()))
-        {
-            return Err(PolicyError::Range {
-                field: "obs_clip",
-                problem: "above 0 and finite",
-            });
+        if self.obs_clip.is_some_and(|clip| !(clip > 0.0 && clip.is_finite())) {
+            return Err(PolicyError::Range { field: "obs_clip", problem: "above 0 and finite" });
         }
         let mut inputs = self.obs_dim();
         for (index, layer) in self.layers.iter().enumerate() {
@@ -111,10 +96,7 @@ impl Dense {
     fn check(&self, index: usize, inputs: usize) -> Result<(), PolicyError> {
         length("layer inputs", self.input, inputs)?;
         if !(1..=MAX_WIDTH).contains(&self.out) {
-            return Err(PolicyError::Range {
-                field: "layer outputs",
-                problem: "1 to 4096",
-            });
+            return Err(PolicyError::Range { field: "layer outputs", problem: "1 to 4096" });
         }
         length("layer weight", self.weight.len(), self.out * self.input)?;
         length("layer bias", self.bias.len(), self.out)?;
@@ -140,15 +122,11 @@ pub fn evaluate_mlp(
     length("obs", obs.len(), lanes.saturating_mul(obs_dim))?;
     length("actions", actions.len(), lanes.saturating_mul(act_dim))?;
     let (mut x, mut y) = (Vec::new(), Vec::new());
-    for (obs, actions) in obs
-        .chunks_exact(obs_dim)
-        .zip(actions.chunks_exact_mut(act_dim))
-    {
+    for (obs, actions) in obs.chunks_exact(obs_dim).zip(actions.chunks_exact_mut(act_dim)) {
         x.clear();
         x.extend((0..obs_dim).map(|i| {
             let normalised = (obs[i] - spec.obs_mean[i]) / spec.obs_std[i];
-            spec.obs_clip
-                .map_or(normalised, |clip| normalised.clamp(-clip, clip))
+            spec.obs_clip.map_or(normalised, |clip| normalised.clamp(-clip, clip))
         }));
         for (index, layer) in spec.layers.iter().enumerate() {
             y.clear();
@@ -160,8 +138,7 @@ pub fn evaluate_mlp(
                     .map(|(row, bias)| bias + row.iter().zip(&x).map(|(w, x)| w * x).sum::<f32>()),
             );
             if index + 1 < spec.layers.len() {
-                y.iter_mut()
-                    .for_each(|y| *y = activated(spec.activation, *y));
+                y.iter_mut().for_each(|y| *y = activated(spec.activation, *y));
             }
             std::mem::swap(&mut x, &mut y);
         }
@@ -184,20 +161,13 @@ pub(crate) fn length(what: &'static str, found: usize, expected: usize) -> Resul
     if found == expected {
         return Ok(());
     }
-    Err(PolicyError::Length {
-        what,
-        found,
-        expected,
-    })
+    Err(PolicyError::Length { what, found, expected })
 }
 
 pub(crate) fn finite(name: &str, values: &[f32]) -> Result<(), PolicyError> {
     match values.iter().position(|x| !x.is_finite()) {
         None => Ok(()),
-        Some(index) => Err(PolicyError::NotFinite {
-            name: name.to_owned(),
-            index,
-        }),
+        Some(index) => Err(PolicyError::NotFinite { name: name.to_owned(), index }),
     }
 }
 
@@ -212,18 +182,8 @@ mod tests {
             obs_std: vec![2.0],
             obs_clip,
             layers: vec![
-                Dense {
-                    out: 2,
-                    input: 1,
-                    weight: vec![1.0, -1.0],
-                    bias: vec![0.5, 0.0],
-                },
-                Dense {
-                    out: 1,
-                    input: 2,
-                    weight: vec![2.0, 3.0],
-                    bias: vec![-1.0],
-                },
+                Dense { out: 2, input: 1, weight: vec![1.0, -1.0], bias: vec![0.5, 0.0] },
+                Dense { out: 1, input: 2, weight: vec![2.0, 3.0], bias: vec![-1.0] },
             ],
             activation,
         }
@@ -274,30 +234,10 @@ mod tests {
         assert!(range("layers")(&broken(|s| s.layers.clear())));
         assert!(range("obs_mean")(&broken(|s| s.obs_mean.clear())));
         let nan = broken(|s| s.layers[1].weight[1] = f32::NAN);
-        assert_eq!(
-            nan,
-            PolicyError::NotFinite {
-                name: "layers.1.weight".into(),
-                index: 1
-            }
-        );
+        assert_eq!(nan, PolicyError::NotFinite { name: "layers.1.weight".into(), index: 1 });
         let gap = broken(|s| s.layers[1].input = 3);
-        assert_eq!(
-            gap,
-            PolicyError::Length {
-                what: "layer inputs",
-                found: 3,
-                expected: 2
-            }
-        );
+        assert_eq!(gap, PolicyError::Length { what: "layer inputs", found: 3, expected: 2 });
         let short = broken(|s| s.layers[0].bias.clear());
-        assert_eq!(
-            short,
-            PolicyError::Length {
-                what: "layer bias",
-                found: 0,
-                expected: 2
-            }
-        );
+        assert_eq!(short, PolicyError::Length { what: "layer bias", found: 0, expected: 2 });
     }
 }

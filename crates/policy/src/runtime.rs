@@ -23,16 +23,10 @@ pub struct Lookup {
 impl Lookup {
     /// What the environment of this process says.
     pub fn from_env() -> Self {
-        let var = |name| {
-            env::var_os(name)
-                .filter(|v| !v.is_empty())
-                .map(PathBuf::from)
-        };
+        let var = |name| env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
         Self {
             named: var("ORT_DYLIB_PATH"),
-            program_dir: env::current_exe()
-                .ok()
-                .and_then(|p| p.parent().map(Path::to_owned)),
+            program_dir: env::current_exe().ok().and_then(|p| p.parent().map(Path::to_owned)),
             cache_dir: var("XDG_CACHE_HOME").or_else(|| var("HOME").map(|h| h.join(".cache"))),
         }
     }
@@ -63,9 +57,7 @@ impl Lookup {
             if let Some(path) = newest_in_cache(&dir, &file) {
                 return Ok(path);
             }
-            let pattern = dir
-                .join(format!("onnxruntime-*-{}", env::consts::ARCH))
-                .join("lib");
+            let pattern = dir.join(format!("onnxruntime-*-{}", env::consts::ARCH)).join("lib");
             searched.push(pattern.join(&file).display().to_string());
         }
         let reason = format!("looked for {}", searched.join(" and "));
@@ -83,11 +75,7 @@ pub fn runtime_library() -> Result<PathBuf, PolicyError> {
 }
 
 fn library_file_name() -> String {
-    format!(
-        "{}onnxruntime{}",
-        env::consts::DLL_PREFIX,
-        env::consts::DLL_SUFFIX
-    )
+    format!("{}onnxruntime{}", env::consts::DLL_PREFIX, env::consts::DLL_SUFFIX)
 }
 
 /// The library of the newest `onnxruntime-<version>-<architecture>` in a folder.
@@ -122,10 +110,7 @@ pub(crate) fn environment() -> Result<Environment, PolicyError> {
         return Ok(environment.clone());
     }
     let path = runtime_library()?;
-    let failed = |reason: String| PolicyError::RuntimeLoad {
-        path: path.clone(),
-        reason,
-    };
+    let failed = |reason: String| PolicyError::RuntimeLoad { path: path.clone(), reason };
     // Loaded by path here and now: left to itself, ort would look for the library on first use
     // and panic where there is none.
     let environment = ort::init_from(&path)
@@ -192,10 +177,7 @@ mod tests {
         let newest = cached(format!("onnxruntime-1.31.1-{arch}"));
         cached("onnxruntime-9.0.0-pdp11".to_owned());
         cached(format!("onnxruntime-nightly-{arch}"));
-        let lookup = Lookup {
-            cache_dir: Some(dir.path().to_owned()),
-            ..Lookup::default()
-        };
+        let lookup = Lookup { cache_dir: Some(dir.path().to_owned()), ..Lookup::default() };
         assert_eq!(lookup.find().unwrap(), newest);
     }
 
@@ -207,11 +189,7 @@ mod tests {
             cache_dir: Some("/nowhere/cache".into()),
         };
         let error = lookup.find().unwrap_err().to_string();
-        for part in [
-            "/nowhere/bin",
-            "/nowhere/cache/caudata/onnxruntime-*",
-            "ORT_DYLIB_PATH",
-        ] {
+        for part in ["/nowhere/bin", "/nowhere/cache/caudata/onnxruntime-*", "ORT_DYLIB_PATH"] {
             assert!(error.contains(part), "{part} in {error}");
         }
     }

@@ -65,10 +65,7 @@ pub struct Key {
 impl Key {
     /// A key for things drawn once per run, outside any actor or episode.
     pub fn for_run(seed: u64) -> Self {
-        Self {
-            seed,
-            ..Self::default()
-        }
+        Self { seed, ..Self::default() }
     }
 
     /// The key as 32 bytes: seed, actor, env, episode, each little endian.

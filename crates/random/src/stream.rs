@@ -139,12 +139,8 @@ impl PartialEq for Stream {
 
 impl Serialize for Stream {
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        SavedStream {
-            key: self.key,
-            purpose: self.purpose,
-            word_position: self.word_position(),
-        }
-        .serialize(serializer)
+        SavedStream { key: self.key, purpose: self.purpose, word_position: self.word_position() }
+            .serialize(serializer)
     }
 }
 

@@ -67,9 +67,7 @@ impl RegistryClient {
     /// [`ClientError::Certificates`].
     pub fn with_tls(address: &str, tls_dir: Option<&Path>) -> Result<Self, ClientError> {
         if !address.starts_with("https://") && !is_loopback(address) {
-            return Err(ClientError::Plain {
-                address: address.to_owned(),
-            });
+            return Err(ClientError::Plain { address: address.to_owned() });
         }
         Self::to_any_host(address, tls_dir)
     }
@@ -79,9 +77,7 @@ impl RegistryClient {
     /// # Errors
     /// As there, but for [`ClientError::Plain`].
     pub fn to_any_host(address: &str, tls_dir: Option<&Path>) -> Result<Self, ClientError> {
-        let bad = || ClientError::Address {
-            address: address.to_owned(),
-        };
+        let bad = || ClientError::Address { address: address.to_owned() };
         let (encrypted, host) = match address.strip_prefix("https://") {
             Some(host) => (true, host),
             None => (false, address.strip_prefix("http://").unwrap_or(address)),
@@ -102,11 +98,9 @@ impl RegistryClient {
                     "{address} is encrypted: give a folder of certificates (--tls-dir)"
                 ),
             })?;
-            endpoint = endpoint
-                .tls_config(certificates(folder)?)
-                .map_err(|error| ClientError::Certificates {
-                    reason: format!("{}: {error}", folder.display()),
-                })?;
+            endpoint = endpoint.tls_config(certificates(folder)?).map_err(|error| {
+                ClientError::Certificates { reason: format!("{}: {error}", folder.display()) }
+            })?;
         }
         Ok(Self {
             address: host.to_owned(),
@@ -137,11 +131,9 @@ impl RegistryClient {
         let header = wire::PublishRequest {
             part: Some(wire::publish_request::Part::Header(manifest.into())),
         };
-        let pieces = bytes
-            .chunks(MAX_PUBLISH_CHUNK_BYTES)
-            .map(|piece| wire::PublishRequest {
-                part: Some(wire::publish_request::Part::Data(piece.to_vec())),
-            });
+        let pieces = bytes.chunks(MAX_PUBLISH_CHUNK_BYTES).map(|piece| wire::PublishRequest {
+            part: Some(wire::publish_request::Part::Data(piece.to_vec())),
+        });
         let messages: Vec<_> = std::iter::once(header).chain(pieces).collect();
         let call = self.inner.publish(tokio_stream::iter(messages));
         let published: Published = answer("publish", &self.address, call).await?;
@@ -156,11 +148,8 @@ impl RegistryClient {
         limit: u32,
         below_version: Option<u64>,
     ) -> Result<ListPage, ClientError> {
-        let call = self.inner.list(wire::ListRequest {
-            stream: name(stream),
-            limit,
-            below_version,
-        });
+        let call =
+            self.inner.list(wire::ListRequest { stream: name(stream), limit, below_version });
         let page: ListPage = answer("list", &self.address, call).await?;
         all_of(stream, &page.manifests)?;
         Ok(page)
@@ -196,24 +185,14 @@ impl RegistryClient {
         version: Option<u64>,
         label: Option<&LabelName>,
     ) -> Result<Manifest, ClientError> {
-        let request = ManifestRequest {
-            stream: stream.clone(),
-            version,
-            label: label.cloned(),
-        };
-        let call = self
-            .inner
-            .get_manifest(wire::GetManifestRequest::from(request));
+        let request = ManifestRequest { stream: stream.clone(), version, label: label.cloned() };
+        let call = self.inner.get_manifest(wire::GetManifestRequest::from(request));
         let answer = within("get manifest", CALL_TIMEOUT, &self.address, call).await?;
         let manifest = answer.into_inner().manifest;
-        let manifest: Manifest = manifest
-            .ok_or(RegistryError::Missing { field: "manifest" })?
-            .try_into()?;
+        let manifest: Manifest =
+            manifest.ok_or(RegistryError::Missing { field: "manifest" })?.try_into()?;
         // A manifest does not say which labels lead to it; `freshness` does.
-        let asked = Facts {
-            version,
-            ..Facts::of_stream(stream)
-        };
+        let asked = Facts { version, ..Facts::of_stream(stream) };
         asked.answered_by(&manifest)?;
         Ok(manifest)
     }
@@ -223,9 +202,7 @@ impl RegistryClient {
     /// # Errors
     /// See [`ClientError`]; [`tonic::Code::Aborted`] where somebody else was faster.
     pub async fn set_label(&mut self, wanted: SetLabel) -> Result<LabelState, ClientError> {
-        let call = self
-            .inner
-            .set_label(wire::SetLabelRequest::from(wanted.clone()));
+        let call = self.inner.set_label(wire::SetLabelRequest::from(wanted.clone()));
         let state: LabelState = answer("set label", &self.address, call).await?;
         let asked = Facts {
             version: Some(wanted.version),
@@ -265,10 +242,7 @@ impl RegistryClient {
             reason: reason.to_owned(),
         });
         let state: QuarantineState = answer("quarantine", &self.address, call).await?;
-        let asked = Facts {
-            version: Some(version),
-            ..Facts::of_stream(stream)
-        };
+        let asked = Facts { version: Some(version), ..Facts::of_stream(stream) };
         asked.answered_by(&state)?;
         Ok(state)
     }
@@ -301,27 +275,18 @@ impl RegistryClient {
             label: label.to_string(),
         });
         let signed: SignedFreshness = answer("freshness", &self.address, call).await?;
-        let asked = Facts {
-            label: Some(label),
-            nonce: Some(&nonce),
-            ..Facts::of_stream(stream)
-        };
+        let asked = Facts { label: Some(label), nonce: Some(&nonce), ..Facts::of_stream(stream) };
         asked.answered_by(&signed.said)?;
         Ok(signed)
     }
 
     /// Labels, quarantine and reports of `stream` (`None`: of all).
     pub async fn overview(&mut self, stream: Option<&StreamName>) -> Result<Overview, ClientError> {
-        let call = self.inner.overview(wire::OverviewRequest {
-            stream: name(stream),
-        });
+        let call = self.inner.overview(wire::OverviewRequest { stream: name(stream) });
         let overview: Overview = answer("overview", &self.address, call).await?;
         all_of(stream, &overview.labels)?;
         all_of(stream, &overview.quarantined)?;
-        all_of(
-            stream,
-            overview.reports.iter().map(|r| Facts::of_stream(&r.stream)),
-        )?;
+        all_of(stream, overview.reports.iter().map(|r| Facts::of_stream(&r.stream)))?;
         Ok(overview)
     }
 
@@ -337,10 +302,7 @@ impl RegistryClient {
         stream: Option<&StreamName>,
         since_generation: u64,
     ) -> Result<Watch, ClientError> {
-        let call = self.inner.watch(wire::WatchRequest {
-            stream: name(stream),
-            since_generation,
-        });
+        let call = self.inner.watch(wire::WatchRequest { stream: name(stream), since_generation });
         let answer = within("watch", CALL_TIMEOUT, &self.address, call).await?;
         Ok(Watch {
             address: self.address.clone(),
@@ -363,10 +325,7 @@ mod tests {
     fn addresses_need_a_port() {
         assert!(RegistryClient::new("127.0.0.1").is_err());
         assert!(RegistryClient::new("robot:x").is_err());
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()
-            .unwrap();
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         let _context = runtime.enter();
         for (address, here) in [
             ("192.0.2.1:7401", false),
@@ -384,18 +343,12 @@ mod tests {
 
     #[test]
     fn nobody_there_is_told_in_one_line() {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()
-            .unwrap();
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         runtime.block_on(async {
             // Port 1 is reserved and closed on any machine that runs tests.
             let mut client = RegistryClient::new("127.0.0.1:1").unwrap();
             let error = client.list(None, 0, None).await.unwrap_err();
-            assert!(
-                matches!(error, ClientError::Unreachable { .. }),
-                "{error:?}"
-            );
+            assert!(matches!(error, ClientError::Unreachable { .. }), "{error:?}");
             assert!(error.is_transient());
             assert!(error.to_string().contains("127.0.0.1:1"), "{error}");
         });

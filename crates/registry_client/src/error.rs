@@ -87,24 +87,12 @@ impl ClientError {
 
     /// True where somebody else changed the same thing first: look again and decide anew.
     pub fn is_lost_race(&self) -> bool {
-        matches!(
-            self,
-            Self::Refused {
-                code: Code::Aborted,
-                ..
-            }
-        )
+        matches!(self, Self::Refused { code: Code::Aborted, .. })
     }
 
     /// True where the server does not hold what was asked for.
     pub fn is_not_found(&self) -> bool {
-        matches!(
-            self,
-            Self::Refused {
-                code: Code::NotFound,
-                ..
-            }
-        )
+        matches!(self, Self::Refused { code: Code::NotFound, .. })
     }
 }
 
@@ -113,22 +101,11 @@ pub(crate) fn refusal(address: &str, status: &Status) -> ClientError {
     use std::error::Error;
     let from_network = status.source().is_some();
     // A connection that broke under a call is `Unknown`, or `Internal` where HTTP/2 noticed first.
-    let broken = [
-        Code::Unavailable,
-        Code::Unknown,
-        Code::Internal,
-        Code::Cancelled,
-    ];
+    let broken = [Code::Unavailable, Code::Unknown, Code::Internal, Code::Cancelled];
     if broken.contains(&status.code()) && from_network {
-        return ClientError::Unreachable {
-            address: address.to_owned(),
-            reason: innermost(status),
-        };
+        return ClientError::Unreachable { address: address.to_owned(), reason: innermost(status) };
     }
-    ClientError::Refused {
-        code: status.code(),
-        message: status.message().to_owned(),
-    }
+    ClientError::Refused { code: status.code(), message: status.message().to_owned() }
 }
 
 fn innermost(error: &dyn std::error::Error) -> String {

@@ -52,10 +52,7 @@ const PIECES: &[Check<PieceCheck>] = &[
 
 /// What all of them together must be.
 const WHOLE: &[Check<WholeCheck>] = &[
-    Check {
-        name: "length",
-        refuse: |manifest, bytes| bytes.len() as u64 != manifest.size,
-    },
+    Check { name: "length", refuse: |manifest, bytes| bytes.len() as u64 != manifest.size },
     Check {
         name: "hash",
         refuse: |manifest, bytes| <[u8; 32]>::from(Sha256::digest(bytes)) != manifest.sha256,
@@ -70,18 +67,10 @@ fn piece(
     have: usize,
     part: FetchPart,
 ) -> Result<Vec<u8>, ClientError> {
-    let piece = Piece {
-        manifest,
-        offset,
-        have,
-        part: &part,
-    };
+    let piece = Piece { manifest, offset, have, part: &part };
     if checks.iter().any(|check| (check.refuse)(&piece)) {
         return Err(ClientError::WrongBytes {
-            reason: format!(
-                "the server left the {} bytes of the manifest",
-                manifest.size
-            ),
+            reason: format!("the server left the {} bytes of the manifest", manifest.size),
         });
     }
     Ok(match part {
@@ -100,11 +89,7 @@ fn check_whole(
         return Ok(());
     }
     Err(ClientError::WrongBytes {
-        reason: format!(
-            "{} of {} bytes came, or their hash differs",
-            bytes.len(),
-            manifest.size
-        ),
+        reason: format!("{} of {} bytes came, or their hash differs", bytes.len(), manifest.size),
     })
 }
 
@@ -164,17 +149,10 @@ impl RegistryClient {
             if_none_match: Vec::new(),
         };
         let call = self.inner.fetch(request);
-        let mut answer = within("fetch", CALL_TIMEOUT, &self.address, call)
-            .await?
-            .into_inner();
+        let mut answer = within("fetch", CALL_TIMEOUT, &self.address, call).await?.into_inner();
         let mut rate = Rate::new(self.patience.rate_window, Instant::now());
-        while let Some(message) = within(
-            "fetch",
-            self.patience.idle_max,
-            &self.address,
-            answer.message(),
-        )
-        .await?
+        while let Some(message) =
+            within("fetch", self.patience.idle_max, &self.address, answer.message()).await?
         {
             let piece = piece(PIECES, manifest, offset, bytes.len(), message.try_into()?)?;
             bytes.extend_from_slice(&piece);
@@ -195,9 +173,7 @@ pub fn jittered(pause: Duration) -> Duration {
     use std::hash::{BuildHasher, Hasher};
     // Keyed anew in each process and each time, from the system's random source; nothing depends on its
     // quality.
-    let draw = std::collections::hash_map::RandomState::new()
-        .build_hasher()
-        .finish();
+    let draw = std::collections::hash_map::RandomState::new().build_hasher().finish();
     pause.mul_f64(0.5 + (draw >> 11) as f64 / (1u64 << 53) as f64)
 }
 
@@ -210,11 +186,7 @@ struct Rate {
 
 impl Rate {
     fn new(window: Duration, now: Instant) -> Self {
-        Self {
-            window,
-            since: now,
-            bytes: 0,
-        }
+        Self { window, since: now, bytes: 0 }
     }
 
     /// # Errors
@@ -267,11 +239,7 @@ mod tests {
             let tried = match name {
                 // Four bytes are there, and it begins anew.
                 "follows" => {
-                    let info = FetchInfo {
-                        sha256: good.sha256,
-                        size: good.size,
-                        offset: 0,
-                    };
+                    let info = FetchInfo { sha256: good.sha256, size: good.size, offset: 0 };
                     piece(checks, &good, 4, 4, FetchPart::Info(info))
                 }
                 _ => piece(checks, &good, 0, 8, FetchPart::Data(vec![7])),

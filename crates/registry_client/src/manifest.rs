@@ -35,8 +35,5 @@ pub fn manifest_of(
 
 fn hash_from_hex(text: &str) -> Result<[u8; 32], RegistryError> {
     let bytes = from_hex(text).and_then(|bytes| bytes.try_into().ok());
-    bytes.ok_or(RegistryError::HashLength {
-        field: "robot_hash",
-        found: text.len() / 2,
-    })
+    bytes.ok_or(RegistryError::HashLength { field: "robot_hash", found: text.len() / 2 })
 }

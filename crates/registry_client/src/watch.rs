@@ -22,13 +22,7 @@ impl Watch {
     /// # Errors
     /// See [`ClientError`]; [`ClientError::TimedOut`] after [`WATCH_IDLE_MAX`] of silence.
     pub async fn next(&mut self) -> Result<Option<WatchEvent>, ClientError> {
-        let message = within(
-            "watch",
-            WATCH_IDLE_MAX,
-            &self.address,
-            self.events.message(),
-        )
-        .await?;
+        let message = within("watch", WATCH_IDLE_MAX, &self.address, self.events.message()).await?;
         let event = message.map(WatchEvent::try_from).transpose()?;
         let stream = self.stream.as_ref();
         match event.as_ref().map(|event| &event.change) {

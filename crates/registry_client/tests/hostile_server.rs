@@ -230,11 +230,7 @@ impl Hostile {
                     tokio::time::sleep(pause).await;
                 }
                 let length = piece.as_ref().map_or(0, Vec::len);
-                if to
-                    .send(piece.map(|p| part(Part::Data(p.into()))))
-                    .await
-                    .is_err()
-                {
+                if to.send(piece.map(|p| part(Part::Data(p.into())))).await.is_err() {
                     return;
                 }
                 sent.fetch_add(length, Ordering::SeqCst);
@@ -284,12 +280,7 @@ impl Bench {
             RegistryClient::new(&address.to_string()).unwrap()
         });
         let manifest = manifest("s", 1, &file);
-        Self {
-            runtime,
-            server,
-            client: client.with_patience(patience),
-            manifest,
-        }
+        Self { runtime, server, client: client.with_patience(patience), manifest }
     }
 
     /// What a fetch comes to, and the offsets that were asked for.
@@ -304,10 +295,7 @@ impl Bench {
 
 /// Retries at once; otherwise as robots have it.
 fn quick() -> Patience {
-    Patience {
-        retry_pause: Duration::from_millis(1),
-        ..Patience::default()
-    }
+    Patience { retry_pause: Duration::from_millis(1), ..Patience::default() }
 }
 
 #[test]
@@ -352,10 +340,7 @@ fn fault_26_a_server_that_sends_more_than_it_announced_is_stopped() {
 
 #[test]
 fn fault_27_a_server_that_drips_holds_nobody() {
-    let mut bench = Bench::new(Patience {
-        rate_window: Duration::from_millis(300),
-        ..quick()
-    });
+    let mut bench = Bench::new(Patience { rate_window: Duration::from_millis(300), ..quick() });
     // 10,000 bytes at a hundred a second would take it 100 s.
     let pause = Duration::from_millis(10);
     let (fetched, _) = bench.fetch(Manner::Drips { pause });
@@ -367,20 +352,14 @@ fn fault_27_a_server_that_drips_holds_nobody() {
 
 #[test]
 fn fault_27_a_server_that_says_nothing_or_takes_for_ever_holds_nobody() {
-    let mut silent = Bench::new(Patience {
-        idle_max: Duration::from_millis(50),
-        ..quick()
-    });
+    let mut silent = Bench::new(Patience { idle_max: Duration::from_millis(50), ..quick() });
     let (fetched, asked) = silent.fetch(Manner::Silent);
     let error = fetched.unwrap_err();
     assert!(matches!(error, ClientError::TimedOut { .. }), "{error}");
     // Tried again, a bounded number of times.
     assert_eq!(asked.len(), 6, "{asked:?}");
     // Fast enough by the second, and too slow altogether.
-    let mut long = Bench::new(Patience {
-        whole_max: Duration::from_millis(200),
-        ..quick()
-    });
+    let mut long = Bench::new(Patience { whole_max: Duration::from_millis(200), ..quick() });
     let pause = Duration::from_millis(1);
     let (fetched, _) = long.fetch(Manner::Drips { pause });
     let error = fetched.unwrap_err();
@@ -416,20 +395,11 @@ fn a_server_that_answers_another_question_is_told_from_one_that_answers() {
             client.quarantine(&there.stream, 3500, "falls").await.err(),
             client.freshness([1; 32], &stream, &latest).await.err(),
             client.freshness([1; 32], &there.stream, &label).await.err(),
-            client
-                .watch(Some(&stream), 0)
-                .await
-                .unwrap()
-                .next()
-                .await
-                .err(),
+            client.watch(Some(&stream), 0).await.unwrap().next().await.err(),
         ];
         for (index, error) in refused.into_iter().enumerate() {
             let error = error.unwrap_or_else(|| panic!("answer {index} was taken"));
-            assert!(
-                matches!(error, ClientError::OtherQuestion(_)),
-                "{index}: {error}"
-            );
+            assert!(matches!(error, ClientError::OtherQuestion(_)), "{index}: {error}");
             assert!(!error.is_transient(), "{index}");
         }
         // To the question that they answer they are good answers.

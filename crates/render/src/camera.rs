@@ -64,18 +64,8 @@ impl Camera {
         let near = (0.1..=200.0).contains(&distance_m);
         check("camera distance", distance_m, near, "must be 0.1 to 200 m")?;
         let upright = elevation_rad.abs() <= 89.9f64.to_radians();
-        check(
-            "camera elevation",
-            elevation_rad,
-            upright,
-            "must be within ±1.569 rad (89.9°)",
-        )?;
-        check(
-            "camera azimuth",
-            azimuth_rad,
-            azimuth_rad.is_finite(),
-            "must be finite",
-        )?;
+        check("camera elevation", elevation_rad, upright, "must be within ±1.569 rad (89.9°)")?;
+        check("camera azimuth", azimuth_rad, azimuth_rad.is_finite(), "must be finite")?;
         for x in target_m {
             check("camera target", x, x.is_finite(), "must be finite")?;
         }

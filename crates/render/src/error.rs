@@ -24,10 +24,6 @@ pub enum RenderError {
 impl RenderError {
     pub(crate) fn setting(what: &'static str, value: impl ToString, reason: &'static str) -> Self {
         let value = value.to_string();
-        Self::Setting {
-            what,
-            value,
-            reason,
-        }
+        Self::Setting { what, value, reason }
     }
 }

@@ -23,9 +23,7 @@ pub(crate) struct Ground {
 impl Ground {
     pub fn new(terrain: Arc<Terrain>) -> Self {
         let heights = terrain.grid().map_or(&[][..], HeightGrid::heights_m);
-        let span = heights
-            .iter()
-            .fold((f32::MAX, f32::MIN), |(a, b), &h| (a.min(h), b.max(h)));
+        let span = heights.iter().fold((f32::MAX, f32::MIN), |(a, b), &h| (a.min(h), b.max(h)));
         Self {
             span_m: (f64::from(span.0), f64::from(span.1)),
             has_patches: terrain.has_patches(),
@@ -54,26 +52,16 @@ pub(crate) fn meet(ground: &Ground, ray: &Ray, far: f64) -> Option<Hit> {
 /// A level plane, from above or below.
 pub(crate) fn plane(ray: &Ray, z: f64, far: f64) -> Option<Hit> {
     let t = (z - ray.from[2]) / ray.along[2];
-    (t > 1e-6 && t < far).then_some(Hit {
-        t,
-        normal: [0.0, 0.0, -ray.along[2].signum()],
-    })
+    (t > 1e-6 && t < far).then_some(Hit { t, normal: [0.0, 0.0, -ray.along[2].signum()] })
 }
 
 /// Walks through the cells under a ray, within the height field's box.
 fn meet_field(grid: &HeightGrid, span_m: (f64, f64), ray: &Ray, far: f64) -> Option<Hit> {
     let half = grid.size_m() / 2.0;
     let (mut enter, mut leave) = (0.0_f64, far);
-    let bounds = [
-        (-half, half),
-        (-half, half),
-        (span_m.0 - 1e-6, span_m.1 + 1e-6),
-    ];
+    let bounds = [(-half, half), (-half, half), (span_m.0 - 1e-6, span_m.1 + 1e-6)];
     for (i, (lo, hi)) in bounds.into_iter().enumerate() {
-        let (a, b) = (
-            (lo - ray.from[i]) / ray.along[i],
-            (hi - ray.from[i]) / ray.along[i],
-        );
+        let (a, b) = ((lo - ray.from[i]) / ray.along[i], (hi - ray.from[i]) / ray.along[i]);
         if a.is_nan() || b.is_nan() {
             return None;
         }
@@ -125,10 +113,7 @@ fn meet_cell(grid: &HeightGrid, ray: &Ray, [ix, iy]: [usize; 2], far: f64) -> Op
     let cell = grid.cell_m();
     let half = grid.size_m() / 2.0;
     let corner = [ix as f64 * cell - half, iy as f64 * cell - half];
-    let slopes = [
-        [h(1, 0) - h(0, 0), h(1, 1) - h(1, 0)],
-        [h(1, 1) - h(0, 1), h(0, 1) - h(0, 0)],
-    ];
+    let slopes = [[h(1, 0) - h(0, 0), h(1, 1) - h(1, 0)], [h(1, 1) - h(0, 1), h(0, 1) - h(0, 0)]];
     let mut found: Option<Hit> = None;
     for (lower_right, [du, dv]) in [true, false].into_iter().zip(slopes) {
         let (sx, sy) = (du / cell, dv / cell);
@@ -144,13 +129,7 @@ fn meet_cell(grid: &HeightGrid, ray: &Ray, [ix, iy]: [usize; 2], far: f64) -> Op
         let (u, v) = ((at[0] - corner[0]) / cell, (at[1] - corner[1]) / cell);
         const EDGE: f64 = 1e-7;
         let inside = u > -EDGE && v > -EDGE && u < 1.0 + EDGE && v < 1.0 + EDGE;
-        if inside
-            && (if lower_right {
-                u >= v - EDGE
-            } else {
-                v >= u - EDGE
-            })
-        {
+        if inside && (if lower_right { u >= v - EDGE } else { v >= u - EDGE }) {
             let normal = unit([-sx, -sy, 1.0]);
             found = Some(Hit { t, normal });
         }
@@ -179,9 +158,8 @@ pub(crate) fn colour(ground: &Ground, at: Vec3, footprint_m: f64) -> Vec3 {
         colour = mix(colour, [0.42, 0.38, 0.28], 0.6); // sand under water
     }
     for (spacing, width, strength) in LINES {
-        let dark = (0..2)
-            .map(|i| line_share(at[i], spacing, width, footprint_m))
-            .fold(0.0, f64::max);
+        let dark =
+            (0..2).map(|i| line_share(at[i], spacing, width, footprint_m)).fold(0.0, f64::max);
         colour = colour.map(|c| c * (1.0 - strength * dark));
     }
     colour

@@ -26,11 +26,7 @@ impl Image {
                 return Err(RenderError::setting(what, value, reason));
             }
         }
-        Ok(Self {
-            width,
-            height,
-            rgb: vec![0; width as usize * height as usize * 3],
-        })
+        Ok(Self { width, height, rgb: vec![0; width as usize * height as usize * 3] })
     }
 
     /// Width, pixels.

@@ -56,11 +56,7 @@ fn lit(scene: &Scene, at: Vec3, normal: Vec3, colour: Vec3, towards: Option<Vec3
     let from = add(at, scale(normal, 1e-4));
     let shaded = |along: Vec3, far: f64| scene.is_blocked(&Ray { from, along }, far);
     let facing = dot(normal, SUN).max(0.0);
-    let sun = if facing > 0.0 && !shaded(SUN, 1e3) {
-        facing
-    } else {
-        0.0
-    };
+    let sun = if facing > 0.0 && !shaded(SUN, 1e3) { facing } else { 0.0 };
     let open = openness(scene, from, normal);
     let upward = 0.55 + 0.45 * normal[2];
     let light = [0, 1, 2].map(|i| SUNLIGHT[i] * sun + SKYLIGHT[i] * upward * open);
@@ -82,11 +78,7 @@ fn openness(scene: &Scene, from: Vec3, normal: Vec3) -> f64 {
     if scene.distance_to_solids(from) > REACH_M {
         return 1.0;
     }
-    let side = if normal[2].abs() < 0.9 {
-        [0.0, 0.0, 1.0]
-    } else {
-        [1.0, 0.0, 0.0]
-    };
+    let side = if normal[2].abs() < 0.9 { [0.0, 0.0, 1.0] } else { [1.0, 0.0, 0.0] };
     let a = unit(caudata_model::pose::cross(side, normal));
     let b = caudata_model::pose::cross(normal, a);
     let hidden: f64 = (0..RAYS)
@@ -131,11 +123,8 @@ fn water(scene: &Scene, ray: &Ray, seen: Vec3, distance: f64) -> Option<(Vec3, f
 
 /// Normal of the water's surface: a few small waves, calmer with distance so that they do not flicker.
 fn ripple(at: Vec3, time_s: f64, distance: f64) -> Vec3 {
-    const WAVES: [[f64; 4]; 3] = [
-        [9.0, 4.0, 3.1, 0.018],
-        [-6.0, 11.0, 4.3, 0.014],
-        [17.0, -13.0, 6.0, 0.010],
-    ];
+    const WAVES: [[f64; 4]; 3] =
+        [[9.0, 4.0, 3.1, 0.018], [-6.0, 11.0, 4.3, 0.014], [17.0, -13.0, 6.0, 0.010]];
     let calm = 1.0 / (1.0 + (distance / 4.0).powi(2));
     let (mut sx, mut sy) = (0.0, 0.0);
     for [kx, ky, rate, slope] in WAVES {

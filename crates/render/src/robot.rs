@@ -50,12 +50,7 @@ pub fn robot_items(
 /// Links from which a foot hangs, without passing a fork, are legs.
 fn link_colour(model: &RobotModel, index: usize, link: &Link) -> [f64; 3] {
     let children = |l: usize| {
-        model
-            .links()
-            .iter()
-            .enumerate()
-            .filter(move |(_, c)| c.parent == Some(l))
-            .map(|(i, _)| i)
+        model.links().iter().enumerate().filter(move |(_, c)| c.parent == Some(l)).map(|(i, _)| i)
     };
     let mut at = index;
     loop {

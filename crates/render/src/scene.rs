@@ -39,12 +39,7 @@ impl Scene {
             .iter()
             .filter_map(|i| Some((Solid::new(i.shape, &i.world_from_shape)?, i.colour)))
             .collect();
-        Self {
-            bounds: ball_around(&solids),
-            solids,
-            ground: Ground::new(terrain),
-            time_s,
-        }
+        Self { bounds: ball_around(&solids), solids, ground: Ground::new(terrain), time_s }
     }
 
     /// The first solid on a ray, nearer than `far`, and its colour.

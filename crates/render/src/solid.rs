@@ -46,14 +46,8 @@ impl Solid {
     pub fn new(shape: Shape, world_from_shape: &Pose) -> Option<Self> {
         let reach = match shape {
             Shape::Sphere { radius_m } => radius_m,
-            Shape::Capsule {
-                radius_m,
-                half_length_m,
-            } => radius_m + half_length_m,
-            Shape::Cylinder {
-                radius_m,
-                half_length_m,
-            } => radius_m.hypot(half_length_m),
+            Shape::Capsule { radius_m, half_length_m } => radius_m + half_length_m,
+            Shape::Cylinder { radius_m, half_length_m } => radius_m.hypot(half_length_m),
             Shape::Box { half_size_m } => dot(half_size_m, half_size_m).sqrt(),
             Shape::Ellipsoid { semi_axes_m } => semi_axes_m.into_iter().fold(0.0, f64::max),
             Shape::Plane => return None,
@@ -86,14 +80,8 @@ impl Solid {
             Shape::Sphere { radius_m } => ball(o, d, radius_m)?,
             Shape::Box { half_size_m } => cuboid(o, d, half_size_m)?,
             Shape::Ellipsoid { semi_axes_m } => ellipsoid(o, d, semi_axes_m)?,
-            Shape::Cylinder {
-                radius_m,
-                half_length_m,
-            } => cylinder(o, d, radius_m, half_length_m)?,
-            Shape::Capsule {
-                radius_m,
-                half_length_m,
-            } => capsule(o, d, radius_m, half_length_m)?,
+            Shape::Cylinder { radius_m, half_length_m } => cylinder(o, d, radius_m, half_length_m)?,
+            Shape::Capsule { radius_m, half_length_m } => capsule(o, d, radius_m, half_length_m)?,
             Shape::Plane => return None,
         };
         let normal = [0, 1, 2].map(|i| (0..3).map(|k| self.axes[k][i] * local[k]).sum());
@@ -113,10 +101,7 @@ fn ball(o: Vec3, d: Vec3, radius: f64) -> Option<(f64, Vec3)> {
 }
 
 fn ellipsoid(o: Vec3, d: Vec3, semi: Vec3) -> Option<(f64, Vec3)> {
-    let (os, ds) = (
-        [0, 1, 2].map(|i| o[i] / semi[i]),
-        [0, 1, 2].map(|i| d[i] / semi[i]),
-    );
+    let (os, ds) = ([0, 1, 2].map(|i| o[i] / semi[i]), [0, 1, 2].map(|i| d[i] / semi[i]));
     let t = first_root(dot(ds, ds), dot(os, ds), dot(os, os) - 1.0)?;
     Some((t, unit([0, 1, 2].map(|i| (os[i] + t * ds[i]) / semi[i]))))
 }
@@ -151,10 +136,7 @@ fn tube(o: Vec3, d: Vec3, radius: f64) -> Option<(f64, Vec3)> {
         o[0] * d[0] + o[1] * d[1],
         o[0] * o[0] + o[1] * o[1] - radius * radius,
     )?;
-    Some((
-        t,
-        [(o[0] + t * d[0]) / radius, (o[1] + t * d[1]) / radius, 0.0],
-    ))
+    Some((t, [(o[0] + t * d[0]) / radius, (o[1] + t * d[1]) / radius, 0.0]))
 }
 
 fn cylinder(o: Vec3, d: Vec3, radius: f64, half: f64) -> Option<(f64, Vec3)> {
@@ -180,9 +162,7 @@ fn capsule(o: Vec3, d: Vec3, radius: f64, half: f64) -> Option<(f64, Vec3)> {
         return Some((t, normal));
     }
     let ends = [-half, half].map(|z| ball([o[0], o[1], o[2] - z], d, radius));
-    ends.into_iter()
-        .flatten()
-        .min_by(|a, b| a.0.total_cmp(&b.0))
+    ends.into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0))
 }
 
 #[cfg(test)]
@@ -191,10 +171,7 @@ mod tests {
 
     /// From (x, y, 5) straight down.
     fn down(shape: Shape, x: f64, y: f64) -> Option<Hit> {
-        let ray = Ray {
-            from: [x, y, 5.0],
-            along: [0.0, 0.0, -1.0],
-        };
+        let ray = Ray { from: [x, y, 5.0], along: [0.0, 0.0, -1.0] };
         Solid::new(shape, &Pose::IDENTITY).unwrap().meet(&ray, 1e9)
     }
 
@@ -208,25 +185,15 @@ mod tests {
         near(down(ball, 0.6, 0.0).unwrap().t, 5.0 - 0.8);
         near(down(ball, 0.6, 0.0).unwrap().normal[0], 0.6);
         assert_eq!(down(ball, 0.8, 0.7), None);
-        let cuboid = Shape::Box {
-            half_size_m: [1.0, 2.0, 3.0],
-        };
+        let cuboid = Shape::Box { half_size_m: [1.0, 2.0, 3.0] };
         near(down(cuboid, 0.9, -1.9).unwrap().t, 2.0);
         assert_eq!(down(cuboid, 1.1, 0.0), None);
-        let upright = Shape::Cylinder {
-            radius_m: 1.0,
-            half_length_m: 2.0,
-        };
+        let upright = Shape::Cylinder { radius_m: 1.0, half_length_m: 2.0 };
         near(down(upright, 0.6, 0.7).unwrap().t, 3.0);
-        let pill = Shape::Capsule {
-            radius_m: 1.0,
-            half_length_m: 2.0,
-        };
+        let pill = Shape::Capsule { radius_m: 1.0, half_length_m: 2.0 };
         // the upper end ball: 2 + √(1 − 0.36)
         near(down(pill, 0.6, 0.0).unwrap().t, 5.0 - 2.8);
-        let egg = Shape::Ellipsoid {
-            semi_axes_m: [1.0, 1.0, 2.0],
-        };
+        let egg = Shape::Ellipsoid { semi_axes_m: [1.0, 1.0, 2.0] };
         near(down(egg, 0.6, 0.0).unwrap().t, 5.0 - 1.6);
     }
 
@@ -235,18 +202,9 @@ mod tests {
         // turned by 90° about y: its axis is x
         let turn =
             caudata_model::pose::quat_from_axis_angle([0.0, 1.0, 0.0], std::f64::consts::FRAC_PI_2);
-        let pose = Pose {
-            pos_m: [0.0; 3],
-            quat_wxyz: turn,
-        };
-        let pill = Shape::Capsule {
-            radius_m: 0.5,
-            half_length_m: 2.0,
-        };
-        let ray = Ray {
-            from: [1.5, 0.3, 5.0],
-            along: [0.0, 0.0, -1.0],
-        };
+        let pose = Pose { pos_m: [0.0; 3], quat_wxyz: turn };
+        let pill = Shape::Capsule { radius_m: 0.5, half_length_m: 2.0 };
+        let ray = Ray { from: [1.5, 0.3, 5.0], along: [0.0, 0.0, -1.0] };
         let hit = Solid::new(pill, &pose).unwrap().meet(&ray, 1e9).unwrap();
         near(hit.t, 5.0 - 0.4);
         near(hit.normal[1], 0.6);

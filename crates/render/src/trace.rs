@@ -29,12 +29,7 @@ pub struct Quality {
 /// # Errors
 /// [`RenderError::Setting`] where a size is out of range.
 pub fn render(scene: &Scene, camera: &Camera, quality: &Quality) -> Result<Image, RenderError> {
-    let Quality {
-        width,
-        height,
-        rays,
-        threads,
-    } = *quality;
+    let Quality { width, height, rays, threads } = *quality;
     if !(1..=4).contains(&rays) {
         let reason = "must be 1 to 4 per pixel and edge";
         return Err(RenderError::setting("rays", rays, reason));
@@ -46,14 +41,9 @@ pub fn render(scene: &Scene, camera: &Camera, quality: &Quality) -> Result<Image
             let mut sum = [0.0; 3];
             for k in 0..rays * rays {
                 let offset = |i: u32| (f64::from(i) + 0.5) / f64::from(rays);
-                let (x, y) = (
-                    column as f64 + offset(k % rays),
-                    row as f64 + offset(k / rays),
-                );
-                let ray = Ray {
-                    from: camera.eye_m(),
-                    along: camera.direction(x, y, width, height),
-                };
+                let (x, y) = (column as f64 + offset(k % rays), row as f64 + offset(k / rays));
+                let ray =
+                    Ray { from: camera.eye_m(), along: camera.direction(x, y, width, height) };
                 sum = add(sum, light::along(scene, &ray, pixel_rad));
             }
             *pixel = scale(sum, 1.0 / f64::from(rays * rays)).map(srgb);
@@ -83,10 +73,7 @@ fn srgb(linear: f64) -> u8 {
     } else {
         linear.max(0.0)
     };
-    let encoded = if soft <= 0.003_130_8 {
-        12.92 * soft
-    } else {
-        1.055 * soft.powf(1.0 / 2.4) - 0.055
-    };
+    let encoded =
+        if soft <= 0.003_130_8 { 12.92 * soft } else { 1.055 * soft.powf(1.0 / 2.4) - 0.055 };
     (encoded.clamp(0.0, 1.0) * 255.0).round() as u8
 }

@@ -7,12 +7,7 @@ use caudata_model::{Pose, RobotModel, Shape};
 use caudata_render::{Camera, Image, Item, Quality, Scene, View, encode, render, robot_items};
 use caudata_sim::{Terrain, TerrainConfig, TerrainKind};
 
-const SMALL: Quality = Quality {
-    width: 96,
-    height: 64,
-    rays: 1,
-    threads: 1,
-};
+const SMALL: Quality = Quality { width: 96, height: 64, rays: 1, threads: 1 };
 
 fn ball_at(z: f64) -> Item {
     Item {
@@ -71,11 +66,7 @@ fn water_covers_what_is_below_it() {
     let camera = Camera::orbit([0.0, 0.0, 2.0], 4.0, 0.0, 0.8).unwrap();
     let floating = picture(&[ball_at(2.2)], TerrainKind::DeepWater, &camera);
     let sunk = picture(&[ball_at(0.3)], TerrainKind::DeepWater, &camera);
-    let red = |image: &Image| {
-        (0..96 * 64)
-            .filter(|i| is_red(image.pixel(i % 96, i / 96)))
-            .count()
-    };
+    let red = |image: &Image| (0..96 * 64).filter(|i| is_red(image.pixel(i % 96, i / 96))).count();
     assert!(red(&floating) > 50);
     assert_eq!(red(&sunk), 0, "1.7 m of water swallow red");
 }
@@ -92,10 +83,7 @@ fn threads_do_not_change_a_byte_and_png_and_gif_open() {
     let scene = Scene::new(&items, terrain(TerrainKind::RoughHard), 0.0);
     let camera = Camera::of_view(View::Iso, base.pos_m, 0.0, 2.0).unwrap();
     let one = render(&scene, &camera, &SMALL).unwrap();
-    let many = Quality {
-        threads: 5,
-        ..SMALL
-    };
+    let many = Quality { threads: 5, ..SMALL };
     assert_eq!(one, render(&scene, &camera, &many).unwrap());
     let png = encode::png(&one).unwrap();
     assert_eq!(&png[..8], b"\x89PNG\r\n\x1a\n");

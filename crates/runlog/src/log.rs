@@ -39,12 +39,7 @@ impl RunLog {
     /// A log that is in no file; messages call its files as those of a log folder.
     pub fn new(meta: LogMeta, table: Table) -> Self {
         let (rows_name, meta_name) = (CSV_NAME.to_owned(), META_NAME.to_owned());
-        Self {
-            meta,
-            table,
-            rows_name,
-            meta_name,
-        }
+        Self { meta, table, rows_name, meta_name }
     }
 
     /// Reads and checks a log: a folder, or a file of rows that has its circumstances beside it.
@@ -57,19 +52,10 @@ impl RunLog {
         let meta = LogMeta::parse(&path.display().to_string(), &text)?;
         let rows = rows_file(log);
         let table = read_rows(&rows)?;
-        let name = |path: &Path| {
-            path.file_name()
-                .unwrap_or_default()
-                .to_string_lossy()
-                .into_owned()
-        };
+        let name =
+            |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let (rows_name, meta_name) = (name(&rows), name(&path));
-        Ok(Self {
-            meta,
-            table,
-            rows_name,
-            meta_name,
-        })
+        Ok(Self { meta, table, rows_name, meta_name })
     }
 }
 

@@ -121,9 +121,7 @@ impl LogMeta {
     pub fn parse(file: &str, text: &str) -> Result<Self, LogError> {
         let meta: Self = toml::from_str(text).map_err(|e| LogError::Meta {
             file: file.to_owned(),
-            line: e.span().map_or(1, |s| {
-                1 + text[..s.start.min(text.len())].matches('\n').count()
-            }),
+            line: e.span().map_or(1, |s| 1 + text[..s.start.min(text.len())].matches('\n').count()),
             message: e.message().replace('\n', " "),
         })?;
         meta.check().map_err(|message| LogError::Meta {
@@ -170,11 +168,7 @@ impl LogMeta {
                 self.rate_hz
             ));
         }
-        let gains = [
-            ("kp", self.kp),
-            ("kd", self.kd),
-            ("supply_v", self.supply_v),
-        ];
+        let gains = [("kp", self.kp), ("kd", self.kd), ("supply_v", self.supply_v)];
         for (key, value) in gains {
             if value.is_some_and(|v| !(v.is_finite() && v >= 0.0)) {
                 return Err(format!("`{key}` must be a number ≥ 0"));
@@ -182,11 +176,7 @@ impl LogMeta {
         }
         for (joint, own) in &self.joint {
             let values = [own.kp, own.kd, own.added_inertia_kgm2];
-            if values
-                .into_iter()
-                .flatten()
-                .any(|v| !(v.is_finite() && v >= 0.0))
-            {
+            if values.into_iter().flatten().any(|v| !(v.is_finite() && v >= 0.0)) {
                 return Err(format!("`joint.{joint}`: every value must be a number ≥ 0"));
             }
         }
@@ -217,16 +207,10 @@ mod tests {
         let text = "robot = \"polymander\"\nbase = \"water\"\nterrain = \"pool\"\nrate_hz = 50\nnotes = \"first\"\nkp = 15\n\
                     kd = 0.15\nsupply_v = 14.0\nwater_level_m = 0.2\ntether = true\n";
         let meta = LogMeta::parse("log.toml", text).unwrap();
-        assert_eq!(
-            (meta.base, meta.rate_hz, meta.kp),
-            (BaseHold::Water, 50.0, Some(15.0))
-        );
+        assert_eq!((meta.base, meta.rate_hz, meta.kp), (BaseHold::Water, 50.0, Some(15.0)));
         assert_eq!(meta.settings["water_level_m"], Setting::Number(0.2));
         assert_eq!(meta.settings["tether"], Setting::Switch(true));
-        assert_eq!(
-            LogMeta::parse("log.toml", &meta.to_toml().unwrap()).unwrap(),
-            meta
-        );
+        assert_eq!(LogMeta::parse("log.toml", &meta.to_toml().unwrap()).unwrap(), meta);
     }
 
     #[test]
@@ -236,10 +220,7 @@ mod tests {
         let meta = LogMeta::parse("log.toml", text).unwrap();
         assert_eq!(meta.gains("elbow"), (Some(4.0), None));
         assert_eq!(meta.gains("wrist"), (Some(15.0), None));
-        assert_eq!(
-            LogMeta::parse("log.toml", &meta.to_toml().unwrap()).unwrap(),
-            meta
-        );
+        assert_eq!(LogMeta::parse("log.toml", &meta.to_toml().unwrap()).unwrap(), meta);
         let mut other = meta.clone();
         other.supply_v = Some(11.8);
         assert!(meta.same_conditions(&other));
@@ -264,30 +245,12 @@ mod tests {
             "robot = \"p\"\nbase = \"flying\"\nrate_hz = 50\n",
             "log.toml:2: unknown variant `flying`",
         );
-        check(
-            "robot = \"p\"\nbase = \"free\"\n",
-            "missing field `rate_hz`",
-        );
-        check(
-            "robot = \"p\"\nbase = \"free\"\nrate_hz = 0\n",
-            "`rate_hz` is 0",
-        );
-        check(
-            "robot = \"p\"\nbase = \"free\"\nrate_hz = nan\n",
-            "`rate_hz` is NaN",
-        );
-        check(
-            "robot = \"\"\nbase = \"free\"\nrate_hz = 50\n",
-            "`robot` is empty",
-        );
-        check(
-            "robot = \"p\"\nbase = \"free\"\nrate_hz = 50\nkp = -1\n",
-            "`kp` must be",
-        );
-        check(
-            "robot = \"p\"\nbase = \"free\"\nrate_hz = 50\nlist = [1]\n",
-            "did not match",
-        );
+        check("robot = \"p\"\nbase = \"free\"\n", "missing field `rate_hz`");
+        check("robot = \"p\"\nbase = \"free\"\nrate_hz = 0\n", "`rate_hz` is 0");
+        check("robot = \"p\"\nbase = \"free\"\nrate_hz = nan\n", "`rate_hz` is NaN");
+        check("robot = \"\"\nbase = \"free\"\nrate_hz = 50\n", "`robot` is empty");
+        check("robot = \"p\"\nbase = \"free\"\nrate_hz = 50\nkp = -1\n", "`kp` must be");
+        check("robot = \"p\"\nbase = \"free\"\nrate_hz = 50\nlist = [1]\n", "did not match");
         check("robot = \"p\nbase = \"free\"\n", "log.toml:1");
     }
 }

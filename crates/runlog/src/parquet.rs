@@ -84,10 +84,7 @@ impl Table {
         let names: Vec<String> = self.signals().iter().map(ToString::to_string).collect();
         let mut arguments = [OsStr::new("write"), path.as_os_str(), OsStr::new(TIME)].to_vec();
         arguments.extend(names.iter().map(OsStr::new));
-        let cells = self
-            .signals()
-            .iter()
-            .flat_map(|s| self.column(s).unwrap_or_default());
+        let cells = self.signals().iter().flat_map(|s| self.column(s).unwrap_or_default());
         let cells = cells.map(|x| x.unwrap_or(f64::NAN));
         let values = self.time_s().iter().copied().chain(cells);
         let input: Vec<u8> = values.flat_map(f64::to_le_bytes).collect();
@@ -111,11 +108,9 @@ impl Table {
                 Ok(signal) if found.iter().all(|(s, _)| *s != signal) => {
                     found.push((signal, column))
                 }
-                _ => notes.push(format!(
-                    "{}: column `{}` is not read",
-                    path.display(),
-                    column.name
-                )),
+                _ => {
+                    notes.push(format!("{}: column `{}` is not read", path.display(), column.name))
+                }
             }
         }
         let time = time.ok_or_else(|| wrong(format!("has no column `{TIME}` of times, s")))?;
@@ -147,8 +142,5 @@ impl Table {
 }
 
 fn wrong(path: &Path, message: String) -> LogError {
-    LogError::Recording {
-        file: path.display().to_string(),
-        message,
-    }
+    LogError::Recording { file: path.display().to_string(), message }
 }

@@ -246,10 +246,7 @@ mod tests {
             assert_eq!(signal.to_string(), text);
             assert!(signal.check().is_ok());
         }
-        assert_eq!(
-            "pos.FL_hip".parse::<Signal>().unwrap().joint(),
-            Some("FL_hip")
-        );
+        assert_eq!("pos.FL_hip".parse::<Signal>().unwrap().joint(), Some("FL_hip"));
         assert_eq!("volt".parse::<Signal>().unwrap().joint(), None);
     }
 

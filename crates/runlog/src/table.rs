@@ -39,11 +39,7 @@ impl Table {
     /// # Errors
     /// [`LogError`] with line and reason.
     pub fn parse(file: &str, reader: impl BufRead) -> Result<Self, LogError> {
-        let mut lines = Lines {
-            file,
-            reader,
-            number: 0,
-        };
+        let mut lines = Lines { file, reader, number: 0 };
         let Some((header, complete)) = lines.next_line()? else {
             return Err(lines.error("is empty; the first line names the signals"));
         };
@@ -81,12 +77,7 @@ impl Table {
         columns: Vec<Vec<Option<f64>>>,
         notes: Vec<String>,
     ) -> Self {
-        Self {
-            signals,
-            time_s,
-            columns,
-            notes,
-        }
+        Self { signals, time_s, columns, notes }
     }
 
     fn push_line(&mut self, line: &str) -> Result<(), String> {
@@ -161,9 +152,9 @@ impl Table {
 /// Refuses a time that does not come after the one before it.
 pub(crate) fn check_time(last: Option<f64>, t: f64) -> Result<(), String> {
     match last {
-        Some(last) if t <= last => Err(format!(
-            "t = {t:?} does not come after {last:?}; time must increase strictly"
-        )),
+        Some(last) if t <= last => {
+            Err(format!("t = {t:?} does not come after {last:?}; time must increase strictly"))
+        }
         _ => Ok(()),
     }
 }
@@ -171,17 +162,11 @@ pub(crate) fn check_time(last: Option<f64>, t: f64) -> Result<(), String> {
 /// Refuses values that a signal cannot have.
 pub(crate) fn check_value(signal: &Signal, value: f64) -> Result<(), String> {
     if !value.is_finite() {
-        return Err(format!(
-            "`{signal}` is {value}; leave the cell empty where there is no value"
-        ));
+        return Err(format!("`{signal}` is {value}; leave the cell empty where there is no value"));
     }
     let binary = matches!(signal, Signal::Contact(_) | Signal::Enabled(_));
     if binary && value != 0.0 && value != 1.0 {
-        let what = if matches!(signal, Signal::Contact(_)) {
-            "contact"
-        } else {
-            "a switch"
-        };
+        let what = if matches!(signal, Signal::Contact(_)) { "contact" } else { "a switch" };
         return Err(format!("`{signal}` is {value}; {what} is 0 or 1"));
     }
     Ok(())
@@ -207,12 +192,7 @@ fn parse_header(file: &str, line: &str) -> Result<Vec<Signal>, LogError> {
     };
     let mut seen = BTreeSet::new();
     let mut signals = Vec::new();
-    for (i, name) in line
-        .trim_start_matches('\u{feff}')
-        .split(',')
-        .map(str::trim)
-        .enumerate()
-    {
+    for (i, name) in line.trim_start_matches('\u{feff}').split(',').map(str::trim).enumerate() {
         if i >= MAX_COLUMNS {
             return Err(error(i + 1, format!("more than {MAX_COLUMNS} columns")));
         }
@@ -222,9 +202,8 @@ fn parse_header(file: &str, line: &str) -> Result<Vec<Signal>, LogError> {
             }
             continue;
         }
-        let signal: Signal = name
-            .parse()
-            .map_err(|e: crate::signal::SignalError| error(i + 1, e.to_string()))?;
+        let signal: Signal =
+            name.parse().map_err(|e: crate::signal::SignalError| error(i + 1, e.to_string()))?;
         if !seen.insert(signal.clone()) {
             return Err(error(i + 1, format!("`{name}` stands twice")));
         }
@@ -281,24 +260,15 @@ mod tests {
 
     fn fails(text: &str, want: &str) {
         let e = parse(text).expect_err(text).to_string();
-        assert!(
-            e.contains(want) && !e.contains('\n'),
-            "`{want}` is not in: {e}"
-        );
+        assert!(e.contains(want) && !e.contains('\n'), "`{want}` is not in: {e}");
     }
 
     #[test]
     fn reads_values_gaps_and_line_ends() {
         let t = parse("t,pos.a,contact.FL\r\n0,1.5,\r\n 0.02 , -2e-3 ,1\r\n").unwrap();
         assert_eq!(t.time_s(), [0.0, 0.02]);
-        assert_eq!(
-            t.column(&"pos.a".parse().unwrap()).unwrap(),
-            [Some(1.5), Some(-0.002)]
-        );
-        assert_eq!(
-            t.column(&"contact.FL".parse().unwrap()).unwrap(),
-            [None, Some(1.0)]
-        );
+        assert_eq!(t.column(&"pos.a".parse().unwrap()).unwrap(), [Some(1.5), Some(-0.002)]);
+        assert_eq!(t.column(&"contact.FL".parse().unwrap()).unwrap(), [None, Some(1.0)]);
         assert_eq!(t.column(&"volt".parse().unwrap()), None);
         assert_eq!(t.row(1), Some(vec![Some(-0.002), Some(1.0)]));
         assert_eq!(t.row(2), None);
@@ -329,37 +299,19 @@ mod tests {
         fails("", "log.csv:1: is empty");
         fails("t,pos.a", "log.csv:1: ends within the header");
         fails("time,pos.a\n", "log.csv:1: column 1: is `time`");
-        fails(
-            "t,pos.a,speed\n",
-            "log.csv:1: column 3: `speed` is not a signal",
-        );
+        fails("t,pos.a,speed\n", "log.csv:1: column 3: `speed` is not a signal");
         fails("t,pos.a,pos.a\n", "column 3: `pos.a` stands twice");
         fails("t,pos.a b\n", "column 2: `a b` is not a name");
-        fails(
-            "t,pos.a\n0,1\n0.02\n",
-            "log.csv:3: 1 cells where the header has 2",
-        );
+        fails("t,pos.a\n0,1\n0.02\n", "log.csv:3: 1 cells where the header has 2");
         fails("t,pos.a\n0,1,2\n", "log.csv:2: 3 cells");
-        fails(
-            "t,pos.a\n0,x\n",
-            "log.csv:2: `pos.a` is `x`, not a finite number",
-        );
+        fails("t,pos.a\n0,x\n", "log.csv:2: `pos.a` is `x`, not a finite number");
         fails("t,pos.a\n0,nan\n", "log.csv:2: `pos.a` is `nan`");
         fails("t,pos.a\n0,inf\n", "log.csv:2: `pos.a` is `inf`");
         fails("t,pos.a\n,1\n", "log.csv:2: `t` is empty");
-        fails(
-            "t,pos.a\n0,1\n0.0,2\n",
-            "log.csv:3: t = 0.0 does not come after 0.0",
-        );
-        fails(
-            "t,pos.a\n1,1\n0.5,2\n",
-            "log.csv:3: t = 0.5 does not come after 1.0",
-        );
+        fails("t,pos.a\n0,1\n0.0,2\n", "log.csv:3: t = 0.0 does not come after 0.0");
+        fails("t,pos.a\n1,1\n0.5,2\n", "log.csv:3: t = 0.5 does not come after 1.0");
         fails("t,pos.a\n0,1\n\n1,2\n", "log.csv:3: blank line");
-        fails(
-            "t,contact.FL\n0,0.5\n",
-            "log.csv:2: `contact.FL` is 0.5; contact is 0 or 1",
-        );
+        fails("t,contact.FL\n0,0.5\n", "log.csv:2: `contact.FL` is 0.5; contact is 0 or 1");
         let long = format!("t,pos.a\n0,{}1\n", "0".repeat(MAX_LINE_BYTES));
         fails(&long, "log.csv:2: line of more than");
     }

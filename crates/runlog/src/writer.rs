@@ -36,15 +36,11 @@ impl<W: Write> TableWriter<W> {
     /// [`LogError::Io`].
     pub fn new(out: W, signals: &[Signal], flush_s: f64) -> Result<Self, LogError> {
         if signals.len() + 1 > MAX_COLUMNS {
-            return Err(LogError::Refused(format!(
-                "more than {MAX_COLUMNS} columns"
-            )));
+            return Err(LogError::Refused(format!("more than {MAX_COLUMNS} columns")));
         }
         let mut line = String::from("t");
         for (i, signal) in signals.iter().enumerate() {
-            signal
-                .check()
-                .map_err(|e| LogError::Refused(e.to_string()))?;
+            signal.check().map_err(|e| LogError::Refused(e.to_string()))?;
             if signals[..i].contains(signal) {
                 return Err(LogError::Refused(format!("signal `{signal}` stands twice")));
             }
@@ -53,9 +49,7 @@ impl<W: Write> TableWriter<W> {
         }
         line.push('\n');
         if line.len() > MAX_LINE_BYTES {
-            return Err(LogError::Refused(format!(
-                "header of more than {MAX_LINE_BYTES} bytes"
-            )));
+            return Err(LogError::Refused(format!("header of more than {MAX_LINE_BYTES} bytes")));
         }
         let mut writer = Self {
             out,
@@ -196,10 +190,7 @@ impl LogWriter {
         let meta_path = dir.join(META_NAME);
         fs::write(&meta_path, text).map_err(io_error(&meta_path))?;
         let table = TableWriter::new(file, header, FLUSH_S).map_err(at(dir))?;
-        Ok(Self {
-            dir: dir.to_owned(),
-            table,
-        })
+        Ok(Self { dir: dir.to_owned(), table })
     }
 
     /// Appends a row, see [`TableWriter::row`].
@@ -238,10 +229,7 @@ impl Drop for LogWriter {
 fn at(dir: &Path) -> impl Fn(LogError) -> LogError {
     let dir = dir.to_owned();
     move |e| match e {
-        LogError::Io { path, source } => LogError::Io {
-            path: dir.join(path),
-            source,
-        },
+        LogError::Io { path, source } => LogError::Io { path: dir.join(path), source },
         other => other,
     }
 }

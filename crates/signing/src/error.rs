@@ -55,10 +55,7 @@ pub fn check_private(path: &Path) -> Result<(), SigningError> {
     if mode & 0o027 == 0 {
         return Ok(());
     }
-    Err(SigningError::Exposed {
-        path: path.to_owned(),
-        mode,
-    })
+    Err(SigningError::Exposed { path: path.to_owned(), mode })
 }
 
 /// Refuses a file that anybody may write: whoever adds a key to a trust file has the robot.
@@ -69,25 +66,18 @@ pub(crate) fn check_kept(path: &Path) -> Result<(), SigningError> {
     }
     let reason =
         format!("anybody may write it (mode {mode:o}); `chmod o-w` it, and look at its keys");
-    Err(SigningError::Content {
-        path: path.to_owned(),
-        reason,
-    })
+    Err(SigningError::Content { path: path.to_owned(), reason })
 }
 
 pub(crate) fn file_error(path: &Path) -> impl FnOnce(std::io::Error) -> SigningError + '_ {
-    move |source| SigningError::File {
-        path: path.to_owned(),
-        source,
-    }
+    move |source| SigningError::File { path: path.to_owned(), source }
 }
 
 pub(crate) fn read_small(path: &Path) -> Result<String, SigningError> {
     read_text_at_most(path, FILE_MAX).map_err(|error| match error.kind() {
-        ErrorKind::FileTooLarge | ErrorKind::InvalidData => SigningError::Content {
-            path: path.to_owned(),
-            reason: error.to_string(),
-        },
+        ErrorKind::FileTooLarge | ErrorKind::InvalidData => {
+            SigningError::Content { path: path.to_owned(), reason: error.to_string() }
+        }
         _ => file_error(path)(error),
     })
 }

@@ -36,11 +36,7 @@ pub fn signed_bytes(manifest: &Manifest) -> Vec<u8> {
     put(&manifest.env_steps.to_le_bytes());
     put(manifest.training_commit.as_bytes());
     put(manifest.config_hash.as_bytes());
-    put(manifest
-        .evaluation_json
-        .as_deref()
-        .unwrap_or_default()
-        .as_bytes());
+    put(manifest.evaluation_json.as_deref().unwrap_or_default().as_bytes());
     // Only where it is there, so that signatures of before still count.
     if let Some(old) = manifest.reverts_to {
         put(&old.to_le_bytes());
@@ -85,10 +81,7 @@ impl ReleaseKey {
 
     /// The key that belongs to a seed.
     pub fn from_seed(id: &str, seed: &[u8; 32]) -> Self {
-        Self {
-            id: id.to_owned(),
-            key: SigningKey::from_bytes(seed),
-        }
+        Self { id: id.to_owned(), key: SigningKey::from_bytes(seed) }
     }
 
     /// Reads a key file: 64 hexadecimal digits.
@@ -141,19 +134,13 @@ impl ReleaseKey {
     pub fn vouch(&self, said: Freshness) -> SignedFreshness {
         let signature = self.key.sign(&freshness_bytes(&said)).to_bytes().to_vec();
         let key_id = self.id.clone();
-        SignedFreshness {
-            said,
-            signature: Signature { key_id, signature },
-        }
+        SignedFreshness { said, signature: Signature { key_id, signature } }
     }
 
     /// Adds a signature to `manifest`, in place of one by the same key id.
     pub fn sign(&self, manifest: &mut Manifest) {
         let signature = self.key.sign(&signed_bytes(manifest)).to_bytes().to_vec();
         manifest.signatures.retain(|s| s.key_id != self.id);
-        manifest.signatures.push(Signature {
-            key_id: self.id.clone(),
-            signature,
-        });
+        manifest.signatures.push(Signature { key_id: self.id.clone(), signature });
     }
 }

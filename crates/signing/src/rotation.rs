@@ -86,10 +86,7 @@ impl Trust {
     ) -> Result<Self, NoSuccessor> {
         let next = Self::parse(text).map_err(NoSuccessor::Content)?;
         if Some(next.version) != self.version.checked_add(1) {
-            return Err(NoSuccessor::OutOfTurn {
-                from: self.version,
-                found: next.version,
-            });
+            return Err(NoSuccessor::OutOfTurn { from: self.version, found: next.version });
         }
         let bytes = signed(text);
         // By the old ones, who hand over, and by the new ones, who show that they hold their keys.
@@ -103,11 +100,7 @@ impl Trust {
             let valid = trust.root_keys.iter().filter(by).count();
             let needed = trust.root_threshold;
             if trust.root_keys.is_empty() || valid < needed {
-                return Err(NoSuccessor::Unsigned {
-                    whose,
-                    valid,
-                    needed,
-                });
+                return Err(NoSuccessor::Unsigned { whose, valid, needed });
             }
         }
         Ok(next)
@@ -142,9 +135,7 @@ impl Trust {
     /// Whether `key` is, under its name, one of the root keys.
     pub fn has_root(&self, key: &ReleaseKey) -> bool {
         let public = key.key.verifying_key();
-        self.root_keys
-            .iter()
-            .any(|(id, known)| *id == key.id && *known == public)
+        self.root_keys.iter().any(|(id, known)| *id == key.id && *known == public)
     }
 
     /// The successor beside `path`; `None` where no file is there. One that is there and does not follow is
@@ -162,10 +153,7 @@ impl Trust {
         let signatures = read_signatures(&file)?;
         let next = self
             .successor(&text, &signatures)
-            .map_err(|why| SigningError::Content {
-                path: file,
-                reason: why.to_string(),
-            })?;
+            .map_err(|why| SigningError::Content { path: file, reason: why.to_string() })?;
         Ok(Some(next))
     }
 
@@ -259,10 +247,7 @@ pub fn read_signatures(file: &Path) -> Result<Vec<TrustSignature>, SigningError>
         .map(|(number, line)| {
             parse(line).ok_or_else(|| SigningError::Content {
                 path: path.clone(),
-                reason: format!(
-                    "line {} is not a name and 128 hexadecimal digits",
-                    number + 1
-                ),
+                reason: format!("line {} is not a name and 128 hexadecimal digits", number + 1),
             })
         })
         .collect()
@@ -307,11 +292,7 @@ mod tests {
     }
 
     fn unsigned(whose: &'static str, valid: usize, needed: usize) -> Option<NoSuccessor> {
-        Some(NoSuccessor::Unsigned {
-            whose,
-            valid,
-            needed,
-        })
+        Some(NoSuccessor::Unsigned { whose, valid, needed })
     }
 
     #[test]
@@ -342,10 +323,7 @@ mod tests {
         for roots in [&[1, 3][..], &[102, 3]] {
             put(3, &third, roots);
             let error = Trust::read(&first).unwrap_err().to_string();
-            assert!(
-                error.contains("the old root keys signed it 0 times"),
-                "{error}"
-            );
+            assert!(error.contains("the old root keys signed it 0 times"), "{error}");
         }
         put(3, &third, &[2, 3]);
         assert_eq!(Trust::read(&first).unwrap().version(), 3);
@@ -364,34 +342,22 @@ mod tests {
         let why =
             |text: &str, signatures: &[TrustSignature]| trust.successor(text, signatures).err();
         assert_eq!(why(&text, &by(&text, &[1, 3, 4, 5])), None);
-        assert_eq!(
-            why(&text, &by(&text, &[1, 4, 5])),
-            unsigned("the old", 1, 2)
-        );
+        assert_eq!(why(&text, &by(&text, &[1, 4, 5])), unsigned("the old", 1, 2));
         // The same key twice is one key, and a signature counts for the key that made it only.
         let twice = by(&text, &[1, 1, 4, 5]);
         assert_eq!(why(&text, &twice), unsigned("the old", 1, 2));
         let mut renamed = by(&text, &[1, 1, 4, 5]);
         renamed[1].key_id = "k2".into();
         assert_eq!(why(&text, &renamed), unsigned("the old", 1, 2));
-        assert_eq!(
-            why(&text, &by(&text, &[1, 2, 4])),
-            unsigned("its own", 1, 2)
-        );
+        assert_eq!(why(&text, &by(&text, &[1, 2, 4])), unsigned("its own", 1, 2));
         // Another text of the same meaning was not signed.
         let spaced = format!("{text}\n");
-        assert_eq!(
-            why(&spaced, &by(&text, &[1, 2, 4, 5])),
-            unsigned("the old", 0, 2)
-        );
+        assert_eq!(why(&spaced, &by(&text, &[1, 2, 4, 5])), unsigned("the old", 0, 2));
         for version in [0, 1, 3, u64::MAX] {
             let text = file(version, 101, &[4, 5], 2);
             let refused = why(&text, &by(&text, &[1, 2, 4, 5]));
             assert!(
-                matches!(
-                    refused,
-                    Some(NoSuccessor::OutOfTurn { .. } | NoSuccessor::Content(_))
-                ),
+                matches!(refused, Some(NoSuccessor::OutOfTurn { .. } | NoSuccessor::Content(_))),
                 "{version}: {refused:?}"
             );
         }
@@ -402,9 +368,7 @@ mod tests {
         let refused = plain.successor(&text, &by(&text, &[101, 4, 5])).err();
         assert_eq!(refused, unsigned("the old", 0, 1));
         let last =
-            key(101)
-                .trust_file()
-                .replacen("threshold = 1\n", "threshold = 1\nversion = 2\n", 1);
+            key(101).trust_file().replacen("threshold = 1\n", "threshold = 1\nversion = 2\n", 1);
         assert_eq!(why(&last, &by(&last, &[1, 2])), unsigned("its own", 0, 1));
     }
 
@@ -422,10 +386,7 @@ mod tests {
         assert_eq!(Trust::read(&first).unwrap().version(), 3);
         std::fs::remove_file(successor_path(&first, 2)).unwrap();
         let error = Trust::read(&first).unwrap_err().to_string();
-        assert!(
-            error.contains("trust.toml.3 lies beside it and version 2 does not"),
-            "{error}"
-        );
+        assert!(error.contains("trust.toml.3 lies beside it and version 2 does not"), "{error}");
         // A link that leads nowhere is not "no file".
         std::os::unix::fs::symlink("nowhere", successor_path(&first, 2)).unwrap();
         let error = Trust::read(&first).unwrap_err().to_string();

@@ -97,10 +97,7 @@ impl Trust {
     pub(crate) fn first(path: &Path) -> Result<Self, SigningError> {
         check_kept(path)?;
         let text = read_small(path)?;
-        Self::parse(&text).map_err(|reason| SigningError::Content {
-            path: path.to_owned(),
-            reason,
-        })
+        Self::parse(&text).map_err(|reason| SigningError::Content { path: path.to_owned(), reason })
     }
 
     /// Which of its successors it is.
@@ -163,18 +160,9 @@ impl Trust {
         let root_threshold = usize::try_from(file.root_threshold).unwrap_or(usize::MAX);
         if root_threshold == 0 || (!root_keys.is_empty() && root_threshold > root_keys.len()) {
             let roots = root_keys.len();
-            return Err(format!(
-                "root_threshold {root_threshold} with {roots} root keys"
-            ));
+            return Err(format!("root_threshold {root_threshold} with {roots} root keys"));
         }
-        Ok(Self {
-            threshold,
-            keys,
-            fresh_keys,
-            version: file.version,
-            root_threshold,
-            root_keys,
-        })
+        Ok(Self { threshold, keys, fresh_keys, version: file.version, root_threshold, root_keys })
     }
 
     /// Whether there is a key that can say where a label leads.
@@ -193,11 +181,7 @@ impl Trust {
         let proof = Proof {
             trust: self,
             answer,
-            asked: Facts {
-                nonce: Some(nonce),
-                label: Some(label),
-                ..Facts::of_stream(stream)
-            },
+            asked: Facts { nonce: Some(nonce), label: Some(label), ..Facts::of_stream(stream) },
         };
         proof.check(PROOF)
     }
@@ -216,10 +200,7 @@ impl Trust {
         if valid >= self.threshold {
             return Ok(());
         }
-        Err(Untrusted {
-            valid,
-            needed: self.threshold,
-        })
+        Err(Untrusted { valid, needed: self.threshold })
     }
 }
 
@@ -236,10 +217,7 @@ type ProofCheck = fn(&Proof<'_>) -> Result<(), Stale>;
 /// What such an answer must be.
 const PROOF: &[Check<ProofCheck>] = &[
     // It answers this robot's own question of just now.
-    Check {
-        name: "question",
-        refuse: |proof| Ok(proof.asked.answered_by(&proof.answer.said)?),
-    },
+    Check { name: "question", refuse: |proof| Ok(proof.asked.answered_by(&proof.answer.said)?) },
     // A key that may say so signed it.
     Check {
         name: "fresh signature",
@@ -418,10 +396,7 @@ pub mod tests {
             Trust::parse(&format!("{own}\n{lines}"))
         };
         assert!(fresh("", &[2]).unwrap().knows_fresh_keys());
-        assert!(
-            fresh("\"k2\"", &[2]).is_err(),
-            "yesterday's answers would do"
-        );
+        assert!(fresh("\"k2\"", &[2]).is_err(), "yesterday's answers would do");
         assert!(fresh("\"k2\"", &[2, 3]).unwrap().knows_fresh_keys());
     }
 
@@ -451,12 +426,7 @@ pub mod tests {
         let trust = Trust::parse(&text).unwrap();
         assert!(trust.knows_fresh_keys());
         let check = |answer: &SignedFreshness, nonce: u8| {
-            trust.check_fresh(
-                answer,
-                &[nonce; 32],
-                &manifest().stream,
-                &LabelName::latest(),
-            )
+            trust.check_fresh(answer, &[nonce; 32], &manifest().stream, &LabelName::latest())
         };
         let answer = server.vouch(said(1));
         assert_eq!(check(&answer, 1), Ok(()));
@@ -466,10 +436,7 @@ pub mod tests {
         let mut relabelled = answer.clone();
         relabelled.said.nonce = [2; 32];
         assert_eq!(check(&relabelled, 2), Err(Stale::Unsigned));
-        for change in [
-            |f: &mut Freshness| f.version = 8,
-            |f: &mut Freshness| f.sha256[0] ^= 1,
-        ] {
+        for change in [|f: &mut Freshness| f.version = 8, |f: &mut Freshness| f.sha256[0] ^= 1] {
             let mut forged = answer.clone();
             change(&mut forged.said);
             assert_eq!(check(&forged, 1), Err(Stale::Unsigned));
@@ -505,15 +472,8 @@ pub mod tests {
                 // It says a lower version than was signed.
                 _ => answer.said.version = 6,
             }
-            let asked = Facts {
-                nonce: Some(&nonce),
-                ..Facts::of_stream(&stream)
-            };
-            let proof = Proof {
-                trust: &trust,
-                answer: &answer,
-                asked,
-            };
+            let asked = Facts { nonce: Some(&nonce), ..Facts::of_stream(&stream) };
+            let proof = Proof { trust: &trust, answer: &answer, asked };
             proof.check(checks)
         });
         // Seen with --nocapture: `make mutants`.

@@ -30,11 +30,7 @@ const LEFT_AT_MOST: f64 = 0.95;
 /// No axis may get worse than this many times.
 const WORSE_AT_MOST: f64 = 1.25;
 /// Verdicts of a diagnosis whose extended model is worth training in.
-const WORTH_IT: [Verdict; 3] = [
-    Verdict::Explained,
-    Verdict::Ambiguous,
-    Verdict::PartlyExplained,
-];
+const WORTH_IT: [Verdict; 3] = [Verdict::Explained, Verdict::Ambiguous, Verdict::PartlyExplained];
 /// Keys that flags and the diagnosis set.
 const OWN_KEYS: [&str; 2] = ["robot", "run.iterations"];
 
@@ -205,13 +201,7 @@ fn evaluate(
     adapted: &mut Adapted,
 ) -> Result<(), Failure> {
     let mut evaluate = |name: &str, policy: &Path, robot: &Path| {
-        let test = Test {
-            config,
-            policy,
-            robot,
-            suite: plan.suite,
-            episodes: plan.episodes,
-        };
+        let test = Test { config, policy, robot, suite: plan.suite, episodes: plan.episodes };
         let file = plan.out.join(format!("{name}.json"));
         steps.evaluate(name, &test, &file)
     };

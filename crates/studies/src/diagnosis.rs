@@ -68,10 +68,7 @@ pub(crate) fn seconds(text: &str) -> Result<f64, String> {
         "h" => 3600.0,
         _ => return Err("a time is a number with s, min or h: 90s, 3min, 1h".to_owned()),
     };
-    let number: f64 = digits
-        .trim()
-        .parse()
-        .map_err(|_| format!("`{digits}` is no number"))?;
+    let number: f64 = digits.trim().parse().map_err(|_| format!("`{digits}` is no number"))?;
     match number.is_finite() && number > 0.0 {
         true => Ok(number * unit_s),
         false => Err("a time is above zero".to_owned()),
@@ -136,10 +133,7 @@ fn runs(plan: &Plan, robot: &RobotModel) -> Result<(Vec<Run>, Vec<DataFault>), F
     let names = run_names(&dirs);
     let (logs, checked) = check_dirs(&dirs, robot);
     if logs.is_empty() {
-        let why = checked
-            .faults
-            .first()
-            .map_or("no log", |f| f.detail.as_str());
+        let why = checked.faults.first().map_or("no log", |f| f.detail.as_str());
         return Err(Failure::message(ExitCode::BadInput, why));
     }
     // Logs come in the order of their folders, those that could not be read left out.
@@ -161,12 +155,7 @@ fn runs(plan: &Plan, robot: &RobotModel) -> Result<(Vec<Run>, Vec<DataFault>), F
             true => Role::Fit,
             false => Role::Holdout,
         };
-        runs.push(Run {
-            name,
-            log,
-            role,
-            sha256,
-        });
+        runs.push(Run { name, log, role, sha256 });
     }
     Ok((runs, checked.faults))
 }
@@ -264,9 +253,7 @@ pub fn logs_at(given: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
 /// The logs in a folder. Files whose circumstances name no robot are passed over: a recording lies beside its map.
 fn logs_in(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     let shown = folder.display();
-    let entries = folder
-        .read_dir()
-        .or_exit_with(ExitCode::NoInput, || format!("log {shown}"))?;
+    let entries = folder.read_dir().or_exit_with(ExitCode::NoInput, || format!("log {shown}"))?;
     let entries = entries.filter_map(|e| Some(e.ok()?.path()));
     let known = |log: &PathBuf| log.is_dir() || names_a_robot(&meta_file(log));
     let mut logs: Vec<PathBuf> = entries.filter_map(|p| log_of(&p).filter(known)).collect();
@@ -285,21 +272,12 @@ fn logs_in(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
 /// Why a path that is no folder is no log.
 fn no_log(path: &Path) -> Failure {
     let (code, why) = if !path.exists() {
-        (
-            ExitCode::NoInput,
-            "there is no such file or folder".to_owned(),
-        )
+        (ExitCode::NoInput, "there is no such file or folder".to_owned())
     } else if is_of_rows(path) {
         let beside = path.with_extension("toml");
-        (
-            ExitCode::BadInput,
-            format!("{} is not beside it", beside.display()),
-        )
+        (ExitCode::BadInput, format!("{} is not beside it", beside.display()))
     } else {
-        (
-            ExitCode::BadInput,
-            format!("is no file of rows (.{})", ROWS.join(", .")),
-        )
+        (ExitCode::BadInput, format!("is no file of rows (.{})", ROWS.join(", .")))
     };
     let message = format!("log {}: {why}", path.display());
     Failure::message(code, message).hint(OTHER_RECORDINGS)
@@ -365,9 +343,8 @@ mod tests {
             Path::new(env!("CARGO_MANIFEST_DIR")).join("../../robots/xl330_pendulum.robot.toml");
         let model = RobotModel::load(&robot).unwrap();
         let put = |name: &str, angle_rad: f64| {
-            let rows: String = (0..200)
-                .map(|k| format!("{:.2},0,{angle_rad}\n", 0.01 * f64::from(k)))
-                .collect();
+            let rows: String =
+                (0..200).map(|k| format!("{:.2},0,{angle_rad}\n", 0.01 * f64::from(k))).collect();
             let path = dir.path().join(name);
             std::fs::create_dir_all(path.parent().unwrap()).unwrap();
             std::fs::write(&path, format!("t,cmd.swing,pos.swing\n{rows}")).unwrap();
@@ -379,11 +356,8 @@ mod tests {
                 Some(_) => word.to_owned(),
                 None => dir.path().join(word).display().to_string(),
             };
-            let mut words = vec![
-                "diagnose".to_owned(),
-                "--robot".to_owned(),
-                robot.display().to_string(),
-            ];
+            let mut words =
+                vec!["diagnose".to_owned(), "--robot".to_owned(), robot.display().to_string()];
             words.extend(line.split(' ').chain(["--out", "out"]).map(at));
             runs(&Command::parse_from(words).plan, &model)
         };
@@ -391,25 +365,14 @@ mod tests {
         put("day1/t.csv", 0.02);
         put("day2/s.csv", 0.03);
         let (found, _) = of("--log day1 day2 --holdout day1/t.csv").unwrap();
-        let named: Vec<(&str, bool)> = (found.iter())
-            .map(|run| (run.name.as_str(), run.role == Role::Holdout))
-            .collect();
+        let named: Vec<(&str, bool)> =
+            (found.iter()).map(|run| (run.name.as_str(), run.role == Role::Holdout)).collect();
         let path = |name: &str| dir.path().join(name).display().to_string();
         let (first, second) = (path("day1/s.csv"), path("day2/s.csv"));
-        assert_eq!(
-            named,
-            [
-                (first.as_str(), false),
-                (second.as_str(), false),
-                ("t", true)
-            ]
-        );
+        assert_eq!(named, [(first.as_str(), false), (second.as_str(), false), ("t", true)]);
         put("day2/u.csv", 0.02);
         let failure = of("--log day1 day2").map(|_| ()).unwrap_err().to_string();
-        assert!(
-            failure.contains("logs t and u are the same rows"),
-            "{failure}"
-        );
+        assert!(failure.contains("logs t and u are the same rows"), "{failure}");
     }
 
     #[test]
@@ -419,12 +382,7 @@ mod tests {
         for folder in ["walk", "rest", "empty"] {
             std::fs::create_dir(at(folder)).unwrap();
         }
-        for file in [
-            "walk/log.csv",
-            "walk/log.toml",
-            "rest/log.csv",
-            "rest/log.toml",
-        ] {
+        for file in ["walk/log.csv", "walk/log.toml", "rest/log.csv", "rest/log.toml"] {
             std::fs::write(at(file), "").unwrap();
         }
         // a rollout, the same as a bag, rows of which nothing is known, and a recording beside its map

@@ -47,9 +47,7 @@ pub fn robot(path: &Path) -> Result<RobotModel, Failure> {
             _ => ExitCode::BadInput,
         };
         let failure = Failure::new(code, error).context(format!("robot file {}", path.display()));
-        meant(failure, path, "robots", |file| {
-            ends_with(file, ".robot.toml")
-        })
+        meant(failure, path, "robots", |file| ends_with(file, ".robot.toml"))
     })
 }
 
@@ -61,10 +59,7 @@ pub fn policy(path: &Path) -> Result<PolicyFile, Failure> {
     let shown = || format!("policy {}", path.display());
     if path.is_dir() {
         let message = format!("{} is a folder", path.display());
-        let hint = format!(
-            "the policy of a training is {}",
-            path.join("policy.onnx").display()
-        );
+        let hint = format!("the policy of a training is {}", path.join("policy.onnx").display());
         return Err(Failure::message(ExitCode::NoInput, message).hint(hint));
     }
     let bytes =
@@ -143,22 +138,11 @@ pub fn writable(path: &Path) -> Result<(), Failure> {
         Ok(_) => false,
         Err(_) => true,
     };
-    let opened = std::fs::OpenOptions::new()
-        .append(true)
-        .create(true)
-        .open(path);
-    opened
-        .and_then(|_| {
-            if new {
-                std::fs::remove_file(path)
-            } else {
-                Ok(())
-            }
-        })
-        .map_err(|error| {
-            Failure::new(ExitCode::of_io(&error, true), error)
-                .context(format!("cannot write {}", path.display()))
-        })
+    let opened = std::fs::OpenOptions::new().append(true).create(true).open(path);
+    opened.and_then(|_| if new { std::fs::remove_file(path) } else { Ok(()) }).map_err(|error| {
+        Failure::new(ExitCode::of_io(&error, true), error)
+            .context(format!("cannot write {}", path.display()))
+    })
 }
 
 /// Writes a file whole: one that is there is complete.
@@ -190,9 +174,8 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Failure> {
 /// # Errors
 /// Exit code 73.
 pub fn make_folder(path: &Path) -> Result<(), Failure> {
-    std::fs::create_dir_all(path).or_exit_with(ExitCode::CannotCreate, || {
-        format!("folder {}", path.display())
-    })
+    std::fs::create_dir_all(path)
+        .or_exit_with(ExitCode::CannotCreate, || format!("folder {}", path.display()))
 }
 
 /// SHA-256 of a file, in hexadecimal.

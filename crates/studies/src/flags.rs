@@ -56,10 +56,7 @@ pub fn cores() -> usize {
 pub fn or_preset(flags: &ConfigArgs, preset: &str) -> ConfigArgs {
     let mut source = flags.source();
     source.or_preset(preset);
-    ConfigArgs {
-        preset: source.preset,
-        ..flags.clone()
-    }
+    ConfigArgs { preset: source.preset, ..flags.clone() }
 }
 
 /// The flags as given; with a robot and neither preset nor file the preset that is made for it.
@@ -92,12 +89,9 @@ pub fn presets_for(contract: &PolicyContract) -> Vec<&'static str> {
         let breaking = differences.iter().any(|d| d.is_breaking());
         (!breaking).then_some(differences.len())
     };
-    let fitting = PRESETS
-        .iter()
-        .map(|preset| (differences(&preset), preset.name));
-    let mut fitting: Vec<(usize, &str)> = fitting
-        .filter_map(|(differences, name)| Some((differences?, name)))
-        .collect();
+    let fitting = PRESETS.iter().map(|preset| (differences(&preset), preset.name));
+    let mut fitting: Vec<(usize, &str)> =
+        fitting.filter_map(|(differences, name)| Some((differences?, name))).collect();
     fitting.sort_by_key(|(differences, _)| *differences);
     fitting.into_iter().map(|(_, name)| name).collect()
 }

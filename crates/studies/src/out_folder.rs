@@ -30,12 +30,8 @@ pub fn asked<'a>(
     flags: impl IntoIterator<Item = (&'a str, String)>,
 ) -> Asked {
     let keys = config.entries().into_iter();
-    let mut asked: Asked = keys
-        .filter(|(key, _)| !own.contains(&key.as_str()))
-        .collect();
-    let flags = flags
-        .into_iter()
-        .map(|(flag, value)| (flag.to_owned(), value));
+    let mut asked: Asked = keys.filter(|(key, _)| !own.contains(&key.as_str())).collect();
+    let flags = flags.into_iter().map(|(flag, value)| (flag.to_owned(), value));
     asked.extend(flags);
     asked.insert("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned());
     asked
@@ -133,9 +129,7 @@ fn same_as_before(out: &Path, path: &Path, asked: &Asked) -> Result<(), Failure>
         named.push(format!("{more} more"));
     }
     let (out, named) = (out.display(), named.join(", "));
-    Err(refused(format!(
-        "{out} was made with something else: {named}"
-    )))
+    Err(refused(format!("{out} was made with something else: {named}")))
 }
 
 /// In words.

@@ -136,11 +136,7 @@ impl Drawn {
         given: &Given,
         mut steps: Steps<'_>,
     ) -> Result<Compared, Failure> {
-        let Robots {
-            given: robot,
-            extended,
-            truth,
-        } = &self.robots;
+        let Robots { given: robot, extended, truth } = &self.robots;
         steps.after_stop(&format!(
             "go on with the same flags and: caudata gap policies --robot {} --extended {} --truth {} --out {}",
             robot.display(),
@@ -168,10 +164,7 @@ fn make(plan: &Plan, stop: &StopFlag) -> Result<(), Failure> {
         file: LabFile::Stiff,
         place: BaseHold::Free,
         hidden: paper::HIDDEN,
-        channels: Channels {
-            imu: true,
-            mocap: true,
-        },
+        channels: Channels { imu: true, mocap: true },
         seed: plan.seed,
         repeats: 2,
     };
@@ -199,9 +192,7 @@ fn name(folder: &Path) -> String {
 
 /// The held-out walks.
 fn walks(folders: &[PathBuf]) -> Result<Vec<Run>, Failure> {
-    let walks = folders
-        .iter()
-        .filter(|folder| name(folder).starts_with(HELD_OUT_WALK));
+    let walks = folders.iter().filter(|folder| name(folder).starts_with(HELD_OUT_WALK));
     walks
         .map(|folder| {
             Ok(Run {
@@ -222,9 +213,7 @@ fn tables(pictures: &Pictures) -> Vec<Table> {
             vec![row.of.clone(), measured, text(row.before), text(row.after)]
         };
         Table {
-            head: [of, "measured", "as given", "extended"]
-                .map(str::to_owned)
-                .to_vec(),
+            head: [of, "measured", "as given", "extended"].map(str::to_owned).to_vec(),
             rows: rows.iter().map(cells).collect(),
         }
     };
@@ -253,12 +242,8 @@ mod tests {
 
     #[test]
     fn tables_say_what_was_measured() {
-        let row = |of: &str, measured| Row {
-            of: of.to_owned(),
-            measured,
-            before: 0.02,
-            after: 0.0125,
-        };
+        let row =
+            |of: &str, measured| Row { of: of.to_owned(), measured, before: 0.02, after: 0.0125 };
         let pictures = Pictures {
             joints: vec![row("FL_hip", None)],
             feet: vec![row("FL", Some(0.031))],

@@ -108,8 +108,7 @@ impl<'a> Steps<'a> {
         (self.tell)(News::Step { name, what });
         let began = Instant::now();
         let done = work(&self.stop, &mut self.tell);
-        self.seconds
-            .push((name.to_owned(), began.elapsed().as_secs_f64()));
+        self.seconds.push((name.to_owned(), began.elapsed().as_secs_f64()));
         match done {
             Err(_) if self.stop.is_set() => Err(self.stopped()),
             done => done,
@@ -213,10 +212,7 @@ impl<'a> Steps<'a> {
                 config: &config,
                 policy: &policy,
                 suite: test.suite,
-                settings: Settings {
-                    episodes: test.episodes,
-                    ..Settings::default()
-                },
+                settings: Settings { episodes: test.episodes, ..Settings::default() },
                 referee: None,
             };
             let (result, _) = evaluation
@@ -344,10 +340,7 @@ fn quoted(path: &Path) -> Result<String, Failure> {
 /// The command as one would type it.
 fn spelled(command: &Command) -> String {
     let words = command.get_args().map(|word| word.to_string_lossy());
-    std::iter::once("caudata".into())
-        .chain(words)
-        .collect::<Vec<_>>()
-        .join(" ")
+    std::iter::once("caudata".into()).chain(words).collect::<Vec<_>>().join(" ")
 }
 
 #[cfg(test)]
@@ -379,19 +372,11 @@ mod tests {
         };
         let bare = words(&training);
         let has = |all: &[String], word: &str| all.iter().any(|w| w == word);
-        for word in [
-            "--seed",
-            "2",
-            "actors.lanes=3",
-            "robot=\"/a b/r.robot.toml\"",
-        ] {
+        for word in ["--seed", "2", "actors.lanes=3", "robot=\"/a b/r.robot.toml\""] {
             assert!(has(&bare, word), "{word}: {bare:?}");
         }
         // What is set last counts: this training's own keys stand behind the flags'.
-        assert_eq!(
-            bare[bare.len() - 1],
-            "task.randomisation.kp_scale=[0.5,1.3]"
-        );
+        assert_eq!(bare[bare.len() - 1], "task.randomisation.kp_scale=[0.5,1.3]");
         assert!(!bare.iter().any(|w| w.starts_with("learner.")), "{bare:?}");
         training.start = Some(Path::new("/p.onnx"));
         let warm = words(&training);

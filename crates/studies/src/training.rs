@@ -11,14 +11,7 @@ pub fn command(learner: &Path, config: &[OsString], run_id: &str, folder: &Path)
     let mut command = Command::new(learner);
     command
         .args(config)
-        .args([
-            "--inproc",
-            "--log-filter",
-            "error",
-            "--run-id",
-            run_id,
-            "--run-dir",
-        ])
+        .args(["--inproc", "--log-filter", "error", "--run-id", run_id, "--run-dir"])
         .arg(folder)
         .env(PARENT_PID_VAR, std::process::id().to_string())
         .stdin(Stdio::null());

@@ -62,16 +62,9 @@ impl Advisor {
     /// they are not advised while data is as old as is allowed, or is dropped for its age.
     pub fn after(&mut self, load: &IterationLoad) -> Advice {
         let total_s = load.waiting_s + load.learning_s;
-        let waiting = if total_s > 0.0 {
-            load.waiting_s / total_s
-        } else {
-            0.0
-        };
-        let dropped = if load.received > 0 {
-            load.dropped as f64 / load.received as f64
-        } else {
-            0.0
-        };
+        let waiting = if total_s > 0.0 { load.waiting_s / total_s } else { 0.0 };
+        let dropped =
+            if load.received > 0 { load.dropped as f64 / load.received as f64 } else { 0.0 };
         let mean = self.waiting.get_or_insert(waiting);
         *mean += NEWEST * (waiting - *mean);
         self.dropped += NEWEST * (dropped - self.dropped);

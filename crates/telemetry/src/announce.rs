@@ -16,10 +16,7 @@ pub struct Listening {
 
 /// Writes the line for `service` to standard output. A reader that is gone does no harm.
 pub fn announce(service: &str, address: SocketAddr) {
-    let line = Listening {
-        listening: service.to_owned(),
-        address,
-    };
+    let line = Listening { listening: service.to_owned(), address };
     let mut out = io::stdout().lock();
     if let Ok(text) = serde_json::to_string(&line) {
         let _ = writeln!(out, "{text}").and_then(|()| out.flush());

@@ -52,10 +52,7 @@ pub fn build_info() -> &'static BuildInfo {
                 .and_then(|exe| checkout_commit(&exe))
                 .map_or(Code::Unknown, Code::CheckedOut),
         };
-        BuildInfo {
-            version: env!("CARGO_PKG_VERSION"),
-            code,
-        }
+        BuildInfo { version: env!("CARGO_PKG_VERSION"), code }
     })
 }
 
@@ -105,10 +102,7 @@ pub(crate) fn log_banner(process_name: &str) {
 
 /// The commit checked out in the repository around `path`.
 fn checkout_commit(path: &Path) -> Option<String> {
-    let git = path
-        .ancestors()
-        .map(|dir| dir.join(".git"))
-        .find(|git| git.exists())?;
+    let git = path.ancestors().map(|dir| dir.join(".git")).find(|git| git.exists())?;
     let git = resolve_git_dir(git)?;
     let head = std::fs::read_to_string(git.join("HEAD")).ok()?;
     let head = head.trim();
@@ -149,15 +143,9 @@ mod tests {
     fn what_is_checked_out_is_not_said_to_be_what_was_built() {
         let now = Code::CheckedOut("abc".into());
         assert_eq!(now.to_string(), "checkout at abc");
-        let built = BuildInfo {
-            version: "1",
-            code: Code::BuiltFrom("abc".into()),
-        };
+        let built = BuildInfo { version: "1", code: Code::BuiltFrom("abc".into()) };
         assert_eq!(
-            (
-                built.code.to_string().as_str(),
-                built.commit_word().as_str()
-            ),
+            (built.code.to_string().as_str(), built.commit_word().as_str()),
             ("built from abc", "abc")
         );
     }

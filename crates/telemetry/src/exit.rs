@@ -91,9 +91,7 @@ impl ExitCode {
 
     /// The code with this number, so that a supervisor can pass a child's on.
     pub fn from_number(number: i32) -> Option<Self> {
-        Self::ALL
-            .into_iter()
-            .find(|code| i32::from(code.number()) == number)
+        Self::ALL.into_iter().find(|code| i32::from(code.number()) == number)
     }
 
     /// The code that an I/O error stands for while reading (`writing = false`) or writing.
@@ -141,30 +139,19 @@ pub struct Failure {
 impl Failure {
     /// A failure from an error or a message.
     pub fn new(code: ExitCode, error: impl Into<anyhow::Error>) -> Self {
-        Self {
-            code,
-            error: error.into(),
-            hint: None,
-            label: "error",
-        }
+        Self { code, error: error.into(), hint: None, label: "error" }
     }
 
     /// The outcome of a command that did all it was asked to, where the outcome has an exit code of its own
     /// (a verdict, a missed target): it is printed as `result: …`, not as an error.
     pub fn outcome(code: ExitCode, message: impl fmt::Display) -> Self {
-        Self {
-            label: "result",
-            ..Self::message(code, message)
-        }
+        Self { label: "result", ..Self::message(code, message) }
     }
 
     /// The failure of a child process that has said itself what went wrong: only the code is passed on,
     /// nothing is printed again.
     pub fn said_already(code: ExitCode) -> Self {
-        Self {
-            label: "",
-            ..Self::message(code, "the child process has said why")
-        }
+        Self { label: "", ..Self::message(code, "the child process has said why") }
     }
 
     /// A failure from a message: lower case, no full stop.
@@ -244,12 +231,7 @@ impl<E: Error + Send + Sync + 'static> From<E> for Failure {
             .chain()
             .find_map(|cause| cause.downcast_ref::<io::Error>())
             .map_or(ExitCode::Internal, |io| ExitCode::of_io(io, false));
-        Self {
-            code,
-            error,
-            hint: None,
-            label: "error",
-        }
+        Self { code, error, hint: None, label: "error" }
     }
 }
 
@@ -297,11 +279,7 @@ mod tests {
             (io::ErrorKind::ConnectionRefused, ExitCode::Unavailable),
         ];
         for (kind, code) in cases {
-            assert_eq!(
-                Failure::from(io::Error::from(kind)).code(),
-                code,
-                "{kind:?}"
-            );
+            assert_eq!(Failure::from(io::Error::from(kind)).code(), code, "{kind:?}");
         }
         let writing = ExitCode::of_io(&io::ErrorKind::NotFound.into(), true);
         assert_eq!(writing, ExitCode::CannotCreate);
@@ -326,9 +304,6 @@ mod tests {
         let mut out = Vec::new();
         let passed_on = Failure::said_already(ExitCode::Unavailable);
         passed_on.write_to(&mut out).unwrap();
-        assert_eq!(
-            (out.as_slice(), passed_on.code()),
-            (&b""[..], ExitCode::Unavailable)
-        );
+        assert_eq!((out.as_slice(), passed_on.code()), (&b""[..], ExitCode::Unavailable));
     }
 }

@@ -18,10 +18,7 @@ use tokio_rustls::TlsAcceptor;
 use crate::incoming::{ConnectionLimits, Incoming, incoming};
 
 /// Connections served at once.
-const PLACES: ConnectionLimits = ConnectionLimits {
-    total: 32,
-    per_peer: 8,
-};
+const PLACES: ConnectionLimits = ConnectionLimits { total: 32, per_peer: 8 };
 /// A request's headers are there within this time.
 const HEADERS_MAX: Duration = Duration::from_secs(5);
 /// A connection is over within this time, its answer included, unless [`Connection::keep`] says otherwise.
@@ -88,12 +85,7 @@ pub async fn serve_http(
 }
 
 async fn answer(incoming: Incoming, router: Router) {
-    let Incoming {
-        stream,
-        peer,
-        cut,
-        place,
-    } = incoming;
+    let Incoming { stream, peer, cut, place } = incoming;
     let peer = peer.host;
     let connection = Connection::default();
     let router = router.layer(Extension(connection.clone()));

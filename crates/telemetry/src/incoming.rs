@@ -133,10 +133,7 @@ impl Places {
         let (cut, is_cut) = oneshot::channel();
         let peer = peer.clone();
         places.insert(*next, Held { peer, _cut: cut });
-        let place = Place {
-            places: Arc::clone(self),
-            number: *next,
-        };
+        let place = Place { places: Arc::clone(self), number: *next };
         Some((place, is_cut))
     }
 }
@@ -181,11 +178,7 @@ async fn accept(
                 continue;
             }
         };
-        let peer = Peer {
-            host: address.ip(),
-            certificate: None,
-            called: Arc::default(),
-        };
+        let peer = Peer { host: address.ip(), certificate: None, called: Arc::default() };
         match places.take(&peer) {
             Some((place, cut)) => {
                 let (tls, ready) = (tls.clone(), ready.clone());
@@ -233,12 +226,7 @@ async fn shake_hands(
             Box::new(stream)
         }
     };
-    Some(Incoming {
-        stream,
-        peer,
-        cut: Some(cut),
-        place,
-    })
+    Some(Incoming { stream, peer, cut: Some(cut), place })
 }
 
 /// Bytes both ways. Behind a pointer, so that there is one HTTP server in a program and not two.
@@ -314,25 +302,15 @@ mod tests {
     }
 
     fn peer(host: IpAddr, called: bool) -> Peer {
-        Peer {
-            host,
-            certificate: None,
-            called: Arc::new(called.into()),
-        }
+        Peer { host, certificate: None, called: Arc::new(called.into()) }
     }
 
-    const LIMITS: ConnectionLimits = ConnectionLimits {
-        total: 3,
-        per_peer: 2,
-    };
+    const LIMITS: ConnectionLimits = ConnectionLimits { total: 3, per_peer: 2 };
 
     #[test]
     fn places_are_counted_per_host_and_given_back() {
         let held = Mutex::default();
-        let places = Arc::new(Places {
-            limits: LIMITS,
-            held,
-        });
+        let places = Arc::new(Places { limits: LIMITS, held });
         let take = |host| places.take(&peer(host, true));
         let (a, b) = (take(host(1)).unwrap(), take(host(1)).unwrap());
         assert!(take(host(1)).is_none(), "two per host");
@@ -343,10 +321,7 @@ mod tests {
         drop((b, c));
         let here = IpAddr::from([127, 0, 0, 1]);
         let mine = [take(here), take(here), take(here)];
-        assert!(
-            mine.iter().all(Option::is_some),
-            "only the total counts here"
-        );
+        assert!(mine.iter().all(Option::is_some), "only the total counts here");
         drop(mine);
         assert_eq!(locked(&places.held).1.len(), 0);
     }
@@ -354,26 +329,15 @@ mod tests {
     #[test]
     fn who_made_no_call_gives_up_its_place_and_who_did_keeps_it() {
         let held = Mutex::default();
-        let places = Arc::new(Places {
-            limits: LIMITS,
-            held,
-        });
+        let places = Arc::new(Places { limits: LIMITS, held });
         let (_busy, mut busy_cut) = places.take(&peer(host(1), true)).unwrap();
         let (_first, mut first_cut) = places.take(&peer(host(1), false)).unwrap();
         let (_other, mut other_cut) = places.take(&peer(host(2), false)).unwrap();
         let _new = places.take(&peer(host(1), true)).unwrap();
-        assert!(
-            first_cut
-                .try_recv()
-                .is_err_and(|e| e == oneshot::error::TryRecvError::Closed)
-        );
+        assert!(first_cut.try_recv().is_err_and(|e| e == oneshot::error::TryRecvError::Closed));
         let open = oneshot::error::TryRecvError::Empty;
         assert_eq!(busy_cut.try_recv(), Err(open.clone()));
-        assert_eq!(
-            other_cut.try_recv(),
-            Err(open),
-            "not the one of another host"
-        );
+        assert_eq!(other_cut.try_recv(), Err(open), "not the one of another host");
         assert!(places.take(&peer(host(1), true)).is_none());
         let _third = places.take(&peer(host(3), true)).unwrap();
         assert!(places.take(&peer(host(4), true)).is_none());
@@ -381,23 +345,12 @@ mod tests {
 
     #[test]
     fn the_host_that_has_most_gives_up_its_oldest_and_files_bound_the_places() {
-        let limits = ConnectionLimits {
-            total: 4,
-            per_peer: 3,
-        };
-        let places = Arc::new(Places {
-            limits,
-            held: Mutex::default(),
-        });
+        let limits = ConnectionLimits { total: 4, per_peer: 3 };
+        let places = Arc::new(Places { limits, held: Mutex::default() });
         let take = |last| places.take(&peer(host(last), false)).unwrap();
         let (mut alone, mut first) = (take(1), take(2));
         let (_second, _third, _new) = (take(2), take(2), take(3));
-        assert!(
-            first
-                .1
-                .try_recv()
-                .is_err_and(|e| e == oneshot::error::TryRecvError::Closed)
-        );
+        assert!(first.1.try_recv().is_err_and(|e| e == oneshot::error::TryRecvError::Closed));
         assert_eq!(alone.1.try_recv(), Err(oneshot::error::TryRecvError::Empty));
         let limits = ConnectionLimits::default();
         assert_eq!(limits.within(1024).total, 960);

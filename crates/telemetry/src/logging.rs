@@ -80,12 +80,7 @@ pub fn init_logging(
     format: LogFormat,
     filter: &str,
 ) -> Result<(), LoggingError> {
-    install(
-        process_name,
-        format,
-        filter,
-        BoxMakeWriter::new(std::io::stderr),
-    )
+    install(process_name, format, filter, BoxMakeWriter::new(std::io::stderr))
 }
 
 /// As [`init_logging`], for a process that moves something: no line ever waits for whoever reads standard
@@ -162,11 +157,7 @@ fn install(
     let installed = if is_pretty(format) {
         builder.with_ansi(terminal).try_init()
     } else {
-        builder
-            .json()
-            .flatten_event(true)
-            .with_span_list(true)
-            .try_init()
+        builder.json().flatten_event(true).with_span_list(true).try_init()
     };
     if installed.is_ok() {
         crate::banner::log_banner(process_name);

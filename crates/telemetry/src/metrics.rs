@@ -97,10 +97,7 @@ impl Metrics {
     /// nothing while there is none. For a process that must not open a socket itself.
     #[must_use]
     pub fn beside(self, file: PathBuf) -> Self {
-        Self {
-            beside: Some(file.into()),
-            ..self
-        }
+        Self { beside: Some(file.into()), ..self }
     }
 
     /// Keeps the page in `file`, whole at any time.
@@ -117,10 +114,7 @@ impl Metrics {
         let name = name.strip_suffix("_total").unwrap_or(name);
         // It ends each help text with a full stop.
         let help = help.trim_end_matches('.');
-        let mut registry = self
-            .registry
-            .write()
-            .unwrap_or_else(PoisonError::into_inner);
+        let mut registry = self.registry.write().unwrap_or_else(PoisonError::into_inner);
         registry.register(name, help, metric.clone());
         metric
     }
@@ -137,9 +131,7 @@ impl Metrics {
     fn page_beside(&self) -> String {
         let file = self.beside.as_deref();
         let small = |file: &&Path| std::fs::metadata(file).is_ok_and(|m| m.len() <= BESIDE_MAX);
-        let page = file
-            .filter(small)
-            .and_then(|file| std::fs::read_to_string(file).ok());
+        let page = file.filter(small).and_then(|file| std::fs::read_to_string(file).ok());
         let page = page.unwrap_or_default();
         page.strip_suffix(END).unwrap_or_default().to_owned()
     }
@@ -162,14 +154,8 @@ mod tests {
         assert!(page.contains("\ncaudata_test_steps_total 3\n"), "{page}");
         assert!(page.contains("\ncaudata_test_lag_seconds 0.5\n"), "{page}");
         // 3 ms lies above 2 ms and below 5 ms.
-        assert!(
-            page.contains("caudata_test_wait_seconds_bucket{le=\"0.002\"} 0"),
-            "{page}"
-        );
-        assert!(
-            page.contains("caudata_test_wait_seconds_bucket{le=\"0.005\"} 1"),
-            "{page}"
-        );
+        assert!(page.contains("caudata_test_wait_seconds_bucket{le=\"0.002\"} 0"), "{page}");
+        assert!(page.contains("caudata_test_wait_seconds_bucket{le=\"0.005\"} 1"), "{page}");
     }
 
     #[test]
@@ -178,11 +164,8 @@ mod tests {
         std::fs::create_dir_all(&folder).unwrap();
         let file = folder.join("loop.prom");
         let (here, there) = (Metrics::new(), Metrics::new());
-        here.make::<Counter>("caudata_test_here_total", "Here")
-            .inc();
-        there
-            .make::<Counter>("caudata_test_there_total", "There")
-            .inc();
+        here.make::<Counter>("caudata_test_here_total", "Here").inc();
+        there.make::<Counter>("caudata_test_there_total", "There").inc();
         let here = here.beside(file.clone());
         assert!(!here.encode().contains("there"));
         there.write_page(&file).unwrap();

@@ -44,11 +44,7 @@ impl Process {
         queued: bool,
         work: impl FnOnce(&Process) -> Result<(), Failure>,
     ) -> OsExitCode {
-        let process = Process {
-            name,
-            stop: StopFlag::new(),
-            insistence: Insistence::default(),
-        };
+        let process = Process { name, stop: StopFlag::new(), insistence: Insistence::default() };
         let result = process.set_up(log, queued).and_then(|()| work(&process));
         let mut words = Vec::new();
         let code = match result {
@@ -83,11 +79,7 @@ impl Process {
 pub fn parse_args<A: clap::Parser>() -> A {
     A::try_parse().unwrap_or_else(|error| {
         let _ = error.print();
-        let code = if error.use_stderr() {
-            ExitCode::BadConfig
-        } else {
-            ExitCode::Ok
-        };
+        let code = if error.use_stderr() { ExitCode::BadConfig } else { ExitCode::Ok };
         std::process::exit(i32::from(code.number()))
     })
 }

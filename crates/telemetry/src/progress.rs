@@ -270,17 +270,11 @@ mod tests {
 
     #[test]
     fn a_line_says_which_event_it_is_and_comes_back_equal() {
-        let event = Event::Checkpoint(Checkpoint {
-            path: "a/b".into(),
-            iteration: 7,
-        });
+        let event = Event::Checkpoint(Checkpoint { path: "a/b".into(), iteration: 7 });
         let mut line = Vec::new();
         EventWriter::new(&mut line).write(&event).unwrap();
         let text = String::from_utf8(line).unwrap();
-        assert_eq!(
-            text,
-            "{\"event\":\"checkpoint\",\"path\":\"a/b\",\"iteration\":7}\n"
-        );
+        assert_eq!(text, "{\"event\":\"checkpoint\",\"path\":\"a/b\",\"iteration\":7}\n");
         assert_eq!(serde_json::from_str::<Event>(&text).unwrap(), event);
         let event = Event::Iteration(Box::default());
         let text = serde_json::to_string(&event).unwrap();

@@ -23,10 +23,7 @@ impl Default for Pulse {
 impl Pulse {
     /// A pulse that has just beaten.
     pub fn new() -> Self {
-        Self {
-            began: Instant::now(),
-            last_ms: Arc::default(),
-        }
+        Self { began: Instant::now(), last_ms: Arc::default() }
     }
 
     /// The loop is alive.
@@ -56,9 +53,6 @@ mod tests {
         pulse.clone().beat();
         // The beat is kept in whole milliseconds.
         let silent = pulse.silent_for();
-        assert!(
-            silent <= before.elapsed() + Duration::from_millis(1),
-            "{silent:?}"
-        );
+        assert!(silent <= before.elapsed() + Duration::from_millis(1), "{silent:?}");
     }
 }

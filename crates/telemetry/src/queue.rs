@@ -71,9 +71,7 @@ impl Lines {
     /// The oldest line that is not out yet.
     fn oldest(&self) -> Option<u64> {
         let of = |lines: &VecDeque<(u64, Vec<u8>)>| lines.front().map(|(number, _)| *number);
-        self.writing
-            .or_else(|| of(&self.first))
-            .or_else(|| of(&self.last))
+        self.writing.or_else(|| of(&self.first)).or_else(|| of(&self.last))
     }
 }
 
@@ -88,14 +86,8 @@ impl LineQueue {
         lines_max: usize,
         loss: impl Fn(u64) -> String + Send + 'static,
     ) -> io::Result<Self> {
-        let lines = Lines {
-            half: (lines_max / 2).max(1),
-            ..Lines::default()
-        };
-        let shared = Arc::new(Shared {
-            lines: Mutex::new(lines),
-            came: Condvar::new(),
-        });
+        let lines = Lines { half: (lines_max / 2).max(1), ..Lines::default() };
+        let shared = Arc::new(Shared { lines: Mutex::new(lines), came: Condvar::new() });
         let writer = Arc::clone(&shared);
         std::thread::Builder::new()
             .name("log".into())
@@ -144,10 +136,7 @@ fn write_out(mut out: impl Write, shared: &Shared, loss: &dyn Fn(u64) -> String)
     let mut lines = shared.lock();
     loop {
         let Some((lost, line)) = lines.pop() else {
-            lines = shared
-                .came
-                .wait(lines)
-                .unwrap_or_else(PoisonError::into_inner);
+            lines = shared.came.wait(lines).unwrap_or_else(PoisonError::into_inner);
             continue;
         };
         drop(lines);
@@ -201,17 +190,12 @@ mod tests {
         let taken = std::mem::take(&mut *reader.taken.lock().unwrap());
         // One may have been in the writer's hands beside the eight that waited. The beginning, the gap where
         // it was, and the end.
-        let begin = taken
-            .iter()
-            .position(|line| line.ends_with("lost"))
-            .unwrap();
+        let begin = taken.iter().position(|line| line.ends_with("lost")).unwrap();
         assert!((4..=5).contains(&begin), "{taken:?}");
         let lost = 100 - 4 - begin;
         let numbers = |range: std::ops::Range<usize>| range.map(|n| n.to_string());
-        let expected: Vec<String> = numbers(0..begin)
-            .chain([format!("{lost} lost")])
-            .chain(numbers(96..100))
-            .collect();
+        let expected: Vec<String> =
+            numbers(0..begin).chain([format!("{lost} lost")]).chain(numbers(96..100)).collect();
         assert_eq!(taken, expected);
         // Afterwards nothing is missing.
         queue.push(b"later\n");
@@ -221,10 +205,7 @@ mod tests {
 
     #[test]
     fn a_flush_waits_for_what_was_pushed_before_it_however_much_comes_after() {
-        let mut lines = Lines {
-            half: 2,
-            ..Lines::default()
-        };
+        let mut lines = Lines { half: 2, ..Lines::default() };
         (0..3).for_each(|_| lines.push(b"a"));
         let wanted = lines.pushed;
         // Everything pushed since loses lines, but not the first.
@@ -235,12 +216,7 @@ mod tests {
             out.push((lost, line[0], lines.oldest().is_some_and(|n| n < wanted)));
             lines.writing = None;
         }
-        let expected = [
-            (0, b'a', true),
-            (0, b'a', true),
-            (8, b'b', false),
-            (0, b'b', false),
-        ];
+        let expected = [(0, b'a', true), (0, b'a', true), (8, b'b', false), (0, b'b', false)];
         assert_eq!(out, expected);
     }
 }

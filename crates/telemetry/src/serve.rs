@@ -49,10 +49,8 @@ impl HttpServer {
         let listener = std::net::TcpListener::bind(addr).map_err(failed)?;
         listener.set_nonblocking(true).map_err(failed)?;
         let bound = listener.local_addr().map_err(failed)?;
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()
-            .map_err(failed)?;
+        let runtime =
+            tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
         let (shutdown, ended) = oneshot::channel::<()>();
         let thread = std::thread::Builder::new()
             .name(name.into())
@@ -66,11 +64,7 @@ impl HttpServer {
                 }
             })
             .map_err(failed)?;
-        Ok(Self {
-            addr: bound,
-            shutdown: Some(shutdown),
-            thread: Some(thread),
-        })
+        Ok(Self { addr: bound, shutdown: Some(shutdown), thread: Some(thread) })
     }
 
     /// The bound address.
@@ -175,11 +169,7 @@ mod tests {
 
     fn http_get(addr: SocketAddr, path: &str) -> String {
         let mut stream = std::net::TcpStream::connect(addr).unwrap();
-        write!(
-            stream,
-            "GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n"
-        )
-        .unwrap();
+        write!(stream, "GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n").unwrap();
         let mut answer = String::new();
         stream.read_to_string(&mut answer).unwrap();
         answer

@@ -59,9 +59,7 @@ pub fn totals() -> [f64; Part::ALL.len()] {
 /// Seconds by name from `before` to `after`.
 pub fn between(before: &[f64], after: &[f64]) -> BTreeMap<String, f64> {
     let parts = Part::ALL.iter().zip(before.iter().zip(after));
-    parts
-        .map(|(part, (before, after))| (part.name().to_owned(), after - before))
-        .collect()
+    parts.map(|(part, (before, after))| (part.name().to_owned(), after - before)).collect()
 }
 
 /// Parts of one thread's work, one after the other.
@@ -119,12 +117,7 @@ mod tests {
     #[test]
     fn parts_are_in_their_order_and_named_apart() {
         let mut names: Vec<_> = Part::ALL.iter().map(|part| part.name()).collect();
-        assert!(
-            Part::ALL
-                .iter()
-                .enumerate()
-                .all(|(i, part)| *part as usize == i)
-        );
+        assert!(Part::ALL.iter().enumerate().all(|(i, part)| *part as usize == i));
         names.sort_unstable();
         names.dedup();
         assert_eq!(names.len(), Part::ALL.len());

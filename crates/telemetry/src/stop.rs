@@ -59,41 +59,25 @@ impl StopFlag {
 
     /// Raises the flag. The first reason is kept.
     pub fn request(&self, reason: &str) {
-        let mut slot = self
-            .shared
-            .reason
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
+        let mut slot = self.shared.reason.lock().unwrap_or_else(PoisonError::into_inner);
         slot.get_or_insert_with(|| reason.to_owned());
         self.shared.raised.notify_all();
     }
 
     /// Whether somebody asked to stop.
     pub fn is_set(&self) -> bool {
-        self.shared
-            .reason
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .is_some()
+        self.shared.reason.lock().unwrap_or_else(PoisonError::into_inner).is_some()
     }
 
     /// Why, once raised.
     pub fn reason(&self) -> Option<String> {
-        self.shared
-            .reason
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .clone()
+        self.shared.reason.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Waits until the flag is raised or `timeout` has passed; true when it is raised.
     pub fn wait(&self, timeout: Duration) -> bool {
         let deadline = Instant::now() + timeout;
-        let mut slot = self
-            .shared
-            .reason
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
+        let mut slot = self.shared.reason.lock().unwrap_or_else(PoisonError::into_inner);
         while slot.is_none() {
             let left = deadline.saturating_duration_since(Instant::now());
             if left.is_zero() {
@@ -127,16 +111,11 @@ pub fn stop_on_signals(
     insistence: &Insistence,
     drain_deadline: Duration,
 ) -> std::io::Result<()> {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let (mut interrupt, mut terminate) = {
         use tokio::signal::unix::{SignalKind, signal};
         let _context = runtime.enter();
-        (
-            signal(SignalKind::interrupt())?,
-            signal(SignalKind::terminate())?,
-        )
+        (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?)
     };
     let mut hangup = {
         use tokio::signal::unix::{SignalKind, signal};

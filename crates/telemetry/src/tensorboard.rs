@@ -30,19 +30,12 @@ impl EventFile {
     /// When the file cannot be created or written.
     pub fn create(folder: &Path, wall_time_s: f64) -> io::Result<Self> {
         let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
-        let host = Some(host.trim())
-            .filter(|host| !host.is_empty())
-            .unwrap_or("localhost");
-        let name = format!(
-            "events.out.tfevents.{}.{host}.{}",
-            wall_time_s as u64,
-            std::process::id()
-        );
+        let host = Some(host.trim()).filter(|host| !host.is_empty()).unwrap_or("localhost");
+        let name =
+            format!("events.out.tfevents.{}.{host}.{}", wall_time_s as u64, std::process::id());
         let mut options = OpenOptions::new();
         let file = options.create(true).append(true).open(folder.join(name))?;
-        let mut events = Self {
-            out: BufWriter::new(file),
-        };
+        let mut events = Self { out: BufWriter::new(file) };
         events.write(&Event {
             wall_time: wall_time_s,
             step: 0,
@@ -77,10 +70,7 @@ impl EventFile {
     /// # Errors
     /// When the file cannot be written.
     pub fn settings(&mut self, wall_time_s: f64, settings: &Json, text: &str) -> io::Result<()> {
-        let mut start = SessionStart {
-            hparams: BTreeMap::new(),
-            start_time_s: wall_time_s,
-        };
+        let mut start = SessionStart { hparams: BTreeMap::new(), start_time_s: wall_time_s };
         start.add("", settings);
         let start = Hparams { start: Some(start) };
         let hparams = Value {
@@ -100,10 +90,7 @@ impl EventFile {
     pub fn text(&mut self, wall_time_s: f64, step: u64, tag: &str, text: String) -> io::Result<()> {
         let value = Value {
             metadata: Metadata::of("text", Vec::new()),
-            tensor: Some(Tensor {
-                dtype: STRING,
-                strings: vec![text.into_bytes()],
-            }),
+            tensor: Some(Tensor { dtype: STRING, strings: vec![text.into_bytes()] }),
             ..Value::tagged(&format!("{tag}/text_summary"))
         };
         let step = i64::try_from(step).unwrap_or(i64::MAX);
@@ -111,12 +98,7 @@ impl EventFile {
     }
 
     fn summary(&mut self, wall_time: f64, step: i64, value: Vec<Value>) -> io::Result<()> {
-        self.write(&Event {
-            wall_time,
-            step,
-            file_version: None,
-            summary: Some(Summary { value }),
-        })
+        self.write(&Event { wall_time, step, file_version: None, summary: Some(Summary { value }) })
     }
 
     /// Hands everything to the operating system, so that a TensorBoard that watches sees it.
@@ -166,10 +148,7 @@ struct Value {
 
 impl Value {
     fn tagged(tag: &str) -> Self {
-        Self {
-            tag: tag.to_owned(),
-            ..Self::default()
-        }
+        Self { tag: tag.to_owned(), ..Self::default() }
     }
 }
 
@@ -266,9 +245,7 @@ fn record(data: &[u8]) -> Vec<u8> {
 
 /// CRC-32C, rotated and shifted so that the checksum of data which holds checksums stays good.
 fn masked_crc(data: &[u8]) -> u32 {
-    crc32c::crc32c(data)
-        .rotate_right(15)
-        .wrapping_add(0xa282_ead8)
+    crc32c::crc32c(data).rotate_right(15).wrapping_add(0xa282_ead8)
 }
 
 #[cfg(test)]
@@ -283,9 +260,7 @@ mod tests {
     fn the_bytes_are_those_that_tensorflow_writes() {
         let dir = tempfile::tempdir().unwrap();
         let mut events = EventFile::create(dir.path(), 2.0).unwrap();
-        events
-            .scalars(3.0, 7, &[("a/b".into(), 0.5), ("z".into(), 0.0)])
-            .unwrap();
+        events.scalars(3.0, 7, &[("a/b".into(), 0.5), ("z".into(), 0.0)]).unwrap();
         events.flush().unwrap();
         let file = std::fs::read_dir(dir.path()).unwrap().next().unwrap();
         let bytes = std::fs::read(file.unwrap().path()).unwrap();
@@ -323,10 +298,7 @@ mod tests {
         assert!(bytes.contains(&start), "{bytes}");
         // tensor { dtype 7, string "    a = 1\n" }, metadata { plugin { name "text" } }
         let tensor = "420e".to_owned() + "0807" + "420a" + &hex(b"    a = 1\n");
-        assert!(
-            bytes.contains(&(tensor + "4a08" + "0a06" + "0a04" + &hex(b"text"))),
-            "{bytes}"
-        );
+        assert!(bytes.contains(&(tensor + "4a08" + "0a06" + "0a04" + &hex(b"text"))), "{bytes}");
     }
 
     #[test]

@@ -38,10 +38,8 @@ impl Collector {
         let address = listener.local_addr().unwrap();
         let service = TraceServiceServer::new(self.clone());
         std::thread::spawn(move || {
-            let runtime = tokio::runtime::Builder::new_current_thread()
-                .enable_all()
-                .build()
-                .unwrap();
+            let runtime =
+                tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
             runtime.block_on(async {
                 let listener = tokio::net::TcpListener::from_std(listener).unwrap();
                 tonic::transport::Server::builder()
@@ -101,10 +99,7 @@ fn what_is_recorded_arrives_whole_even_at_the_end() {
     sent.iter().cloned().for_each(|span| tracer.record(span));
     // The last handle goes: what waits is still exported.
     drop(tracer);
-    assert_eq!(
-        [counter(&metrics, EXPORTED), counter(&metrics, DROPPED)],
-        [700, 0]
-    );
+    assert_eq!([counter(&metrics, EXPORTED), counter(&metrics, DROPPED)], [700, 0]);
     let requests = collector.requests.lock().unwrap();
     let resource = requests[0].resource_spans[0].resource.clone().unwrap();
     let named = |key: &str| {
@@ -112,10 +107,7 @@ fn what_is_recorded_arrives_whole_even_at_the_end() {
         found.unwrap().value.clone().unwrap().value.unwrap()
     };
     use wire::any_value::Value;
-    assert_eq!(
-        named("service.name"),
-        Value::StringValue("caudata-test".into())
-    );
+    assert_eq!(named("service.name"), Value::StringValue("caudata-test".into()));
     let got: Vec<wire::Span> = requests
         .iter()
         .flat_map(|request| request.resource_spans[0].scope_spans[0].spans.clone())
@@ -150,10 +142,7 @@ fn without_a_collector_everything_is_dropped_and_counted() {
     }
     assert!(counter(&metrics, DROPPED) >= count - QUEUE_MAX as u64 - 1024);
     drop(tracer);
-    assert_eq!(
-        [counter(&metrics, EXPORTED), counter(&metrics, DROPPED)],
-        [0, count]
-    );
+    assert_eq!([counter(&metrics, EXPORTED), counter(&metrics, DROPPED)], [0, count]);
 }
 
 /// A collector that accepts the connection and says nothing holds up neither recording nor, for longer than
@@ -177,17 +166,11 @@ fn a_collector_that_hangs_holds_nobody_up() {
 fn only_some_versions_are_traced_and_none_without_an_endpoint() {
     let metrics = Metrics::new();
     let tracer = Tracer::start(&settings("http://127.0.0.1:1".into()), &metrics).unwrap();
-    assert_eq!(
-        [0, 1, 2, 3].map(|v| tracer.is_traced(v)),
-        [true, false, true, false]
-    );
+    assert_eq!([0, 1, 2, 3].map(|v| tracer.is_traced(v)), [true, false, true, false]);
     assert!(!Tracer::off().is_traced(0));
     for bad in ["127.0.0.1:4317", "ftp://127.0.0.1:1", "http://a b"] {
         let error = Tracer::start(&settings(bad.into()), &Metrics::new()).unwrap_err();
-        assert!(
-            matches!(error, TraceError::Endpoint { .. }),
-            "{bad}: {error}"
-        );
+        assert!(matches!(error, TraceError::Endpoint { .. }), "{bad}: {error}");
     }
     let error = Tracer::start(&settings("https://h:1".into()), &Metrics::new()).unwrap_err();
     assert!(error.to_string().contains("cluster.tls_dir"), "{error}");

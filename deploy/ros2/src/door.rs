@@ -171,10 +171,7 @@ impl Door {
         }
         let out = |topic: &Topic| {
             let declared = session.declare_publisher(topic.key()).wait();
-            declared.map_err(zenoh_error).map(|publisher| Out {
-                publisher,
-                sequence: 0,
-            })
+            declared.map_err(zenoh_error).map(|publisher| Out { publisher, sequence: 0 })
         };
         let velocity = Arc::<Mutex<Newest>>::default();
         let newest = velocity.clone();
@@ -217,10 +214,8 @@ impl Door {
         let unix_ns = unix_ns();
         let gid = self.gid;
         let look = &self.appearance;
-        self.joints
-            .put(gid, unix_ns, joint_state(tick, unix_ns, look).encode())?;
-        self.imu
-            .put(gid, unix_ns, imu(tick, unix_ns, look).encode())?;
+        self.joints.put(gid, unix_ns, joint_state(tick, unix_ns, look).encode())?;
+        self.imu.put(gid, unix_ns, imu(tick, unix_ns, look).encode())?;
         let reckoned = self.reckoning.add(tick);
         let frames = frames(tick, reckoned.as_ref(), unix_ns, look);
         self.frames.put(gid, unix_ns, frames.encode())?;
@@ -230,10 +225,7 @@ impl Door {
         }
         if self.ticks.is_multiple_of(SELDOM) {
             let diagnostics = diagnostics(tick, unix_ns, look).encode();
-            let battery = BatteryState {
-                header: header(unix_ns, ""),
-                voltage_v: tick.supply_v,
-            };
+            let battery = BatteryState { header: header(unix_ns, ""), voltage_v: tick.supply_v };
             let data = look.robot.to_urdf();
             self.diagnostics.put(gid, unix_ns, diagnostics)?;
             self.battery.put(gid, unix_ns, battery.encode())?;
@@ -247,9 +239,7 @@ impl Door {
     /// count.
     pub fn velocity(&self) -> Option<[f32; 3]> {
         let newest = *self.velocity.lock().unwrap_or_else(PoisonError::into_inner);
-        newest
-            .filter(|(_, at)| at.elapsed() <= COMMAND_MAX_AGE)
-            .map(|(command, _)| command)
+        newest.filter(|(_, at)| at.elapsed() <= COMMAND_MAX_AGE).map(|(command, _)| command)
     }
 
     /// Id of its session.
@@ -282,12 +272,7 @@ impl Commands {
             Ok(socket)
         });
         let socket = opened.map_err(|source| DoorError::Link { address, source })?;
-        Ok(Self {
-            socket,
-            key,
-            commander: Commander::begin(),
-            sent: Instant::now(),
-        })
+        Ok(Self { socket, key, commander: Commander::begin(), sent: Instant::now() })
     }
 
     /// Sends what is due. Without a velocity nothing is sent, and the robot stops by itself.
@@ -310,11 +295,7 @@ impl Commands {
 }
 
 fn command_of(twist: &Twist) -> [f32; 3] {
-    [
-        twist.linear_mps[0] as f32,
-        twist.linear_mps[1] as f32,
-        twist.angular_radps[2] as f32,
-    ]
+    [twist.linear_mps[0] as f32, twist.linear_mps[1] as f32, twist.angular_radps[2] as f32]
 }
 
 /// As ROS wants it: one name, position, velocity and effort per joint.
@@ -380,26 +361,17 @@ pub fn frames(
     };
     let of_links = links.iter().zip(&places).filter_map(|(link, place)| {
         let outer = link.parent?;
-        Some(frame(
-            &links[outer].name,
-            &link.name,
-            places[outer].inverse().compose(place),
-        ))
+        Some(frame(&links[outer].name, &link.name, places[outer].inverse().compose(place)))
     });
     let imu = robot.imu_site();
     let imu = imu.map(|site| frame(&links[site.link].name, &look.imu_frame, site.link_from_site));
     let root = reckoned.zip(links.first());
     let root = root.map(|(reckoned, link)| frame(ODOM, &link.name, reckoned.pose));
-    TfMessage {
-        transforms: of_links.chain(imu).chain(root).collect(),
-    }
+    TfMessage { transforms: of_links.chain(imu).chain(root).collect() }
 }
 
 fn header(stamp_ns: i64, frame: &str) -> Header {
-    Header {
-        stamp_ns,
-        frame: frame.to_owned(),
-    }
+    Header { stamp_ns, frame: frame.to_owned() }
 }
 
 /// One status: in order, or what stops it, with the figures that people look at.

@@ -128,11 +128,7 @@ fn run(args: &Args, process: &Process) -> Result<(), Failure> {
     let tap = Tap::open(&folder).map_err(failure)?;
     let config = settings(&args.connect, &[]).or_exit(ExitCode::BadConfig)?;
     let mut door = Door::open(config, appearance).or_exit(ExitCode::Unavailable)?;
-    tracing::info!(
-        node = args.node,
-        session = door.session_id(),
-        "the door to ROS is open"
-    );
+    tracing::info!(node = args.node, session = door.session_id(), "the door to ROS is open");
     let (mut heard, mut said) = (Instant::now(), false);
     while !process.stop.is_set() {
         if let Some(tick) = tap.next(TICK_MAX).or_exit(ExitCode::OsResource)? {

@@ -80,11 +80,7 @@ pub struct Topic {
 impl Topic {
     /// The key that its samples have.
     pub fn key(&self) -> String {
-        let Self {
-            domain,
-            name,
-            message,
-        } = self;
+        let Self { domain, name, message } = self;
         let name = name.trim_matches('/');
         format!("{domain}/{name}/{}/{}", message.dds(), message.hash)
     }
@@ -116,21 +112,13 @@ const QOS: &str = "::,10:,:,:,,";
 impl Node {
     /// The token by which the node is seen.
     pub fn token(&self) -> String {
-        let Self {
-            domain,
-            session,
-            name,
-        } = self;
+        let Self { domain, session, name } = self;
         format!("@ros2_lv/{domain}/{session}/0/0/NN/%/%/{name}")
     }
 
     /// The token by which its part in `topic` is seen. `entity` is another number for each.
     pub fn topic_token(&self, entity: u32, role: Role, topic: &Topic) -> String {
-        let Self {
-            domain,
-            session,
-            name,
-        } = self;
+        let Self { domain, session, name } = self;
         let role = match role {
             Role::Publisher => "MP",
             Role::Subscriber => "MS",
@@ -172,11 +160,7 @@ mod tests {
         };
         let key = |name: &str| {
             let name = name.to_owned();
-            let topic = Topic {
-                domain: 0,
-                name,
-                message: string,
-            };
+            let topic = Topic { domain: 0, name, message: string };
             topic.key()
         };
         assert_eq!(
@@ -200,11 +184,8 @@ mod tests {
             node.token(),
             "@ros2_lv/2/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%/salamander"
         );
-        let topic = Topic {
-            domain: 2,
-            name: "/robot1/joint_states".to_owned(),
-            message: JOINT_STATE,
-        };
+        let topic =
+            Topic { domain: 2, name: "/robot1/joint_states".to_owned(), message: JOINT_STATE };
         assert_eq!(
             node.topic_token(11, Role::Publisher, &topic),
             "@ros2_lv/2/aac3178e146ba6f1fc6e6a4085e77f21/0/11/MP/%/%/salamander/%robot1%joint_states/\
@@ -235,36 +216,30 @@ mod tests {
         let fields: &[(&str, u32, u32, &str)] = match name {
             "std_msgs/msg/String" => &[("data", 17, 0, "")],
             "builtin_interfaces/msg/Time" => &[("sec", 6, 0, ""), ("nanosec", 7, 0, "")],
-            "std_msgs/msg/Header" => &[
-                ("stamp", 1, 0, "builtin_interfaces/msg/Time"),
-                ("frame_id", 17, 0, ""),
-            ],
+            "std_msgs/msg/Header" => {
+                &[("stamp", 1, 0, "builtin_interfaces/msg/Time"), ("frame_id", 17, 0, "")]
+            }
             "geometry_msgs/msg/Vector3" => &[("x", 11, 0, ""), ("y", 11, 0, ""), ("z", 11, 0, "")],
             "geometry_msgs/msg/Point" => &[("x", 11, 0, ""), ("y", 11, 0, ""), ("z", 11, 0, "")],
             "geometry_msgs/msg/Pose" => &[
                 ("position", 1, 0, "geometry_msgs/msg/Point"),
                 ("orientation", 1, 0, "geometry_msgs/msg/Quaternion"),
             ],
-            "geometry_msgs/msg/PoseWithCovariance" => &[
-                ("pose", 1, 0, "geometry_msgs/msg/Pose"),
-                ("covariance", 11 + 48, 36, ""),
-            ],
-            "geometry_msgs/msg/TwistWithCovariance" => &[
-                ("twist", 1, 0, "geometry_msgs/msg/Twist"),
-                ("covariance", 11 + 48, 36, ""),
-            ],
+            "geometry_msgs/msg/PoseWithCovariance" => {
+                &[("pose", 1, 0, "geometry_msgs/msg/Pose"), ("covariance", 11 + 48, 36, "")]
+            }
+            "geometry_msgs/msg/TwistWithCovariance" => {
+                &[("twist", 1, 0, "geometry_msgs/msg/Twist"), ("covariance", 11 + 48, 36, "")]
+            }
             "nav_msgs/msg/Odometry" => &[
                 ("header", 1, 0, "std_msgs/msg/Header"),
                 ("child_frame_id", 17, 0, ""),
                 ("pose", 1, 0, "geometry_msgs/msg/PoseWithCovariance"),
                 ("twist", 1, 0, "geometry_msgs/msg/TwistWithCovariance"),
             ],
-            "geometry_msgs/msg/Quaternion" => &[
-                ("x", 11, 0, ""),
-                ("y", 11, 0, ""),
-                ("z", 11, 0, ""),
-                ("w", 11, 0, ""),
-            ],
+            "geometry_msgs/msg/Quaternion" => {
+                &[("x", 11, 0, ""), ("y", 11, 0, ""), ("z", 11, 0, ""), ("w", 11, 0, "")]
+            }
             "geometry_msgs/msg/Transform" => &[
                 ("translation", 1, 0, "geometry_msgs/msg/Vector3"),
                 ("rotation", 1, 0, "geometry_msgs/msg/Quaternion"),
@@ -274,12 +249,9 @@ mod tests {
                 ("child_frame_id", 17, 0, ""),
                 ("transform", 1, 0, "geometry_msgs/msg/Transform"),
             ],
-            "tf2_msgs/msg/TFMessage" => &[(
-                "transforms",
-                1 + 144,
-                0,
-                "geometry_msgs/msg/TransformStamped",
-            )],
+            "tf2_msgs/msg/TFMessage" => {
+                &[("transforms", 1 + 144, 0, "geometry_msgs/msg/TransformStamped")]
+            }
             "sensor_msgs/msg/BatteryState" => &[
                 ("header", 1, 0, "std_msgs/msg/Header"),
                 ("voltage", 10, 0, ""),
@@ -344,11 +316,7 @@ mod tests {
             )
         });
         let fields: Vec<String> = fields.collect();
-        format!(
-            r#"{{"type_name": {}, "fields": [{}]}}"#,
-            definition["name"],
-            fields.join(", ")
-        )
+        format!(r#"{{"type_name": {}, "fields": [{}]}}"#, definition["name"], fields.join(", "))
     }
 
     fn referred(name: &str, into: &mut std::collections::BTreeSet<String>) {
@@ -381,16 +349,9 @@ mod tests {
             hash("std_msgs/msg/String"),
             "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
         );
-        for message in [
-            JOINT_STATE,
-            IMU,
-            DIAGNOSTIC_ARRAY,
-            TWIST,
-            TF_MESSAGE,
-            BATTERY_STATE,
-            STRING,
-            ODOMETRY,
-        ] {
+        for message in
+            [JOINT_STATE, IMU, DIAGNOSTIC_ARRAY, TWIST, TF_MESSAGE, BATTERY_STATE, STRING, ODOMETRY]
+        {
             assert_eq!(hash(message.name), message.hash, "{}", message.name);
         }
     }

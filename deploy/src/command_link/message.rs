@@ -30,10 +30,7 @@ impl LinkKey {
     /// # Errors
     /// [`DeployError::LinkKey`], [`DeployError::Key`].
     pub fn read(path: &Path) -> Result<Self, DeployError> {
-        let wrong = |reason: String| DeployError::LinkKey {
-            path: path.to_owned(),
-            reason,
-        };
+        let wrong = |reason: String| DeployError::LinkKey { path: path.to_owned(), reason };
         check_private(path)?;
         let bytes =
             caudata_durable::read_at_most(path, KEY_MAX).map_err(|e| wrong(e.to_string()))?;
@@ -125,11 +122,6 @@ impl Message {
         for (i, value) in command.iter_mut().enumerate() {
             *value = f32::from_le_bytes(said[21 + 4 * i..25 + 4 * i].try_into().ok()?);
         }
-        Some(Self {
-            kind,
-            nonce: eight(5)?,
-            sequence: eight(13)?,
-            command,
-        })
+        Some(Self { kind, nonce: eight(5)?, sequence: eight(13)?, command })
     }
 }

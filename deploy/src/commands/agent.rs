@@ -116,10 +116,7 @@ fn pass_on(mut link: UdpLink, sender: CommandSender, stop: StopFlag) -> Result<(
         }
     };
     let thread = std::thread::Builder::new().name("commands".into());
-    thread
-        .spawn(work)
-        .map(drop)
-        .map_err(DeployError::system("a thread"))
+    thread.spawn(work).map(drop).map_err(DeployError::system("a thread"))
 }
 
 fn metrics_endpoint(

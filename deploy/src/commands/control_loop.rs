@@ -108,18 +108,11 @@ fn open_robot(
     model: &RobotModel,
 ) -> Result<HardwareRobot<SerialPort, Box<dyn I2c + Send>>, DeployError> {
     let mut bus = open_bus(wiring)?;
-    let lost = |fault: BusFault| BusError::Lost {
-        reason: fault.to_string(),
-    };
+    let lost = |fault: BusFault| BusError::Lost { reason: fault.to_string() };
     let servos = inspect::servos(&mut bus, wiring, &joints, model, true).map_err(lost)?;
     for check in &servos.checks {
         if check.mark == Mark::Fixed {
-            tracing::warn!(
-                at = check.at,
-                what = check.what,
-                found = check.found,
-                "set right"
-            );
+            tracing::warn!(at = check.at, what = check.what, found = check.found, "set right");
         }
     }
     fit(&servos)?;
@@ -159,9 +152,7 @@ fn walk<R: Robot>(
     };
     let link = LocalLink::open(&setting.folder)?;
     let run = random_nonce().map_err(DeployError::system("random bytes"))?;
-    let page = args
-        .metrics_addr
-        .map(|_| (registry, setting.folder.file(LOOP_PAGE)));
+    let page = args.metrics_addr.map(|_| (registry, setting.folder.file(LOOP_PAGE)));
     let mut courier = Courier::new(setting.folder.clone(), teller, loader, run, page);
     let Some(verified) = courier.first(&setting.process.stop)? else {
         return Ok(());
@@ -222,13 +213,7 @@ fn drive<R: Robot>(
     if let (Some(folder), Some(first)) = (&args.log_dir, control.first()) {
         let policy = control.runner().policy();
         let supply_v = first.servos.supply_v;
-        let meta = meta(
-            &setting.model,
-            policy,
-            setting.control_period_s,
-            supply_v,
-            &args.terrain,
-        );
+        let meta = meta(&setting.model, policy, setting.control_period_s, supply_v, &args.terrain);
         let folder = args.of_this_start(folder);
         let log = FlightLog::create(&folder, &setting.model, &meta, &first.truth)?;
         control.set_log(log);
@@ -267,11 +252,7 @@ fn drive<R: Robot>(
         Err(error) => (LogCounts::default(), Some(error)),
     };
     let summary = summary_of(setting.model.name(), policy, ended, counts, rows);
-    Ok(Over {
-        summary,
-        fault,
-        log,
-    })
+    Ok(Over { summary, fault, log })
 }
 
 fn summary_of(
@@ -352,11 +333,7 @@ fn warn_of_untrained(plan: &RunPlan, runner: &PolicyRunner) {
 
 /// Prints the summary; a policy that had to be stopped is a failure.
 fn finish(args: &RunArgs, over: Over) -> Result<(), DeployError> {
-    let Over {
-        summary,
-        fault,
-        log,
-    } = over;
+    let Over { summary, fault, log } = over;
     let text = match args.json {
         true => json_line(&summary)?,
         false => in_words(&summary, args),
@@ -417,11 +394,7 @@ fn in_words(summary: &RunSummary, args: &RunArgs) -> String {
         ));
     }
     if let Some(folder) = &args.log_dir {
-        lines.push(format!(
-            "log: {} ({} rows)",
-            folder.display(),
-            summary.log_rows
-        ));
+        lines.push(format!("log: {} ({} rows)", folder.display(), summary.log_rows));
     }
     lines.join("\n")
 }
@@ -436,8 +409,6 @@ fn resident_bytes() -> u64 {
 
 fn step_max_rad(setting: &Setting) -> f32 {
     let joints = setting.model.actuated().len();
-    let fastest = (0..joints)
-        .map(|i| setting.model.servo(i).qd_max_radps)
-        .fold(0.0, f64::max);
+    let fastest = (0..joints).map(|i| setting.model.servo(i).qd_max_radps).fold(0.0, f64::max);
     (RATE_LIMIT_FACTOR * fastest * setting.control_period_s) as f32
 }

@@ -73,22 +73,17 @@ struct Report<'a> {
 pub fn run(args: &DoctorArgs) -> Result<(), DeployError> {
     let model = load_model(&args.robot)?;
     let (wiring, joints) = read_wiring(&args.wiring, &model, &args.ports.overrides())?;
-    let lost = |fault: BusFault| BusError::Lost {
-        reason: fault.to_string(),
-    };
+    let lost = |fault: BusFault| BusError::Lost { reason: fault.to_string() };
     let mut bus = open_bus(&wiring)?;
     let mut all = inspect::servos(&mut bus, &wiring, &joints, &model, args.fix).map_err(lost)?;
     if all.wrong().next().is_none() {
-        all.checks
-            .extend(timing(&mut bus, &wiring, &joints).map_err(lost)?);
+        all.checks.extend(timing(&mut bus, &wiring, &joints).map_err(lost)?);
         if args.nominal {
-            all.checks
-                .extend(pose(&mut bus, &joints, &model).map_err(lost)?);
+            all.checks.extend(pose(&mut bus, &joints, &model).map_err(lost)?);
         }
         if args.watch > 0 {
             let end = Instant::now() + Duration::from_secs(args.watch.min(600));
-            all.checks
-                .extend(watch(&mut bus, &joints, &model, end).map_err(lost)?);
+            all.checks.extend(watch(&mut bus, &joints, &model, end).map_err(lost)?);
         }
     }
     all.checks.extend(match open_imu(&wiring) {
@@ -122,10 +117,7 @@ fn tell(args: &DoctorArgs, model: &RobotModel, all: &Inspection) -> Result<(), D
             Mark::Fixed => "fixed",
             Mark::Wrong => "WRONG",
         };
-        say(&format!(
-            "{mark}  {:<8}  {:<22}  {}",
-            check.at, check.what, check.found
-        ));
+        say(&format!("{mark}  {:<8}  {:<22}  {}", check.at, check.what, check.found));
     }
     Ok(())
 }
@@ -144,17 +136,9 @@ fn timing<P: Port>(
         let begun = Instant::now();
         bus.read_group(&mut group, Duration::from_millis(100))?;
         worst = worst.max(begun.elapsed());
-        missing += (0..group.len())
-            .filter(|i| group.answer(*i) == Answer::Silent)
-            .count();
+        missing += (0..group.len()).filter(|i| group.answer(*i) == Answer::Silent).count();
     }
-    let wire_us = tick_us(
-        ids.len(),
-        10,
-        fast,
-        wiring.bus.return_delay_us,
-        wiring.bus.baud,
-    );
+    let wire_us = tick_us(ids.len(), 10, fast, wiring.bus.return_delay_us, wiring.bus.baud);
     let text = format!(
         "worst of {TIMED_TICKS}: {:.1} ms; a tick is {:.1} ms on the wire",
         worst.as_secs_f64() * 1e3,
@@ -196,17 +180,8 @@ fn pose<P: Port>(
     let checks = found.iter().zip(model.nominal_pos_rad()).zip(names);
     Ok(checks
         .map(|((found, nominal), name)| {
-            let text = format!(
-                "{:.1}°, nominal {:.1}°",
-                found.to_degrees(),
-                nominal.to_degrees()
-            );
-            check(
-                name,
-                "zero offset",
-                text,
-                (found - nominal).abs() < NOMINAL_RAD,
-            )
+            let text = format!("{:.1}°, nominal {:.1}°", found.to_degrees(), nominal.to_degrees());
+            check(name, "zero offset", text, (found - nominal).abs() < NOMINAL_RAD)
         })
         .collect())
 }
@@ -233,10 +208,7 @@ fn watch<P: Port>(
     Ok(moved
         .filter(|(far, _)| far.abs() > MOVED_RAD)
         .map(|(far, name)| {
-            let text = format!(
-                "moved {:+.0}°; by hand it went the positive way",
-                far.to_degrees()
-            );
+            let text = format!("moved {:+.0}°; by hand it went the positive way", far.to_degrees());
             check(name, "direction", text, *far > 0.0)
         })
         .collect())

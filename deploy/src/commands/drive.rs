@@ -208,10 +208,7 @@ impl Driver {
         Self {
             commander,
             pad: Gamepad::default(),
-            full: Speeds {
-                linear_mps: args.speed,
-                yaw_radps: args.turn,
-            },
+            full: Speeds { linear_mps: args.speed, yaw_radps: args.turn },
             held_button: args.held_button,
             kill_button: args.kill_button,
             key_at: None,
@@ -260,10 +257,7 @@ impl Driver {
 
 /// What a key means while it is held; `None`: nothing, which lets go.
 fn held_key(key: u8, full: Speeds) -> Option<[f32; 3]> {
-    let Speeds {
-        linear_mps: v,
-        yaw_radps: r,
-    } = full;
+    let Speeds { linear_mps: v, yaw_radps: r } = full;
     match key {
         b'w' => Some([v, 0.0, 0.0]),
         b's' => Some([-v, 0.0, 0.0]),
@@ -321,16 +315,8 @@ mod tests {
         obey_line(&mut sender, "0.2,0,-0.1");
         assert_eq!(sender.command, [0.2, 0.0, -0.1]);
         let first = sender.next_message();
-        assert_eq!(
-            first.kind,
-            Kind::Ask,
-            "nothing moves before the nonce is known"
-        );
-        let told = Message {
-            kind: Kind::Tell,
-            nonce: 5,
-            ..first
-        };
+        assert_eq!(first.kind, Kind::Ask, "nothing moves before the nonce is known");
+        let told = Message { kind: Kind::Tell, nonce: 5, ..first };
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("key");
         std::fs::write(&file, [7; 32]).unwrap();
@@ -341,10 +327,7 @@ mod tests {
         assert_eq!(sender.next_message().kind, Kind::Velocity);
         obey_line(&mut sender, " k");
         let last = sender.next_message();
-        assert_eq!(
-            (last.kind, last.command, last.sequence),
-            (Kind::Kill, [0.0; 3], 3)
-        );
+        assert_eq!((last.kind, last.command, last.sequence), (Kind::Kill, [0.0; 3], 3));
     }
 
     #[test]

@@ -198,10 +198,7 @@ fn around_the_command(
     mut arguments: impl Iterator<Item = OsString>,
     command: &str,
 ) -> [Vec<OsString>; 2] {
-    let before = arguments
-        .by_ref()
-        .take_while(|word| word != command)
-        .collect();
+    let before = arguments.by_ref().take_while(|word| word != command).collect();
     [before, arguments.collect()]
 }
 

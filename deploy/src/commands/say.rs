@@ -18,9 +18,7 @@ pub(super) fn say_json(value: &impl Serialize) -> Result<(), DeployError> {
 }
 
 pub(super) fn json_line(value: &impl Serialize) -> Result<String, DeployError> {
-    serde_json::to_string(value).map_err(|e| DeployError::Internal {
-        what: e.to_string(),
-    })
+    serde_json::to_string(value).map_err(|e| DeployError::Internal { what: e.to_string() })
 }
 
 /// As [`say`], but waits at most for `limit` for whoever reads; whether it was taken.

@@ -81,10 +81,7 @@ impl SourceArgs {
         if is_loopback(address) || self.insecure_accept_unsigned_plaintext {
             return Ok(());
         }
-        Err(DeployError::Insecure {
-            address: address.clone(),
-            missing,
-        })
+        Err(DeployError::Insecure { address: address.clone(), missing })
     }
 }
 
@@ -131,10 +128,8 @@ impl Source {
     ) -> Result<(Self, AgentMetrics), DeployError> {
         args.check()?;
         let model = load_model(&args.robot)?;
-        let stream = StreamName::new(&args.stream).map_err(|source| DeployError::Stream {
-            name: args.stream.clone(),
-            source,
-        })?;
+        let stream = StreamName::new(&args.stream)
+            .map_err(|source| DeployError::Stream { name: args.stream.clone(), source })?;
         let metrics = AgentMetrics::register(metrics);
         let trust = args.trust.as_deref().map(Trust::read).transpose();
         let trust = trust.map_err(DeployError::Trust)?;
@@ -198,12 +193,7 @@ impl Source {
 /// The host's name, of what a robot's name may hold; `robot` where the system tells none.
 fn host_name() -> String {
     let name = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
-    let fits: String = name
-        .trim()
-        .chars()
-        .filter(char::is_ascii_graphic)
-        .take(64)
-        .collect();
+    let fits: String = name.trim().chars().filter(char::is_ascii_graphic).take(64).collect();
     match fits.is_empty() {
         true => "robot".to_owned(),
         false => fits,
@@ -211,15 +201,11 @@ fn host_name() -> String {
 }
 
 pub(super) fn load_model(path: &Path) -> Result<Arc<RobotModel>, DeployError> {
-    let model = RobotModel::load(path).map_err(|source| DeployError::Robot {
-        path: path.to_owned(),
-        source,
-    })?;
+    let model = RobotModel::load(path)
+        .map_err(|source| DeployError::Robot { path: path.to_owned(), source })?;
     // Refuses a robot that the task cannot drive, before anything is fetched.
-    caudata_task::JointTable::from_model(&model).map_err(|source| DeployError::Task {
-        path: path.to_owned(),
-        source,
-    })?;
+    caudata_task::JointTable::from_model(&model)
+        .map_err(|source| DeployError::Task { path: path.to_owned(), source })?;
     Ok(Arc::new(model))
 }
 
@@ -232,15 +218,7 @@ mod tests {
     #[test]
     fn fault_74_beyond_this_computer_no_policy_is_taken_in_the_open_or_unsigned() {
         let args = |address: &str, more: &[&str]| {
-            let words = [
-                "pull",
-                "--stream",
-                "s",
-                "--state",
-                "x",
-                "--policy-server",
-                address,
-            ];
+            let words = ["pull", "--stream", "s", "--state", "x", "--policy-server", address];
             #[derive(Parser)]
             struct Flags {
                 #[command(flatten)]
@@ -250,12 +228,7 @@ mod tests {
             Flags::try_parse_from(words).unwrap().source.check()
         };
         let trust = ["--trust", "trust.toml"];
-        for local in [
-            "127.0.0.1:7401",
-            "localhost:1",
-            "[::1]:7401",
-            "http://127.3.2.1:9",
-        ] {
+        for local in ["127.0.0.1:7401", "localhost:1", "[::1]:7401", "http://127.3.2.1:9"] {
             assert!(args(local, &[]).is_ok(), "{local}");
         }
         for far in [
@@ -269,11 +242,7 @@ mod tests {
             let error = args(far, &[]).unwrap_err();
             assert!(matches!(error, DeployError::Insecure { .. }), "{error}");
             assert!(args(far, &["--insecure-accept-unsigned-plaintext"]).is_ok());
-            assert_eq!(
-                args(far, &trust).is_ok(),
-                far.starts_with("https://"),
-                "{far}"
-            );
+            assert_eq!(args(far, &trust).is_ok(), far.starts_with("https://"), "{far}");
         }
     }
 }

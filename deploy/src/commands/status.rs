@@ -34,10 +34,7 @@ fn print(state: &RobotState) {
     line("active", &state.active);
     line("last good", &state.last_good);
     if state.trust_version > 0 {
-        say(&format!(
-            "trusts    trust file version {}",
-            state.trust_version
-        ));
+        say(&format!("trusts    trust file version {}", state.trust_version));
     }
     for entry in &state.quarantined {
         say(&format!("refused   {}: {}", entry.policy, entry.reason));

@@ -67,18 +67,14 @@ impl LegOdometry {
         let feet: Vec<_> = model
             .feet()
             .iter()
-            .map(|foot| Touching {
-                link: foot.link,
-                balls: foot.balls.clone(),
-            })
+            .map(|foot| Touching { link: foot.link, balls: foot.balls.clone() })
             .collect();
         let trunk = (0..model.links().len())
             .filter(|&link| model.carries_feet(link) && model.leg_of(link).is_none())
             .map(|link| trunk(&model, link))
             .collect();
-        let imu = model
-            .imu_site()
-            .map_or((0, Pose::IDENTITY), |site| (site.link, site.link_from_site));
+        let imu =
+            model.imu_site().map_or((0, Pose::IDENTITY), |site| (site.link, site.link_from_site));
         (feet.len() > 1).then(|| Self {
             feet,
             trunk,
@@ -96,18 +92,10 @@ impl LegOdometry {
     /// since the tick before. No velocity where the trunk is as low as the feet; `None` for the first tick, and where
     /// readings are no numbers.
     pub fn velocity(&mut self, posture: &Posture) -> Option<[f64; COMMAND_DIM]> {
-        let &Posture {
-            gyro_radps,
-            up,
-            dt_s,
-            ..
-        } = posture;
+        let &Posture { gyro_radps, up, dt_s, .. } = posture;
         self.place(posture.pos_rad)?;
         let (link, point_m) = self.standing(up)?;
-        let before = self
-            .last
-            .get(link)?
-            .point(self.now[link].inverse().point(point_m));
+        let before = self.last.get(link)?.point(self.now[link].inverse().point(point_m));
         let velocity = match dt_s > 0.0 && !self.lies(up) {
             true => {
                 let shift = sub(before, point_m).map(|m| m / dt_s);
@@ -120,11 +108,7 @@ impl LegOdometry {
         let size = dot(along, along).sqrt();
         let forward = along.map(|x| x / size);
         let left = cross(up, forward);
-        let velocity = [
-            dot(velocity, forward),
-            dot(velocity, left),
-            dot(gyro_radps, up),
-        ];
+        let velocity = [dot(velocity, forward), dot(velocity, left), dot(gyro_radps, up)];
         velocity.iter().all(|v| v.is_finite()).then_some(velocity)
     }
 
@@ -134,16 +118,13 @@ impl LegOdometry {
             self.pos_rad[joint] = f64::from(pos_rad);
         }
         let kinematics = &mut self.kinematics;
-        self.model
-            .kinematics_into(&Pose::IDENTITY, &self.pos_rad, kinematics)
-            .ok()?;
+        self.model.kinematics_into(&Pose::IDENTITY, &self.pos_rad, kinematics).ok()?;
         let (link, link_from_imu) = self.imu;
         let imu_from_base = kinematics.links[link].compose(&link_from_imu).inverse();
         std::mem::swap(&mut self.now, &mut self.last);
         self.now.clear();
         let poses = kinematics.links.iter();
-        self.now
-            .extend(poses.map(|pose| imu_from_base.compose(pose)));
+        self.now.extend(poses.map(|pose| imu_from_base.compose(pose)));
         Some(())
     }
 
@@ -174,9 +155,7 @@ impl LegOdometry {
     fn lies(&self, up: [f64; 3]) -> bool {
         let least = |all: &[Touching]| {
             let heights = all.iter().filter_map(|t| t.lowest(&self.now, up));
-            heights
-                .map(|point_m| dot(point_m, up))
-                .fold(f64::INFINITY, f64::min)
+            heights.map(|point_m| dot(point_m, up)).fold(f64::INFINITY, f64::min)
         };
         least(&self.trunk) < least(&self.feet)
     }
@@ -193,21 +172,16 @@ impl LegOdometry {
 
 /// What of a link of the trunk may touch the ground.
 fn trunk(model: &RobotModel, link: usize) -> Touching {
-    let geoms = model.links()[link]
-        .geoms
-        .iter()
-        .filter(|geom| geom.collides());
+    let geoms = model.links()[link].geoms.iter().filter(|geom| geom.collides());
     let balls = geoms.filter_map(|geom| {
         let (centres, radius_m) = geom.shape.balls()?;
-        Some(centres.into_iter().map(move |centre| Ball {
-            centre_m: geom.link_from_geom.point(centre),
-            radius_m,
-        }))
+        Some(
+            centres
+                .into_iter()
+                .map(move |centre| Ball { centre_m: geom.link_from_geom.point(centre), radius_m }),
+        )
     });
-    Touching {
-        link,
-        balls: balls.flatten().collect(),
-    }
+    Touching { link, balls: balls.flatten().collect() }
 }
 
 #[cfg(test)]
@@ -219,11 +193,7 @@ mod tests {
     fn standing(model: &RobotModel, part: &str, shift_rad: f64) -> PerJoint {
         let names = model.actuated_names();
         PerJoint::from_fn(names.len(), |j| {
-            let shift = if names[j].ends_with(part) {
-                shift_rad
-            } else {
-                0.0
-            };
+            let shift = if names[j].ends_with(part) { shift_rad } else { 0.0 };
             (model.nominal_pos_rad()[j] + shift) as f32
         })
     }
@@ -273,11 +243,7 @@ mod tests {
             let phase = std::f64::consts::TAU * 0.02 * f64::from(tick);
             let pos_rad = PerJoint::from_fn(names.len(), |j| {
                 let (leg, joint) = names[j].split_once('_').unwrap();
-                let side = if matches!(leg, "FR" | "HL") {
-                    -1.0
-                } else {
-                    1.0
-                };
+                let side = if matches!(leg, "FR" | "HL") { -1.0 } else { 1.0 };
                 let swing = match joint {
                     "hip" => 0.3 * side * phase.cos(),
                     "knee" => 0.2 * side * phase.sin(),

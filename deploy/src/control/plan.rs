@@ -258,11 +258,7 @@ impl Counts {
 
 fn mean(sum: &[f64; COMMAND_DIM], count: u64) -> Velocity {
     let [vx_mps, vy_mps, yaw_rate_radps] = sum.map(|sum| rounded(sum / count.max(1) as f64));
-    Velocity {
-        vx_mps,
-        vy_mps,
-        yaw_rate_radps,
-    }
+    Velocity { vx_mps, vy_mps, yaw_rate_radps }
 }
 
 /// Mean over the joints of their speeds, rad/s. What is not a number is no standing still.
@@ -313,11 +309,7 @@ mod tests {
                 current_a: PerJoint::filled(2, 0.0),
                 supply_v: 12.0,
             };
-            trial.count(
-                &[command(tick), 0.0, 0.0],
-                &servos,
-                going.map(|vx| [vx, 0.3, 0.0]),
-            );
+            trial.count(&[command(tick), 0.0, 0.0], &servos, going.map(|vx| [vx, 0.3, 0.0]));
         }
         trial.ticks
     }
@@ -332,11 +324,7 @@ mod tests {
         // the mean of what turns round every tick is 1/19 of it: 0.08 rad/s
         let shiver = |tick: u32| if tick.is_multiple_of(2) { 1.5 } else { -1.5 };
         let there_and_back = |tick: u32| {
-            if (tick / 2).is_multiple_of(2) {
-                0.06
-            } else {
-                -0.06
-            }
+            if (tick / 2).is_multiple_of(2) { 0.06 } else { -0.06 }
         };
         // the mean of a command of 0.1 m/s is above 0.03 after 18 ticks: 1 − 0.98¹⁸ = 0.305
         assert_eq!(counted(|_| 0.1, swing, None), 483);
@@ -345,10 +333,7 @@ mod tests {
         assert_eq!(counted(there_and_back, swing, None), 0);
         // the ticks until it is seen that the joints stand still
         assert_eq!(counted(|_| 0.1, |_| 0.0, None), 0);
-        assert!(
-            counted(|_| 0.1, shiver, None) < 2 * STILL_TICKS,
-            "1.5 rad/s, and goes nowhere"
-        );
+        assert!(counted(|_| 0.1, shiver, None) < 2 * STILL_TICKS, "1.5 rad/s, and goes nowhere");
     }
 
     #[test]

@@ -38,9 +38,7 @@ impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
         self.swap_ticks = self.swap_ticks.saturating_add(1);
         self.metrics.armed.set(1);
         let at_rest = self.gate.last_rad() == self.runner.joints().nominal_rad;
-        let stood_long = self
-            .stand_ticks
-            .is_some_and(|ticks| ticks >= STAND_TICKS_MAX);
+        let stood_long = self.stand_ticks.is_some_and(|ticks| ticks >= STAND_TICKS_MAX);
         let safe = match stage {
             Stage::Rise => true,
             Stage::Settle => true,
@@ -66,10 +64,7 @@ impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
         let waited = self.plan.period * self.swap_ticks;
         if stage == Stage::Walk && self.plan.swap_wait.is_some_and(|limit| waited >= limit) {
             let waited_s = waited.as_secs_f32();
-            tracing::info!(
-                waited_s,
-                "a newer policy waits: the robot stands to let it in"
-            );
+            tracing::info!(waited_s, "a newer policy waits: the robot stands to let it in");
             self.counts.stands_for_swap += 1;
             self.stand_ticks = Some(0);
             self.motion.stand();
@@ -89,8 +84,7 @@ impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
                 tracing::info!(version = policy.version, sha256 = %policy.sha256, ?stage, waited_s, speed_radps = speed, ?commanded, "policy swapped in");
                 let old = std::mem::replace(&mut self.runner, runner);
                 self.updates.tell(PolicyEvent::Replaced(Box::new(old)));
-                self.updates
-                    .tell(PolicyEvent::Begun(self.runner.policy().clone()));
+                self.updates.tell(PolicyEvent::Begun(self.runner.policy().clone()));
                 self.metrics.policy_version.set(version_gauge(&self.runner));
                 self.metrics.armed.set(0);
                 self.counts.swaps += 1;

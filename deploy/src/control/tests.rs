@@ -197,11 +197,7 @@ fn run_plan(
     let mut control = ControlLoop::start(robot, &clock, plan, runner, updates, metrics).unwrap();
     let result = control.run(stop);
     let (_, counts) = control.into_parts();
-    Run {
-        result,
-        counts,
-        events,
-    }
+    Run { result, counts, events }
 }
 
 fn run(robot: &mut FakeRobot, walk_s: f64) -> Run {
@@ -215,30 +211,15 @@ fn stands_up_walks_stands_and_lets_go() {
     let run = run(&mut robot, 1.0);
     assert_eq!(run.result.unwrap(), Ended::Time);
     assert_eq!(robot.torque_off, 1);
-    assert!(
-        (run.counts.walked_s - 1.0).abs() < 1e-6,
-        "{}",
-        run.counts.walked_s
-    );
-    let nominal: Vec<f32> = model()
-        .nominal_pos_rad()
-        .iter()
-        .map(|q| *q as f32)
-        .collect();
+    assert!((run.counts.walked_s - 1.0).abs() < 1e-6, "{}", run.counts.walked_s);
+    let nominal: Vec<f32> = model().nominal_pos_rad().iter().map(|q| *q as f32).collect();
     assert_eq!(robot.sent.last().unwrap()[..], nominal);
     // Nowhere a jump: ramps move 0.01 rad per tick, and the gate allows 0.3.
     let steps = robot.sent.windows(2).map(|w| (w[1][9] - w[0][9]).abs());
     assert!(steps.fold(0.0, f32::max) < 0.1);
     // Command 0.9 m/s is beyond the training range, which ends at 0.5.
     assert!((run.counts.mean_command().vx_mps - 0.5).abs() < 1e-6);
-    assert_eq!(
-        (
-            run.counts.overruns,
-            run.counts.late_readings,
-            run.counts.held
-        ),
-        (0, 0, 0)
-    );
+    assert_eq!((run.counts.overruns, run.counts.late_readings, run.counts.held), (0, 0, 0));
 }
 
 #[test]
@@ -268,10 +249,7 @@ fn late_readings_hold_the_target_and_silence_ends_the_run_limp() {
     robot.silent = (120, u32::MAX);
     let lost = run(&mut robot, 1.0);
     let error = lost.result.unwrap_err();
-    assert!(
-        matches!(error, DeployError::Bus(BusError::Lost { .. })),
-        "{error}"
-    );
+    assert!(matches!(error, DeployError::Bus(BusError::Lost { .. })), "{error}");
     assert_eq!((robot.sent.len(), robot.torque_off), (120, 1));
 }
 
@@ -282,11 +260,7 @@ fn a_robot_on_its_back_is_stopped() {
     let run = run(&mut robot, 100.0);
     assert_eq!(run.result.unwrap(), Ended::Fallen);
     // 25 ticks until it is believed, 50 of braking.
-    assert!(
-        (220..=230).contains(&robot.sent.len()),
-        "{}",
-        robot.sent.len()
-    );
+    assert!((220..=230).contains(&robot.sent.len()), "{}", robot.sent.len());
 }
 
 #[test]
@@ -294,10 +268,7 @@ fn one_that_may_get_up_is_given_time_to() {
     let run = |lies: Range<usize>, get_up: Duration| {
         let mut robot = FakeRobot::new();
         robot.lies = lies;
-        let plan = RunPlan {
-            get_up,
-            ..plan(Some(10.0), forward(0.3))
-        };
+        let plan = RunPlan { get_up, ..plan(Some(10.0), forward(0.3)) };
         let policy = verified(1, stepping(1));
         let run = run_plan(plan, &mut robot, policy, Slot::default(), &StopFlag::new());
         (run.result.unwrap(), robot.sent.len())
@@ -382,10 +353,7 @@ fn fault_32_standing_still_passes_no_trial() {
     let good_by = |legs: Option<LegOdometry>, vx_mps: f32, policy: Vec<u8>| {
         let mut robot = FakeRobot::new();
         let (policy, stop) = (verified(1, policy), StopFlag::new());
-        let plan = RunPlan {
-            legs,
-            ..plan(Some(30.0), forward(vx_mps))
-        };
+        let plan = RunPlan { legs, ..plan(Some(30.0), forward(vx_mps)) };
         let run = run_plan(plan, &mut robot, policy, Slot::default(), &stop);
         assert_eq!(run.result.as_ref().unwrap(), &Ended::Time);
         let good = |event: &PolicyEvent| matches!(event, PolicyEvent::Good { .. });
@@ -416,13 +384,7 @@ fn fault_37_a_policy_that_pins_joints_at_their_limits_does_not_pass_its_trial() 
         verified(1, bytes)
     };
     let mut robot = FakeRobot::new();
-    let run = run_with(
-        &mut robot,
-        pinned(),
-        Slot::default(),
-        100.0,
-        &StopFlag::new(),
-    );
+    let run = run_with(&mut robot, pinned(), Slot::default(), 100.0, &StopFlag::new());
     assert_eq!(run.result.as_ref().unwrap(), &Ended::Saturated);
     // The filter takes a few ticks to bring all joints to their limits; fifty with a quarter of them there
     // are a second.
@@ -434,10 +396,7 @@ fn fault_37_a_policy_that_pins_joints_at_their_limits_does_not_pass_its_trial() 
     let bad = |e: &PolicyEvent| matches!(e, PolicyEvent::Bad { reason, fell: false, .. } if reason.contains("limits"));
     assert!(told.iter().any(bad), "{told:?}");
     // One that passed its trial before may be leaning on something.
-    let proved = Verified {
-        proved: true,
-        ..pinned()
-    };
+    let proved = Verified { proved: true, ..pinned() };
     let mut robot = FakeRobot::new();
     let run = run_with(&mut robot, proved, Slot::default(), 11.0, &StopFlag::new());
     assert_eq!(run.result.as_ref().unwrap(), &Ended::Time);
@@ -456,10 +415,7 @@ fn stopped(change: impl FnOnce(&mut FakeRobot)) -> (Ended, usize, u32) {
 #[test]
 fn fault_39_41_42_43_hardware_faults_stand_or_brake_and_let_go() {
     let ill = |health| stopped(|robot| robot.ill = (150, health));
-    let silent = |ticks| Health {
-        silent_ticks: ticks,
-        ..Health::default()
-    };
+    let silent = |ticks| Health { silent_ticks: ticks, ..Health::default() };
     // Stand: already there, half a second of rest (25 ticks), torque off.
     let (why, sent, off) = ill(silent(3));
     assert_eq!((why, off), (Ended::Fault(Fault::ServoSilent), 1));
@@ -468,20 +424,11 @@ fn fault_39_41_42_43_hardware_faults_stand_or_brake_and_let_go() {
     let (why, sent, off) = ill(silent(10));
     assert_eq!((why, off), (Ended::Fault(Fault::ServoSilent), 1));
     assert!((200..=202).contains(&sent), "{sent}");
-    let alert = Health {
-        alert: Some((9, 0x20)),
-        ..Health::default()
-    };
+    let alert = Health { alert: Some((9, 0x20)), ..Health::default() };
     assert_eq!(ill(alert).0, Ended::Fault(Fault::ServoAlert));
-    let restarted = Health {
-        restarted: Some(9),
-        ..Health::default()
-    };
+    let restarted = Health { restarted: Some(9), ..Health::default() };
     assert_eq!(ill(restarted).0, Ended::Fault(Fault::ServoRestarted));
-    let fired = Health {
-        watchdog_fired: Some(9),
-        ..Health::default()
-    };
+    let fired = Health { watchdog_fired: Some(9), ..Health::default() };
     assert_eq!(ill(fired).0, Ended::Fault(Fault::WatchdogFired));
     // One or two ticks of silence are nothing: it walks until the time is over.
     let mut robot = FakeRobot::new();
@@ -518,12 +465,7 @@ struct FakeLink {
 impl Default for FakeLink {
     /// Heard at every view.
     fn default() -> Self {
-        Self {
-            views: 0,
-            heard: Some,
-            kill_from: u32::MAX,
-            released: 0..0,
-        }
+        Self { views: 0, heard: Some, kill_from: u32::MAX, released: 0..0 }
     }
 }
 
@@ -561,13 +503,7 @@ fn linked(link: FakeLink, walk_s: f64) -> (Result<Ended, DeployError>, Vec<PerJo
 fn fault_47_a_silent_link_stops_then_stands_and_walks_on_when_it_is_back() {
     // Heard at every tick until 200, then nothing until 400, then again.
     let link = FakeLink {
-        heard: |view| {
-            Some(if (200..400).contains(&view) {
-                200
-            } else {
-                view
-            })
-        },
+        heard: |view| Some(if (200..400).contains(&view) { 200 } else { view }),
         ..FakeLink::default()
     };
     let (result, sent, vx) = linked(link, 10.0);
@@ -585,11 +521,7 @@ fn fault_47_a_silent_link_stops_then_stands_and_walks_on_when_it_is_back() {
 
 #[test]
 fn a_link_that_never_spoke_keeps_the_robot_standing() {
-    let link = FakeLink {
-        heard: |_| None,
-        kill_from: 300,
-        ..FakeLink::default()
-    };
+    let link = FakeLink { heard: |_| None, kill_from: 300, ..FakeLink::default() };
     let (result, sent, _) = linked(link, 100.0);
     assert_eq!(result.unwrap(), Ended::Killed);
     let model = model();
@@ -602,10 +534,7 @@ fn a_link_that_never_spoke_keeps_the_robot_standing() {
 
 #[test]
 fn fault_47_a_dead_mans_button_that_is_let_go_of_stands_the_robot_at_once() {
-    let link = FakeLink {
-        released: 200..400,
-        ..FakeLink::default()
-    };
+    let link = FakeLink { released: 200..400, ..FakeLink::default() };
     let (result, sent, _) = linked(link, 10.0);
     assert_eq!(result.unwrap(), Ended::Time);
     let model = model();
@@ -620,12 +549,7 @@ fn fault_47_a_dead_mans_button_that_is_let_go_of_stands_the_robot_at_once() {
     for tick in 200..240 {
         let moved = far(tick) - far(tick - 1);
         let on_its_way = (moved + 0.01).abs() < 1e-5 || far(tick) < 1e-5;
-        assert!(
-            on_its_way,
-            "tick {tick}: {} after {}",
-            far(tick),
-            far(tick - 1)
-        );
+        assert!(on_its_way, "tick {tick}: {} after {}", far(tick), far(tick - 1));
     }
     // It stays there although commands go on, and walks on when the button is held again.
     assert!((300..395).all(|tick| far(tick) < 1e-5));
@@ -690,10 +614,7 @@ fn a_second_signal_lets_go_within_a_tick_wherever_the_robot_is() {
 
 #[test]
 fn a_kill_before_the_first_tick_takes_hold_of_nothing() {
-    let link = FakeLink {
-        kill_from: 0,
-        ..FakeLink::default()
-    };
+    let link = FakeLink { kill_from: 0, ..FakeLink::default() };
     let (result, sent, _) = linked(link, 100.0);
     assert_eq!(result.unwrap(), Ended::Killed);
     // The first target switches the torque on: none may be sent.
@@ -702,10 +623,7 @@ fn a_kill_before_the_first_tick_takes_hold_of_nothing() {
 
 #[test]
 fn a_kill_brakes_at_the_next_tick() {
-    let link = FakeLink {
-        kill_from: 200,
-        ..FakeLink::default()
-    };
+    let link = FakeLink { kill_from: 200, ..FakeLink::default() };
     let (result, sent, _) = linked(link, 100.0);
     assert_eq!(result.unwrap(), Ended::Killed);
     // Damped for 50 ticks from view 200 on, then off.
@@ -782,10 +700,7 @@ fn swapped(commands: &str, after: usize, swap_wait: Option<Duration>) -> (Option
     let table = folder.path().join("commands.csv");
     std::fs::write(&table, commands).unwrap();
     let clock = FakeClock::default();
-    let plan = RunPlan {
-        swap_wait,
-        ..plan(Some(8.0), CommandTable::read(&table).unwrap())
-    };
+    let plan = RunPlan { swap_wait, ..plan(Some(8.0), CommandTable::read(&table).unwrap()) };
     let (updates, _events) = Updates::new(slot);
     let metrics = RobotMetrics::register(&caudata_telemetry::Metrics::new());
     // Its targets follow the gait clock and the command, so that the joints move while it walks.
@@ -806,11 +721,7 @@ fn fault_34_a_newer_policy_waits_for_the_robot_to_stand() {
     // With a limit of a second the robot is made to stand, gets it, and walks on.
     let (seen, counts) = swapped(walking, 200, Some(Duration::from_secs(1)));
     assert_eq!((counts.swaps, counts.stands_for_swap), (1, 1));
-    assert!(
-        counts.swap_speed_radps < STILL_RADPS,
-        "{}",
-        counts.swap_speed_radps
-    );
+    assert!(counts.swap_speed_radps < STILL_RADPS, "{}", counts.swap_speed_radps);
     let seen = seen.unwrap();
     // A second of waiting (50 ticks), the way to the nominal pose at 0.01 rad per tick, a fifth of a second
     // of rest.

@@ -104,12 +104,7 @@ impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
         }
         let reason = format!("wanted joints at their limits for {ticks} ticks in a row");
         tracing::error!(%policy, reason, "the policy does not pass its trial: stopping");
-        self.updates.tell(PolicyEvent::Bad {
-            policy,
-            reason,
-            walked_s,
-            fell: false,
-        });
+        self.updates.tell(PolicyEvent::Bad { policy, reason, walked_s, fell: false });
         self.ended.get_or_insert(Ended::Saturated);
         self.motion.finish();
     }

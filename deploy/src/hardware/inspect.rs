@@ -56,12 +56,7 @@ pub struct Inspection {
 
 impl Inspection {
     fn add(&mut self, at: &str, what: &str, found: String, mark: Mark) {
-        self.checks.push(Check {
-            at: at.to_owned(),
-            what: what.to_owned(),
-            found,
-            mark,
-        });
+        self.checks.push(Check { at: at.to_owned(), what: what.to_owned(), found, mark });
     }
 
     fn judge(&mut self, at: &str, what: &str, found: String, good: bool) {
@@ -127,21 +122,12 @@ fn servo<P: Port>(
     let what = format!("id {id}: model {}, firmware {}", pong.model, pong.firmware);
     inspection.judge(name, "model", what, pong.model == expected);
     let errors = hardware_error(bus, id)?;
-    inspection.judge(
-        name,
-        "hardware errors",
-        errors.to_string(),
-        errors.is_none(),
-    );
+    inspection.judge(name, "hardware errors", errors.to_string(), errors.is_none());
     // Settings kept without power are locked while the torque is on.
     persistently(|| bus.write(id, &xm430::TORQUE_ENABLE, 0, deadline))?;
     for finding in compare(bus, id, &wants(wiring, joint, limits_rad), fix)? {
         let text = format!("{}, must be {}", finding.found, finding.want.value);
-        let mark = if finding.right {
-            Mark::Fixed
-        } else {
-            Mark::Wrong
-        };
+        let mark = if finding.right { Mark::Fixed } else { Mark::Wrong };
         inspection.add(name, finding.want.register.name, text, mark);
     }
     let (volts, _) = persistently(|| bus.read(id, &xm430::PRESENT_INPUT_VOLTAGE, deadline))?;
@@ -174,21 +160,12 @@ fn wants(wiring: &Wiring, joint: &JointWiring, limits_rad: [f64; 2]) -> Vec<Want
     vec![
         // It was told to: one that does not let go is not set right by telling it again.
         want(&xm430::TORQUE_ENABLE, 0),
-        want(
-            &xm430::RETURN_DELAY_TIME,
-            (wiring.bus.return_delay_us / RETURN_DELAY_LSB_US) as i32,
-        ),
+        want(&xm430::RETURN_DELAY_TIME, (wiring.bus.return_delay_us / RETURN_DELAY_LSB_US) as i32),
         want(&xm430::DRIVE_MODE, 0),
         want(&xm430::OPERATING_MODE, i32::from(servo.operating_mode)),
         want(&xm430::HOMING_OFFSET, 0),
-        want(
-            &xm430::TEMPERATURE_LIMIT,
-            i32::from(servo.temperature_limit_c),
-        ),
-        want(
-            &xm430::CURRENT_LIMIT,
-            (servo.current_limit_a / CURRENT_LSB_A).round() as i32,
-        ),
+        want(&xm430::TEMPERATURE_LIMIT, i32::from(servo.temperature_limit_c)),
+        want(&xm430::CURRENT_LIMIT, (servo.current_limit_a / CURRENT_LSB_A).round() as i32),
         want(&xm430::MAX_POSITION_LIMIT, ends[0].max(ends[1])),
         want(&xm430::MIN_POSITION_LIMIT, ends[0].min(ends[1])),
         want(&xm430::STATUS_RETURN_LEVEL, 2),
@@ -237,11 +214,6 @@ pub fn imu<B: I2c>(chip: &mut ImuChip<B>) -> Inspection {
     let text = format!("up is {x:.2} forward, {y:.2} left, {z:.2} up");
     inspection.judge("imu", "axes", text, z > LEVEL_COS);
     let turning = norm(gyro);
-    inspection.judge(
-        "imu",
-        "at rest",
-        format!("{turning:.3} rad/s"),
-        turning < REST_RADPS,
-    );
+    inspection.judge("imu", "at rest", format!("{turning:.3} rad/s"), turning < REST_RADPS);
     inspection
 }

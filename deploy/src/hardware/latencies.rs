@@ -243,18 +243,10 @@ fn run(event: Event, at: Duration, faults: WireFaults) -> Seen {
     };
     // So many ticks of walking had the speed that was commanded; the next one did not.
     let driven = counts.command_sum[0] / f64::from(VX_MPS);
-    let walks = stages
-        .iter()
-        .enumerate()
-        .filter(|(_, s)| **s == Stage::Walk);
+    let walks = stages.iter().enumerate().filter(|(_, s)| **s == Stage::Walk);
     let slowed = walks.map(|(index, _)| index).nth(driven.round() as usize);
     // Over a bad wire it may have stood down by itself before.
-    let still = || {
-        stages
-            .iter()
-            .zip(&timed.sent)
-            .position(|(s, t)| *s != Stage::Walk && *t >= at)
-    };
+    let still = || stages.iter().zip(&timed.sent).position(|(s, t)| *s != Stage::Walk && *t >= at);
     let no_speed = since(slowed.or_else(still));
     Seen {
         damped: first(&[Stage::Damped, Stage::Off]),
@@ -322,11 +314,7 @@ const ROWS: &[Row] = &[
 
 /// So many of a hundred answers spoilt: half of them torn, half of them with a flipped bit.
 fn wire(percent: f32) -> WireFaults {
-    WireFaults {
-        lost_byte: percent / 200.0,
-        flipped_bit: percent / 200.0,
-        ..WireFaults::default()
-    }
+    WireFaults { lost_byte: percent / 200.0, flipped_bit: percent / 200.0, ..WireFaults::default() }
 }
 
 fn table(tries: usize) -> String {
@@ -337,15 +325,9 @@ fn table(tries: usize) -> String {
         let ms = |share: f64| seen[(share * (seen.len() - 1) as f64) as usize].as_secs_f64() * 1e3;
         let (p50, p99, worst) = (ms(0.5), ms(0.99), ms(1.0));
         let promised = promised.as_secs_f64() * 1e3;
-        writeln!(
-            out,
-            "| {what} | {percent} | {p50:.1} | {p99:.1} | {worst:.1} | {promised:.0} |"
-        )
-        .unwrap();
-        assert!(
-            worst <= promised,
-            "{what}: {worst} ms, promised {promised}\n{out}"
-        );
+        writeln!(out, "| {what} | {percent} | {p50:.1} | {p99:.1} | {worst:.1} | {promised:.0} |")
+            .unwrap();
+        assert!(worst <= promised, "{what}: {worst} ms, promised {promised}\n{out}");
     };
     for row in ROWS {
         for percent in [0.0_f32, 2.0, 10.0] {
@@ -360,12 +342,7 @@ fn table(tries: usize) -> String {
     }
     let hangs = (0..tries).map(|_| watchdog(Duration::from_micros(dice.below(20_000))));
     let promised = Duration::from_millis(150);
-    line(
-        "loop hangs → servos hold by themselves",
-        "—",
-        hangs.collect(),
-        promised,
-    );
+    line("loop hangs → servos hold by themselves", "—", hangs.collect(), promised);
     out
 }
 

@@ -219,10 +219,7 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
         block: &mut [u8],
         deadline: Duration,
     ) -> Result<bool, BusError> {
-        match self
-            .bus
-            .read_block(self.ids[joint], address, block, deadline)
-        {
+        match self.bus.read_block(self.ids[joint], address, block, deadline) {
             Ok(_) => Ok(true),
             Err(BusFault::Silent { .. } | BusFault::Refused { .. }) => Ok(false),
             Err(error) => Err(lost(&error)),
@@ -246,26 +243,17 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
         // Written to all at once and answered by nobody: what counts is what the servos then say.
         for _ in 0..TORQUE_ON_TIMES {
             write(&mut self.bus, &self.ids, &xm430::TORQUE_ENABLE, 1).map_err(|e| lost(&e))?;
-            self.bus
-                .read_group(&mut torque, ARM_DEADLINE)
-                .map_err(|e| lost(&e))?;
+            self.bus.read_group(&mut torque, ARM_DEADLINE).map_err(|e| lost(&e))?;
             let on =
                 |i: &usize| matches!(torque.answer(*i), Answer::Data(_)) && torque.data(*i) == [1];
             if (0..self.ids.len()).all(|i| on(&i)) {
-                write(
-                    &mut self.bus,
-                    &self.ids,
-                    &xm430::BUS_WATCHDOG,
-                    self.watchdog_units,
-                )
-                .map_err(|e| lost(&e))?;
+                write(&mut self.bus, &self.ids, &xm430::BUS_WATCHDOG, self.watchdog_units)
+                    .map_err(|e| lost(&e))?;
                 self.armed = true;
                 return Ok(());
             }
         }
-        let off = (0..self.ids.len())
-            .find(|i| torque.data(*i) != [1])
-            .unwrap_or_default();
+        let off = (0..self.ids.len()).find(|i| torque.data(*i) != [1]).unwrap_or_default();
         Err(BusError::Lost {
             reason: format!("servo {} does not switch its torque on", self.ids[off]),
         })
@@ -277,9 +265,7 @@ fn goal_group(ids: &[u8]) -> GroupWrite {
 }
 
 fn lost(fault: &BusFault) -> BusError {
-    BusError::Lost {
-        reason: fault.to_string(),
-    }
+    BusError::Lost { reason: fault.to_string() }
 }
 
 impl<P: Port, B: I2c> ServoBus for HardwareRobot<P, B> {
@@ -303,9 +289,7 @@ impl<P: Port, B: I2c> ServoBus for HardwareRobot<P, B> {
         }
         self.all_silent = 0;
         // Waiting for a silent servo took the whole deadline.
-        let left = end
-            .saturating_duration_since(self.bus.now())
-            .min(deadline.mul_f64(CARE_SHARE));
+        let left = end.saturating_duration_since(self.bus.now()).min(deadline.mul_f64(CARE_SHARE));
         if missing == 0 && !left.is_zero() {
             self.care(alert, left)?;
         }
@@ -320,9 +304,7 @@ impl<P: Port, B: I2c> ServoBus for HardwareRobot<P, B> {
         for (index, (joint, target)) in self.joints.iter().zip(targets_rad).enumerate() {
             self.goals.set(index, joint.counts(f64::from(*target)));
         }
-        self.bus
-            .write_group(&mut self.goals, WRITE_DEADLINE)
-            .map_err(|e| lost(&e))?;
+        self.bus.write_group(&mut self.goals, WRITE_DEADLINE).map_err(|e| lost(&e))?;
         self.goals_sent += 1;
         if !self.armed {
             self.arm()?;
@@ -349,24 +331,16 @@ impl<P: Port, B: I2c> Imu for HardwareRobot<P, B> {
         match self.imu.sample() {
             Ok(sample) => {
                 let same = self.sample == Some(sample);
-                self.health.imu_same_ticks = if same {
-                    self.health.imu_same_ticks + 1
-                } else {
-                    0
-                };
+                self.health.imu_same_ticks = if same { self.health.imu_same_ticks + 1 } else { 0 };
                 self.health.imu_stale_ticks = 0;
                 self.sample = Some(sample);
             }
             Err(_) => self.health.imu_stale_ticks += 1,
         }
-        let sample = self.sample.ok_or_else(|| BusError::Lost {
-            reason: "the IMU gives nothing".to_owned(),
-        })?;
-        Ok(ImuReading {
-            gyro_radps: sample.gyro_radps,
-            acc_mps2: sample.acc_mps2,
-            gravity: None,
-        })
+        let sample = self
+            .sample
+            .ok_or_else(|| BusError::Lost { reason: "the IMU gives nothing".to_owned() })?;
+        Ok(ImuReading { gyro_radps: sample.gyro_radps, acc_mps2: sample.acc_mps2, gravity: None })
     }
 }
 

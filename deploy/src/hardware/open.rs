@@ -45,16 +45,10 @@ pub fn read_wiring(
     overrides: &PortOverrides,
 ) -> Result<(Wiring, Vec<JointWiring>), DeployError> {
     let mut wiring = Wiring::read(path)?;
-    let wrong = |reason: String| caudata_hardware::WiringError::Wrong {
-        path: path.to_owned(),
-        reason,
-    };
+    let wrong =
+        |reason: String| caudata_hardware::WiringError::Wrong { path: path.to_owned(), reason };
     if wiring.robot != model.name() {
-        let reason = format!(
-            "it is for robot `{}`, this is `{}`",
-            wiring.robot,
-            model.name()
-        );
+        let reason = format!("it is for robot `{}`, this is `{}`", wiring.robot, model.name());
         return Err(wrong(reason).into());
     }
     let joints = wiring.joints(&model.actuated_names()).map_err(wrong)?;
@@ -94,10 +88,7 @@ fn refused(address: &dyn std::fmt::Display, error: &std::io::Error) -> BusError 
     let address = address.to_string();
     match error.kind() {
         std::io::ErrorKind::ResourceBusy => BusError::Taken { address },
-        _ => BusError::Connect {
-            address,
-            reason: error.to_string(),
-        },
+        _ => BusError::Connect { address, reason: error.to_string() },
     }
 }
 

@@ -14,10 +14,7 @@ use crate::testing::model;
 const DEADLINE: Duration = Duration::from_millis(7);
 
 fn wiring() -> (Wiring, Vec<JointWiring>) {
-    let path = concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../robots/polymander.wiring.toml"
-    );
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/polymander.wiring.toml");
     read_wiring(Path::new(path), &model(), &PortOverrides::default()).unwrap()
 }
 
@@ -89,10 +86,7 @@ fn readings_are_joint_angles_in_si_units() {
     let model = model();
     for (found, nominal) in readings.pos_rad.iter().zip(model.nominal_pos_rad()) {
         // Half a count is 0.044°.
-        assert!(
-            (f64::from(*found) - nominal).abs() < 0.0008,
-            "{found} {nominal}"
-        );
+        assert!((f64::from(*found) - nominal).abs() < 0.0008, "{found} {nominal}");
     }
     // 10 units of 0.229 rev/min; the right legs' servos are mounted the other way round.
     assert!((readings.vel_radps[0] - 0.2398).abs() < 1e-4);
@@ -235,9 +229,7 @@ fn inspected(change: impl Fn(&mut EmulatedServo)) -> [Vec<(String, Mark)>; 2] {
         let mut bus = Bus::new(port, wiring.bus.baud);
         let found = inspect::servos(&mut bus, &wiring, &joints, &model(), fix).unwrap();
         let of_it = found.checks.into_iter().filter(|c| c.at == "spine_3");
-        let odd = of_it
-            .filter(|c| c.mark != Mark::Good)
-            .map(|c| (c.what, c.mark));
+        let odd = of_it.filter(|c| c.mark != Mark::Good).map(|c| (c.what, c.mark));
         odd.collect()
     })
 }

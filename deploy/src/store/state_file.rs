@@ -28,10 +28,7 @@ fn digest(state: &RobotState) -> Result<Sha256Digest, String> {
 }
 
 pub(super) fn encode(state: &RobotState) -> Result<Vec<u8>, DeployError> {
-    let file = digest(state).map(|sha256| StateFile {
-        sha256,
-        state: state.clone(),
-    });
+    let file = digest(state).map(|sha256| StateFile { sha256, state: state.clone() });
     file.and_then(|file| serde_json::to_vec_pretty(&file).map_err(|e| e.to_string()))
         .map_err(|what| DeployError::Internal { what })
 }
@@ -45,10 +42,7 @@ pub(super) fn read_state(folder: &Path) -> Result<Option<RobotState>, DeployErro
         match read_copy(&path) {
             Ok(None) => {}
             Ok(Some(state)) => {
-                if newest
-                    .as_ref()
-                    .is_none_or(|n| n.generation < state.generation)
-                {
+                if newest.as_ref().is_none_or(|n| n.generation < state.generation) {
                     newest = Some(state);
                 }
             }
@@ -69,10 +63,7 @@ pub(super) fn read_state(folder: &Path) -> Result<Option<RobotState>, DeployErro
 }
 
 pub(super) fn read_copy(path: &Path) -> Result<Option<RobotState>, DeployError> {
-    let damaged = |reason: String| DeployError::StateDamaged {
-        path: path.to_owned(),
-        reason,
-    };
+    let damaged = |reason: String| DeployError::StateDamaged { path: path.to_owned(), reason };
     match fs::metadata(path) {
         Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
         Ok(meta) if meta.len() > STATE_BYTES_MAX => return Err(damaged("it is too large".into())),

@@ -32,18 +32,12 @@ fn a_truncated_or_missing_file_is_noticed() {
     let one = policy(b"one");
     let store = PolicyStore::open(folder.path()).unwrap();
     let missing = store.get(&one, None).unwrap_err();
-    assert!(
-        matches!(missing, DeployError::BlobMissing { .. }),
-        "{missing}"
-    );
+    assert!(matches!(missing, DeployError::BlobMissing { .. }), "{missing}");
     store.put(&one, b"one").unwrap();
     let path = blob(folder.path(), one.sha256);
     fs::write(&path, b"on").unwrap();
     let damaged = store.get(&one, None).unwrap_err();
-    assert!(
-        matches!(damaged, DeployError::BlobDamaged { .. }),
-        "{damaged}"
-    );
+    assert!(matches!(damaged, DeployError::BlobDamaged { .. }), "{damaged}");
     assert!(damaged.to_string().contains(&one.sha256.to_string()));
 }
 
@@ -70,10 +64,7 @@ fn files_that_no_policy_needs_are_removed() {
         }
     }
     assert!(store.get(&policy(b"one"), None).is_ok(), "last good");
-    assert!(
-        store.get(&policy(b"two"), None).is_err(),
-        "neither active nor good"
-    );
+    assert!(store.get(&policy(b"two"), None).is_err(), "neither active nor good");
     assert!(store.get(&policy(b"six"), None).is_ok(), "active");
 }
 
@@ -221,10 +212,7 @@ fn fault_16_a_power_cut_while_a_lost_state_is_begun_anew_leaves_no_robot_that_ne
                 torn += u32::from(still);
                 recovered += u32::from(!still);
                 if still {
-                    PolicyStore::open_torn(&left)
-                        .unwrap()
-                        .recover("s", 9, 2)
-                        .unwrap();
+                    PolicyStore::open_torn(&left).unwrap().recover("s", 9, 2).unwrap();
                     assert!(!torn_or_recovered(&left));
                 }
             }
@@ -267,10 +255,7 @@ fn fault_16_a_full_disk_while_a_lost_state_is_begun_anew_leaves_no_robot_that_ne
 fn walked(folder: &Path) -> PolicyStore {
     let mut store = PolicyStore::open(folder).unwrap();
     for (bytes, version) in [(&b"one"[..], 1), (&b"two"[..], 2)] {
-        let policy = PolicyRef {
-            version,
-            ..policy(bytes)
-        };
+        let policy = PolicyRef { version, ..policy(bytes) };
         store.put(&policy, bytes).unwrap();
         store.update(|s| s.adopt(policy.clone())).unwrap();
         if version == 1 {
@@ -285,10 +270,7 @@ type Change = fn(&mut PolicyStore) -> Result<(), DeployError>;
 /// Each change that a robot's folder undergoes.
 const CHANGES: [(&str, Change); 4] = [
     ("a newer one is taken", |store| {
-        let six = PolicyRef {
-            version: 3,
-            ..policy(b"six")
-        };
+        let six = PolicyRef { version: 3, ..policy(b"six") };
         store.put(&six, b"six")?;
         store.update(|s| s.adopt(six))
     }),
@@ -297,9 +279,7 @@ const CHANGES: [(&str, Change); 4] = [
             s.begin(policy(b"two").sha256);
         })
     }),
-    ("confirmed", |store| {
-        store.update(|s| s.confirm(policy(b"two").sha256))
-    }),
+    ("confirmed", |store| store.update(|s| s.confirm(policy(b"two").sha256))),
     ("quarantined", |store| {
         let two = store.state().active.clone().unwrap();
         store.update(|s| s.quarantine(two, "falls".into(), crate::state::Blame::Policy))
@@ -471,19 +451,14 @@ fn announcements_that_no_policy_needs_are_removed_although_its_bytes_are() {
     // The same bytes under one number after the other, as a robot gets them whose operators go back again and
     // again.
     for version in 1..10 {
-        let of = |version| PolicyRef {
-            version,
-            ..policy(b"one")
-        };
+        let of = |version| PolicyRef { version, ..policy(b"one") };
         store.put_manifest(&announced(&of(version), &key)).unwrap();
         store.update(|s| s.adopt(of(version))).unwrap();
         if version == 1 {
             store.update(|s| s.confirm(of(1).sha256)).unwrap();
         }
-        let mut needed: Vec<PathBuf> = [1, version]
-            .into_iter()
-            .map(|v| manifest_file(folder.path(), &of(v)))
-            .collect();
+        let mut needed: Vec<PathBuf> =
+            [1, version].into_iter().map(|v| manifest_file(folder.path(), &of(v))).collect();
         needed.sort();
         needed.dedup();
         assert_eq!(announcements(), needed, "{version}");
@@ -530,10 +505,7 @@ fn fault_29_a_power_cut_at_any_write_leaves_every_policy_with_its_own_signature(
     store.update(|s| s.confirm(one.sha256)).unwrap();
     drop(store);
     // The same bytes under the same number, released into another stream.
-    let same = PolicyRef {
-        stream: "release/s".to_owned(),
-        ..one.clone()
-    };
+    let same = PolicyRef { stream: "release/s".to_owned(), ..one.clone() };
     let disk = Arc::new(Rehearsal::new(&root).unwrap());
     let mut store = PolicyStore::open_on(disk.clone(), &root).unwrap();
     let first = disk.steps();
@@ -621,10 +593,7 @@ fn fault_23_the_first_trust_file_is_not_written_down_and_a_later_one_cannot_be_l
     store.trust(Path::new("t"), 1).unwrap();
     store.update(|s| s.confirm(policy(b"two").sha256)).unwrap();
     let text = fs::read_to_string(folder.path().join(COPIES[0])).unwrap();
-    assert!(
-        !text.contains("trust_version"),
-        "the program before reads it: {text}"
-    );
+    assert!(!text.contains("trust_version"), "the program before reads it: {text}");
     check_without_trust(store.state(), folder.path()).unwrap();
     store.trust(Path::new("t"), 2).unwrap();
     let error = check_without_trust(&found(folder.path()), Path::new("state")).unwrap_err();

@@ -54,9 +54,7 @@ pub fn died(status: ExitStatus) -> bool {
 }
 
 pub(super) fn end_of(status: ExitStatus) -> End {
-    let code = status
-        .code()
-        .map(|code| ExitCode::from_number(code).unwrap_or(ExitCode::Internal));
+    let code = status.code().map(|code| ExitCode::from_number(code).unwrap_or(ExitCode::Internal));
     match code {
         Some(ExitCode::Ok) => End::InOrder,
         Some(code) if !died(status) => End::Wrong(code),
@@ -255,9 +253,7 @@ mod tests {
     #[test]
     fn pauses_double_up_to_the_longest() {
         let [first, longest] = [500, 30_000].map(Duration::from_millis);
-        let all: Vec<u128> = (0..8)
-            .map(|n| pause(first, longest, n).as_millis())
-            .collect();
+        let all: Vec<u128> = (0..8).map(|n| pause(first, longest, n).as_millis()).collect();
         assert_eq!(all, [500, 1000, 2000, 4000, 8000, 16_000, 30_000, 30_000]);
         assert_eq!(pause(first, longest, u32::MAX), longest);
     }

@@ -178,12 +178,7 @@ fn up(deaths: u32, event: Event) -> (State, &'static [Do]) {
         // Its end follows, and is dealt with then.
         Event::LoopSilent => (State::Up { deaths }, &[Do::KillLoop]),
         Event::Undying { touched } => undying(touched),
-        Event::LoopEnded {
-            end: End::Died(_),
-            touched,
-            calm,
-            stopping: false,
-        } => {
+        Event::LoopEnded { end: End::Died(_), touched, calm, stopping: false } => {
             let deaths = if calm { 1 } else { deaths + 1 };
             let next = match deaths > RESTARTS_MAX {
                 true => State::Over(Verdict::GivenUp { deaths }),
@@ -326,12 +321,7 @@ mod tests {
     const FAULT: End = End::Wrong(ExitCode::Unavailable);
 
     fn ended(end: End, touched: bool) -> Event {
-        Event::LoopEnded {
-            end,
-            touched,
-            calm: false,
-            stopping: false,
-        }
+        Event::LoopEnded { end, touched, calm: false, stopping: false }
     }
 
     const UP: State = State::Up { deaths: 0 };
@@ -347,18 +337,8 @@ mod tests {
         use Event::*;
         use State::*;
         use Verdict::*;
-        let calm = LoopEnded {
-            end: CRASH,
-            touched: true,
-            calm: true,
-            stopping: false,
-        };
-        let tidying = |end| LoopEnded {
-            end,
-            touched: true,
-            calm: false,
-            stopping: true,
-        };
+        let calm = LoopEnded { end: CRASH, touched: true, calm: true, stopping: false };
+        let tidying = |end| LoopEnded { end, touched: true, calm: false, stopping: true };
         let [undying, untouched] = [true, false].map(|touched| Event::Undying { touched });
         let table: &[(State, Event, State, &[Do])] = &[
             // Before the first loop.
@@ -376,12 +356,7 @@ mod tests {
             (UP, ended(CRASH, true), down(1), &[Do::LetGo]),
             (UP, ended(CRASH, false), down(1), &[]),
             (Up { deaths: 2 }, ended(CRASH, true), down(3), &[Do::LetGo]),
-            (
-                Up { deaths: 3 },
-                ended(CRASH, true),
-                over(GivenUp { deaths: 4 }),
-                &[Do::LetGo],
-            ),
+            (Up { deaths: 3 }, ended(CRASH, true), over(GivenUp { deaths: 4 }), &[Do::LetGo]),
             (Up { deaths: 3 }, calm, down(1), &[Do::LetGo]),
             (down(2), PauseOver, Up { deaths: 2 }, &[Do::StartLoop]),
             (UP, LoopSilent, UP, &[Do::KillLoop]),
@@ -391,125 +366,40 @@ mod tests {
             // It does not even end by force.
             (UP, undying, over(Verdict::Undying), &[Do::LetGoAnyway]),
             (UP, untouched, over(Verdict::Undying), &[]),
-            (
-                Ending(Why::Deaf),
-                undying,
-                over(Verdict::Undying),
-                &[Do::LetGoAnyway],
-            ),
-            (
-                Ending(Why::Insist),
-                undying,
-                over(Verdict::Undying),
-                &[Do::LetGoAnyway],
-            ),
+            (Ending(Why::Deaf), undying, over(Verdict::Undying), &[Do::LetGoAnyway]),
+            (Ending(Why::Insist), undying, over(Verdict::Undying), &[Do::LetGoAnyway]),
             (Ending(Why::Stop), untouched, over(Verdict::Undying), &[]),
             (down(1), undying, down(1), &[]),
             // Stop.
             (UP, Stop, Ending(Why::Stop), &[Do::AskLoop]),
             (down(1), Stop, over(Done), &[]),
-            (
-                Ending(Why::Stop),
-                ended(End::InOrder, true),
-                over(Loop(End::InOrder)),
-                &[],
-            ),
-            (
-                Ending(Why::Stop),
-                ended(CRASH, true),
-                over(Loop(CRASH)),
-                &[Do::LetGo],
-            ),
-            (
-                Ending(Why::Stop),
-                LoopSilent,
-                Ending(Why::Stop),
-                &[Do::KillLoop],
-            ),
-            (
-                Ending(Why::Stop),
-                TooLong,
-                Ending(Why::Stop),
-                &[Do::KillLoop],
-            ),
+            (Ending(Why::Stop), ended(End::InOrder, true), over(Loop(End::InOrder)), &[]),
+            (Ending(Why::Stop), ended(CRASH, true), over(Loop(CRASH)), &[Do::LetGo]),
+            (Ending(Why::Stop), LoopSilent, Ending(Why::Stop), &[Do::KillLoop]),
+            (Ending(Why::Stop), TooLong, Ending(Why::Stop), &[Do::KillLoop]),
             (Ending(Why::Stop), PauseOver, Ending(Why::Stop), &[]),
             // Twice.
-            (
-                Ending(Why::Stop),
-                Insist,
-                Ending(Why::Insist),
-                &[Do::AskLoop],
-            ),
-            (
-                Ending(Why::Kill),
-                Insist,
-                Ending(Why::Insist),
-                &[Do::AskLoop],
-            ),
-            (
-                Ending(Why::Insist),
-                TooLong,
-                Ending(Why::Insist),
-                &[Do::KillLoop],
-            ),
-            (
-                Ending(Why::Insist),
-                ended(End::InOrder, true),
-                over(Interrupted),
-                &[Do::LetGo],
-            ),
-            (
-                Ending(Why::Insist),
-                ended(CRASH, true),
-                over(Interrupted),
-                &[Do::LetGo],
-            ),
-            (
-                Ending(Why::Insist),
-                ended(CRASH, false),
-                over(Interrupted),
-                &[],
-            ),
+            (Ending(Why::Stop), Insist, Ending(Why::Insist), &[Do::AskLoop]),
+            (Ending(Why::Kill), Insist, Ending(Why::Insist), &[Do::AskLoop]),
+            (Ending(Why::Insist), TooLong, Ending(Why::Insist), &[Do::KillLoop]),
+            (Ending(Why::Insist), ended(End::InOrder, true), over(Interrupted), &[Do::LetGo]),
+            (Ending(Why::Insist), ended(CRASH, true), over(Interrupted), &[Do::LetGo]),
+            (Ending(Why::Insist), ended(CRASH, false), over(Interrupted), &[]),
             (down(1), Insist, over(Interrupted), &[Do::LetGo]),
             // The kill button.
             (UP, Kill, Ending(Why::Kill), &[]),
             (Ending(Why::Stop), Kill, Ending(Why::Kill), &[]),
             (Ending(Why::Insist), Kill, Ending(Why::Insist), &[]),
             (down(1), Kill, over(KilledWhileDown), &[Do::LetGo]),
-            (
-                Ending(Why::Kill),
-                ended(End::InOrder, true),
-                over(Loop(End::InOrder)),
-                &[],
-            ),
-            (
-                Ending(Why::Kill),
-                ended(CRASH, true),
-                over(Loop(CRASH)),
-                &[Do::LetGo],
-            ),
+            (Ending(Why::Kill), ended(End::InOrder, true), over(Loop(End::InOrder)), &[]),
+            (Ending(Why::Kill), ended(CRASH, true), over(Loop(CRASH)), &[Do::LetGo]),
             (Ending(Why::Kill), Deaf, Ending(Why::Deaf), &[Do::KillLoop]),
-            (
-                Ending(Why::Kill),
-                LoopSilent,
-                Ending(Why::Deaf),
-                &[Do::KillLoop],
-            ),
-            (
-                Ending(Why::Deaf),
-                ended(CRASH, true),
-                over(KilledWhileHung),
-                &[Do::LetGo],
-            ),
+            (Ending(Why::Kill), LoopSilent, Ending(Why::Deaf), &[Do::KillLoop]),
+            (Ending(Why::Deaf), ended(CRASH, true), over(KilledWhileHung), &[Do::LetGo]),
             (Ending(Why::Deaf), Insist, Ending(Why::Deaf), &[]),
             // Afterwards nothing happens any more.
             (over(Done), AgentReady, over(Done), &[]),
-            (
-                over(Interrupted),
-                ended(CRASH, true),
-                over(Interrupted),
-                &[],
-            ),
+            (over(Interrupted), ended(CRASH, true), over(Interrupted), &[]),
         ];
         for (state, event, then, todo) in table {
             assert_eq!(next(*state, *event), (*then, *todo), "{state:?}, {event:?}");
@@ -543,14 +433,7 @@ mod tests {
     /// Everything that may happen in `world` that the machine hears of.
     fn events(world: &World) -> Vec<Event> {
         use Event::*;
-        let mut all = vec![
-            AgentReady,
-            AgentFailed(FAULT),
-            PauseOver,
-            Stop,
-            Insist,
-            Kill,
-        ];
+        let mut all = vec![AgentReady, AgentFailed(FAULT), PauseOver, Stop, Insist, Kill];
         // The supervisor looks whether a pause is over only where no loop runs.
         all.retain(|event| *event != PauseOver || !world.runs);
         if !world.runs {
@@ -564,12 +447,7 @@ mod tests {
         }
         for end in ends {
             for calm in [false, true] {
-                all.push(LoopEnded {
-                    end,
-                    touched,
-                    calm: calm && world.ready,
-                    stopping,
-                });
+                all.push(LoopEnded { end, touched, calm: calm && world.ready, stopping });
             }
         }
         match world.killed {
@@ -669,17 +547,10 @@ mod tests {
             }
             // What the machine does not hear of: the first tick, also after a kill, and the end of the work.
             if world.runs && !world.ready && !world.killed {
-                reached.push(World {
-                    ready: true,
-                    touched: true,
-                    ..world
-                });
+                reached.push(World { ready: true, touched: true, ..world });
             }
             if world.runs && world.ready && !world.stopping && !world.killed {
-                reached.push(World {
-                    stopping: true,
-                    ..world
-                });
+                reached.push(World { stopping: true, ..world });
             }
             steps += reached.len();
             for world in reached {
@@ -709,161 +580,47 @@ mod tests {
 
     #[test]
     fn what_the_signs_of_a_loop_come_to() {
-        let walks = Signs {
-            ready: Some(ms(60_000)),
-            ..Signs::default()
-        };
-        let pressed = Signs {
-            pressed: Some(ms(61)),
-            ..walks
-        };
+        let walks = Signs { ready: Some(ms(60_000)), ..Signs::default() };
+        let pressed = Signs { pressed: Some(ms(61)), ..walks };
         let undying = Event::Undying { touched: true };
         let table = [
             (walks, UP, None),
-            (
-                Signs {
-                    heard: ms(300),
-                    ..walks
-                },
-                UP,
-                None,
-            ),
-            (
-                Signs {
-                    heard: ms(301),
-                    ..walks
-                },
-                UP,
-                Some(Event::LoopSilent),
-            ),
+            (Signs { heard: ms(300), ..walks }, UP, None),
+            (Signs { heard: ms(301), ..walks }, UP, Some(Event::LoopSilent)),
             // Before its first tick it may take longer, tidying up as well.
-            (
-                Signs {
-                    heard: ms(301),
-                    ready: None,
-                    ..walks
-                },
-                UP,
-                None,
-            ),
-            (
-                Signs {
-                    heard: ms(120_001),
-                    ready: None,
-                    ..walks
-                },
-                UP,
-                Some(Event::LoopSilent),
-            ),
-            (
-                Signs {
-                    heard: ms(30_000),
-                    stopping: true,
-                    ..walks
-                },
-                UP,
-                None,
-            ),
-            (
-                Signs {
-                    heard: ms(30_001),
-                    stopping: true,
-                    ..walks
-                },
-                UP,
-                Some(Event::LoopSilent),
-            ),
+            (Signs { heard: ms(301), ready: None, ..walks }, UP, None),
+            (Signs { heard: ms(120_001), ready: None, ..walks }, UP, Some(Event::LoopSilent)),
+            (Signs { heard: ms(30_000), stopping: true, ..walks }, UP, None),
+            (Signs { heard: ms(30_001), stopping: true, ..walks }, UP, Some(Event::LoopSilent)),
             // The kill button.
             (pressed, UP, Some(Event::Deaf)),
-            (
-                Signs {
-                    pressed: Some(ms(60)),
-                    ..pressed
-                },
-                UP,
-                None,
-            ),
-            (
-                Signs {
-                    brakes: true,
-                    ..pressed
-                },
-                UP,
-                None,
-            ),
+            (Signs { pressed: Some(ms(60)), ..pressed }, UP, None),
+            (Signs { brakes: true, ..pressed }, UP, None),
             // Pressed long before the first tick, which was 60 ms, then 61 ms ago: it has the same time from
             // there on.
+            (Signs { pressed: Some(ms(5_000)), ready: Some(ms(60)), ..walks }, UP, None),
             (
-                Signs {
-                    pressed: Some(ms(5_000)),
-                    ready: Some(ms(60)),
-                    ..walks
-                },
-                UP,
-                None,
-            ),
-            (
-                Signs {
-                    pressed: Some(ms(5_000)),
-                    ready: Some(ms(61)),
-                    ..walks
-                },
+                Signs { pressed: Some(ms(5_000)), ready: Some(ms(61)), ..walks },
                 UP,
                 Some(Event::Deaf),
             ),
             // No tick yet: nothing that could brake.
-            (
-                Signs {
-                    pressed: Some(ms(5_000)),
-                    ready: None,
-                    ..walks
-                },
-                UP,
-                None,
-            ),
+            (Signs { pressed: Some(ms(5_000)), ready: None, ..walks }, UP, None),
             // Asked.
+            (Signs { asked: Some(ms(2_001)), ..walks }, State::Ending(Why::Stop), None),
             (
-                Signs {
-                    asked: Some(ms(2_001)),
-                    ..walks
-                },
-                State::Ending(Why::Stop),
-                None,
-            ),
-            (
-                Signs {
-                    asked: Some(ms(2_001)),
-                    ..walks
-                },
+                Signs { asked: Some(ms(2_001)), ..walks },
                 State::Ending(Why::Insist),
                 Some(Event::TooLong),
             ),
             (
-                Signs {
-                    asked: Some(ms(50_001)),
-                    ..walks
-                },
+                Signs { asked: Some(ms(50_001)), ..walks },
                 State::Ending(Why::Stop),
                 Some(Event::TooLong),
             ),
             // Ended by force: nothing counts but whether it is gone.
-            (
-                Signs {
-                    killed: Some(ms(3_000)),
-                    heard: ms(9_000),
-                    ..pressed
-                },
-                UP,
-                None,
-            ),
-            (
-                Signs {
-                    killed: Some(ms(3_001)),
-                    ..walks
-                },
-                UP,
-                Some(undying),
-            ),
+            (Signs { killed: Some(ms(3_000)), heard: ms(9_000), ..pressed }, UP, None),
+            (Signs { killed: Some(ms(3_001)), ..walks }, UP, Some(undying)),
         ];
         for (signs, state, event) in table {
             assert_eq!(judge(&signs, &LIMITS, state, true), event, "{signs:?}");

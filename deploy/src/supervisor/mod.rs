@@ -269,10 +269,7 @@ impl<'a> Supervisor<'a> {
 
     fn handle(&mut self, event: Event) -> Result<(), Failure> {
         let (state, todo) = next(self.state, event);
-        if let Event::LoopEnded {
-            end: End::InOrder, ..
-        } = event
-        {
+        if let Event::LoopEnded { end: End::InOrder, .. } = event {
             // It has let go itself, and asked whether the servos did: what was not proved of an earlier loop
             // is now.
             self.torque = Torque::Untouched;
@@ -314,12 +311,7 @@ impl<'a> Supervisor<'a> {
             self.looper.again_at = Some(Instant::now() + pause);
             let status = self.status.map(|status| status.to_string());
             let torque = self.torque.words();
-            tracing::error!(
-                status,
-                ?pause,
-                torque,
-                "the control loop died: it starts again"
-            );
+            tracing::error!(status, ?pause, torque, "the control loop died: it starts again");
         }
         Ok(())
     }
@@ -343,10 +335,9 @@ impl<'a> Supervisor<'a> {
                 ExitCode::Internal,
                 format!("the control loop died {deaths} times in a row, last by {status}"),
             ),
-            Verdict::Interrupted => (
-                ExitCode::Interrupted,
-                "stopped at once by a second signal".to_owned(),
-            ),
+            Verdict::Interrupted => {
+                (ExitCode::Interrupted, "stopped at once by a second signal".to_owned())
+            }
             Verdict::KilledBefore => (
                 ExitCode::Unavailable,
                 "the kill button was pressed before the loop was started; it is not started"
@@ -369,10 +360,7 @@ impl<'a> Supervisor<'a> {
                     true => String::new(),
                     false => format!("{line}; "),
                 };
-                Err(Failure::message(
-                    ExitCode::TorqueOn,
-                    format!("{before}{torque}"),
-                ))
+                Err(Failure::message(ExitCode::TorqueOn, format!("{before}{torque}")))
             }
             (ExitCode::Ok, _) => Ok(()),
             (code, _) if line.is_empty() => Err(Failure::said_already(code)),

@@ -103,11 +103,7 @@ fn fault_24_the_same_meaning_in_other_bytes_was_not_signed() {
     key.sign(&mut manifest);
     let here = model();
     let signed = |manifest: &Manifest| {
-        let announcement = Announcement {
-            manifest,
-            trust: Some(&trust),
-            model: &here,
-        };
+        let announcement = Announcement { manifest, trust: Some(&trust), model: &here };
         announcement.check(ANNOUNCEMENT)
     };
     assert!(signed(&manifest).is_ok());
@@ -131,9 +127,7 @@ fn rounding_matters() -> Vec<u8> {
         let first = Dense {
             out: hidden,
             input,
-            weight: (0..hidden * input)
-                .map(|i| (i as f32 * 0.7).sin())
-                .collect(),
+            weight: (0..hidden * input).map(|i| (i as f32 * 0.7).sin()).collect(),
             bias: vec![1.0e6; hidden],
         };
         let second = Dense {
@@ -201,20 +195,10 @@ fn each_step_and_no_other_keeps_its_bad_announcement_out() {
     // it.
     let taken = |answers: &[Check<Compare>], checks: &[_], manifest: &Manifest| {
         let said = Facts::from(manifest);
-        let answers = answers
-            .iter()
-            .try_for_each(|fact| (fact.refuse)(&asked, &said));
-        let announcement = Announcement {
-            manifest,
-            trust: Some(&trust),
-            model: &here,
-        };
+        let answers = answers.iter().try_for_each(|fact| (fact.refuse)(&asked, &said));
+        let announcement = Announcement { manifest, trust: Some(&trust), model: &here };
         let taken = answers.map_err(|other| other.to_string());
-        taken.and_then(|()| {
-            announcement
-                .check(checks)
-                .map_err(|refusal| refusal.to_string())
-        })
+        taken.and_then(|()| announcement.check(checks).map_err(|refusal| refusal.to_string()))
     };
     let questions: Vec<_> = ANSWERS
         .iter()
@@ -274,11 +258,7 @@ fn fault_18_nothing_that_decides_looks_at_the_date() {
             // Split, so that this file does not find itself.
             let clocks = [concat!("System", "Time"), concat!("UNIX_", "EPOCH")];
             let looks = clocks.iter().any(|clock| text.contains(clock));
-            assert!(
-                !looks || allowed.contains(&name),
-                "{} looks at the date",
-                path.display()
-            );
+            assert!(!looks || allowed.contains(&name), "{} looks at the date", path.display());
             looked += 1;
         }
     }
@@ -318,43 +298,22 @@ fn weights_whose_products_overflow_are_found_by_the_probe() {
 #[test]
 fn a_policy_for_something_else_is_refused_in_one_clear_line() {
     let line = refused(|m| m.contract.joint_names.swap(2, 3));
-    assert_eq!(
-        line,
-        "joint 2 is `spine_4` in the policy and `spine_3` here"
-    );
+    assert_eq!(line, "joint 2 is `spine_4` in the policy and `spine_3` here");
     let line = refused(|m| m.contract.robot_hash = "0".repeat(64));
-    assert!(
-        line.starts_with("policy was trained on model 000"),
-        "{line}"
-    );
+    assert!(line.starts_with("policy was trained on model 000"), "{line}");
     let line = refused(|m| m.contract.robot = "newt".to_owned());
-    assert!(
-        line.contains("`newt`") && line.contains("`polymander`"),
-        "{line}"
-    );
+    assert!(line.contains("`newt`") && line.contains("`polymander`"), "{line}");
     let line = refused(|m| m.contract.control_period_s = 0.01);
-    assert_eq!(
-        line,
-        "the policy differs from what is expected here in its control period"
-    );
+    assert_eq!(line, "the policy differs from what is expected here in its control period");
     let line = refused(|m| m.contract.nominal_pos_rad[9] += 0.1);
-    assert_eq!(
-        line,
-        "the policy differs from what is expected here in its nominal pose"
-    );
+    assert_eq!(line, "the policy differs from what is expected here in its nominal pose");
     let line = refused(|m| m.contract.kp_nm_per_rad[0] = 20.0);
-    assert_eq!(
-        line,
-        "the policy differs from what is expected here in its gains"
-    );
+    assert_eq!(line, "the policy differs from what is expected here in its gains");
 }
 
 #[test]
 fn a_policy_that_knows_land_from_water_passes_with_its_own_layout_only() {
-    let task = TaskConfig {
-        observe_medium: true,
-        ..TaskConfig::default()
-    };
+    let task = TaskConfig { observe_medium: true, ..TaskConfig::default() };
     let bytes = policy_file(1, |spec, metadata| {
         metadata.contract = PolicyContract::new(&model(), &task).unwrap();
         spec.obs_mean.push(0.0);

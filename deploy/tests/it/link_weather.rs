@@ -55,11 +55,7 @@ fn fault_28_through_loss_delay_and_reordering_no_older_command_counts_and_the_ne
     let socket = here.socket();
     socket.connect(("localhost", port)).unwrap();
     socket.set_nonblocking(true).unwrap();
-    let mut sender = Sender {
-        socket,
-        key,
-        commander: Commander::begin(),
-    };
+    let mut sender = Sender { socket, key, commander: Commander::begin() };
     weather.loss_percent.store(50, Relaxed);
     weather.delay_ms.store(40, Relaxed);
     weather.reorder_percent.store(30, Relaxed);

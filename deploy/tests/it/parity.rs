@@ -17,10 +17,7 @@ const SAME: f32 = 1e-6;
 
 #[test]
 fn the_robot_observes_what_training_observed() {
-    let mut task = TaskConfig {
-        stagger_first_episode: false,
-        ..TaskConfig::default()
-    };
+    let mut task = TaskConfig { stagger_first_episode: false, ..TaskConfig::default() };
     task.noise.enabled = false;
     task.randomisation.enabled = false;
     task.push.enabled = false;
@@ -78,12 +75,7 @@ fn the_robot_observes_what_training_observed() {
             );
             compared += 1;
         }
-        moved = moved.max(
-            truth
-                .joint_vel_radps
-                .iter()
-                .fold(0.0, |m, v| m.max(v.abs())),
-        );
+        moved = moved.max(truth.joint_vel_radps.iter().fold(0.0, |m, v| m.max(v.abs())));
         let mut action = [0.0; 16];
         evaluate_mlp(&spec, seen, 1, &mut action).unwrap();
         let output = env.step(&action).unwrap();

@@ -47,16 +47,10 @@ fn pulls_runs_and_logs() {
     let (state, log) = (folder.path().join("state"), folder.path().join("log"));
 
     let (code, pulled, errors) = outcome(program("pull", server.address, &state));
-    assert_eq!(
-        (code, &pulled["policy"]["version"]),
-        (0, &Value::from(3)),
-        "{errors}"
-    );
+    assert_eq!((code, &pulled["policy"]["version"]), (0, &Value::from(3)), "{errors}");
 
     let mut command = run(server.address, &state, perfect_robot());
-    command
-        .args(["--command", "0.2,0,0", "--terrain", "flat", "--log-dir"])
-        .arg(&log);
+    command.args(["--command", "0.2,0,0", "--terrain", "flat", "--log-dir"]).arg(&log);
     let (code, summary, errors) = outcome(command);
     assert_eq!(code, 0, "{errors}");
     assert_eq!(summary["policy_version"], 3);
@@ -67,38 +61,21 @@ fn pulls_runs_and_logs() {
     assert!(summary["ticks"].as_u64().unwrap() >= 75, "{summary}");
     assert!((summary["commanded"]["vx_mps"].as_f64().unwrap() - 0.2).abs() < 1e-6);
     // 4 mm per tick of 20 ms.
-    assert!(
-        (summary["achieved"]["vx_mps"].as_f64().unwrap() - 0.2).abs() < 1e-3,
-        "{summary}"
-    );
+    assert!((summary["achieved"]["vx_mps"].as_f64().unwrap() - 0.2).abs() < 1e-3, "{summary}");
 
     let log = RunLog::read(&log).unwrap();
     assert_eq!(log.meta.terrain, "flat");
-    assert!(
-        log.meta
-            .notes
-            .contains(summary["policy_sha256"].as_str().unwrap())
-    );
+    assert!(log.meta.notes.contains(summary["policy_sha256"].as_str().unwrap()));
     let table = &log.table;
     assert_eq!(table.len() as u64, summary["log_rows"].as_u64().unwrap());
     assert_eq!(summary["log_rows"], summary["ticks"]);
     // Servos are where they were sent a tick before.
     let column = |signal: Signal| table.column(&signal).unwrap();
-    let (sent, read) = (
-        column(Signal::Command("FL_knee".into())),
-        column(Signal::Position("FL_knee".into())),
-    );
+    let (sent, read) =
+        (column(Signal::Command("FL_knee".into())), column(Signal::Position("FL_knee".into())));
     assert_eq!(sent[..sent.len() - 1], read[1..]);
-    assert!(
-        column(Signal::BasePosition(Axis::X))
-            .iter()
-            .all(Option::is_some)
-    );
-    assert!(
-        column(Signal::Contact("HR".into()))
-            .iter()
-            .all(|c| *c == Some(1.0))
-    );
+    assert!(column(Signal::BasePosition(Axis::X)).iter().all(Option::is_some));
+    assert!(column(Signal::Contact("HR".into())).iter().all(|c| *c == Some(1.0)));
     // A log is not overwritten.
     let mut again = run(server.address, &state, perfect_robot());
     again.arg("--log-dir").arg(folder.path().join("log"));
@@ -138,18 +115,11 @@ fn a_bad_policy_is_refused_and_the_last_one_keeps_running() {
     let model = policy_file(3, |_, m| m.contract.robot_hash = "0".repeat(64));
     server.publish_to("model", model);
     let (code, summary, errors) = run_on("model");
-    assert_eq!(
-        (code, &summary["policy_version"]),
-        (0, &Value::from(2)),
-        "{errors}"
-    );
+    assert_eq!((code, &summary["policy_version"]), (0, &Value::from(2)), "{errors}");
     assert!(errors.contains("running what is on disk"), "{errors}");
     assert_eq!(status_of(&state)["active"]["version"], 2);
     let reason = status_of(&state)["quarantined"][1]["reason"].to_string();
-    assert!(
-        reason.contains("another robot: it is about robot model 000"),
-        "{reason}"
-    );
+    assert!(reason.contains("another robot: it is about robot model 000"), "{reason}");
     server.stop();
 }
 
@@ -191,11 +161,7 @@ fn a_wrong_robot_file_does_not_cost_the_right_one_its_policy() {
 
     // The right file again: with the server, and from the disk alone.
     let (code, summary, errors) = outcome(run(server.address, &state, perfect_robot()));
-    assert_eq!(
-        (code, &summary["policy_version"]),
-        (0, &Value::from(1)),
-        "{errors}"
-    );
+    assert_eq!((code, &summary["policy_version"]), (0, &Value::from(1)), "{errors}");
     let (code, _, errors) = outcome(run(NOBODY.parse().unwrap(), &state, perfect_robot()));
     assert_eq!(code, 0, "{errors}");
     server.stop();
@@ -218,11 +184,7 @@ fn without_a_server_the_disk_is_enough_and_without_both_it_is_69() {
     assert_eq!(outcome(program("pull", server.address, &state)).0, 0);
 
     let (code, summary, errors) = outcome(run(nobody, &state, robot));
-    assert_eq!(
-        (code, &summary["policy_version"]),
-        (0, &Value::from(4)),
-        "{errors}"
-    );
+    assert_eq!((code, &summary["policy_version"]), (0, &Value::from(4)), "{errors}");
     assert!(errors.contains("does not answer"), "{errors}");
 
     // A truncated file on the disk is noticed, does not run, and is fetched again where there is a server.
@@ -231,10 +193,7 @@ fn without_a_server_the_disk_is_enough_and_without_both_it_is_69() {
     std::fs::write(&file, &whole[..whole.len() - 1]).unwrap();
     let (code, _, errors) = outcome(run(nobody, &state, robot));
     assert_eq!(code, 69, "{errors}");
-    assert!(
-        errors.contains("is damaged: its hash differs from its name"),
-        "{errors}"
-    );
+    assert!(errors.contains("is damaged: its hash differs from its name"), "{errors}");
     let (code, _, errors) = outcome(run(server.address, &state, robot));
     assert_eq!(code, 0, "{errors}");
     assert_eq!(std::fs::read(&file).unwrap(), whole);
@@ -258,10 +217,7 @@ fn follows_newer_policies_while_it_walks_and_stops_on_a_signal() {
     };
     active(1);
     server.publish(policy_file(2, |spec, _| spec.layers[0].weight.fill(3e38)));
-    while status_of(&state)["quarantined"]
-        .as_array()
-        .is_none_or(Vec::is_empty)
-    {
+    while status_of(&state)["quarantined"].as_array().is_none_or(Vec::is_empty) {
         std::thread::sleep(Duration::from_millis(50));
     }
     server.publish(standing(3));
@@ -270,11 +226,7 @@ fn follows_newer_policies_while_it_walks_and_stops_on_a_signal() {
     std::thread::sleep(Duration::from_secs(2));
     kill(Pid::from_raw(running.id() as i32), Posix::SIGTERM).unwrap();
     let (code, summary, errors) = ended(running);
-    assert_eq!(
-        (code, &summary["ended"]),
-        (0, &Value::from("signal")),
-        "{errors}"
-    );
+    assert_eq!((code, &summary["ended"]), (0, &Value::from("signal")), "{errors}");
     assert_eq!(summary["policy_version"], 3, "{errors}");
     assert_eq!(summary["policy_swaps"], 1);
     assert!(errors.contains("beyond ±1000"), "{errors}");
@@ -298,16 +250,7 @@ fn wrong_input_has_its_own_codes() {
     command.args(["--bus", "sim:127.0.0.1:1", "--command", "0.2,x,0"]);
     check(command, 64);
     let mut missing = robot_program();
-    missing
-        .args([
-            "pull",
-            "--robot",
-            "no/such.robot.toml",
-            "--stream",
-            "s",
-            "--state",
-        ])
-        .arg(&state);
+    missing.args(["pull", "--robot", "no/such.robot.toml", "--stream", "s", "--state"]).arg(&state);
     check(missing, 66);
     std::fs::create_dir_all(&state).unwrap();
     for copy in ["state.json", "state.copy.json"] {
@@ -348,11 +291,7 @@ fn faults_14_and_22_a_robot_that_trusts_a_key_takes_signed_policies_only() {
     assert_eq!(pull().0, 77, "another key under the same name");
     server.publish_signed(standing(3), &key);
     let (code, pulled, errors) = pull();
-    assert_eq!(
-        (code, &pulled["policy"]["version"]),
-        (0, &3.into()),
-        "{errors}"
-    );
+    assert_eq!((code, &pulled["policy"]["version"]), (0, &3.into()), "{errors}");
     // Nothing that was not signed left a trace.
     assert_eq!(status_of(&state)["quarantined"], serde_json::json!([]));
     server.stop();
@@ -377,9 +316,7 @@ fn fault_23_a_robot_whose_trust_file_was_followed_by_another_takes_what_the_new_
     };
     server.publish_signed(standing(1), &old);
     assert_eq!(pull().0, 0);
-    let second = new
-        .trust_file()
-        .replacen("threshold = 1\n", "threshold = 1\nversion = 2\n", 1)
+    let second = new.trust_file().replacen("threshold = 1\n", "threshold = 1\nversion = 2\n", 1)
         + &new_root.root_trust_lines();
     let file = successor_path(&trust, 2);
     std::fs::write(&file, &second).unwrap();
@@ -387,10 +324,7 @@ fn fault_23_a_robot_whose_trust_file_was_followed_by_another_takes_what_the_new_
     // Signed by its own keys alone: somebody else's. What is not in force is not passed over.
     let (code, _, errors) = pull();
     assert_eq!(code, 65, "{errors}");
-    assert!(
-        errors.contains("the old root keys signed it 0 times"),
-        "{errors}"
-    );
+    assert!(errors.contains("the old root keys signed it 0 times"), "{errors}");
     add_signature(&file, &old_root.sign_trust(&second)).unwrap();
     server.publish_signed(standing(2), &old);
     let (code, _, errors) = pull();
@@ -398,21 +332,14 @@ fn fault_23_a_robot_whose_trust_file_was_followed_by_another_takes_what_the_new_
     assert!(errors.contains("0 valid signatures"), "{errors}");
     server.publish_signed(standing(3), &new);
     let (code, pulled, errors) = pull();
-    assert_eq!(
-        (code, &pulled["policy"]["version"]),
-        (0, &3.into()),
-        "{errors}"
-    );
+    assert_eq!((code, &pulled["policy"]["version"]), (0, &3.into()), "{errors}");
     assert_eq!(status_of(&state)["trust_version"], 2);
     // The newest file is lost, and with it what it gave up: the old key signs again.
     std::fs::remove_file(&file).unwrap();
     server.publish_signed(standing(4), &old);
     let (code, _, errors) = pull();
     assert_eq!(code, 65, "{errors}");
-    assert!(
-        errors.contains("version 1 is in force, and on this robot version 2 was"),
-        "{errors}"
-    );
+    assert!(errors.contains("version 1 is in force, and on this robot version 2 was"), "{errors}");
     // The loop's process looks for itself, whatever became of the agent.
     let looper = || {
         let mut looper = program("rt", server.address, &state);
@@ -458,10 +385,8 @@ fn fault_18_in_1970_in_2100_and_a_day_back_the_same_is_taken_and_the_same_refuse
     let folder = tempfile::tempdir().unwrap();
     let library = moved_clock(folder.path());
     let now = i64::try_from(std::time::UNIX_EPOCH.elapsed().unwrap().as_secs()).unwrap();
-    let (release, fresh) = (
-        ReleaseKey::from_seed("release", &[7; 32]),
-        ReleaseKey::from_seed("server", &[9; 32]),
-    );
+    let (release, fresh) =
+        (ReleaseKey::from_seed("release", &[7; 32]), ReleaseKey::from_seed("server", &[9; 32]));
     let trust = folder.path().join("trust.toml");
     std::fs::write(&trust, release.trust_file() + &fresh.fresh_trust_lines()).unwrap();
     let servers = ["old", "new"].map(|name| {
@@ -490,15 +415,16 @@ fn fault_18_in_1970_in_2100_and_a_day_back_the_same_is_taken_and_the_same_refuse
             command
         };
         let (code, pulled, errors) = outcome(under("pull", &servers[1]));
-        assert_eq!(
-            (code, &pulled["policy"]["version"]),
-            (0, &2.into()),
-            "{dated}: {errors}"
-        );
+        assert_eq!((code, &pulled["policy"]["version"]), (0, &2.into()), "{dated}: {errors}");
         // It walks as long as it was asked to, whatever the date does meanwhile.
         let mut run = under("run", &servers[1]);
-        run.args(["--bus", &format!("sim:{}", perfect_robot())])
-            .args(["--hang-ms", "60000", "--follow", "--seconds", "3"]);
+        run.args(["--bus", &format!("sim:{}", perfect_robot())]).args([
+            "--hang-ms",
+            "60000",
+            "--follow",
+            "--seconds",
+            "3",
+        ]);
         let (code, summary, errors) = outcome(run);
         assert_eq!((code, &summary["ended"]), (0, &"time".into()), "{errors}");
         assert!((summary["walked_s"].as_f64().unwrap() - 3.0).abs() < 0.1);
@@ -522,9 +448,7 @@ fn on_a_small_disk(command: &std::process::Command, kib: u32) -> std::process::C
     let blocks = 2 * kib;
     small
         .arg("-c")
-        .arg(format!(
-            "trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" \"$@\""
-        ))
+        .arg(format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" \"$@\""))
         .arg(command.get_program())
         .args(command.get_args());
     small
@@ -559,23 +483,10 @@ fn fault_54_a_full_disk_for_the_log_does_not_touch_the_walk() {
 #[test]
 fn fault_31_the_child_that_tries_a_candidate_is_held_in_memory_and_time() {
     let bytes = standing(1);
-    let sha256 = caudata_policy::PolicyFile::parse(bytes.as_slice().into())
-        .unwrap()
-        .sha256_hex();
+    let sha256 = caudata_policy::PolicyFile::parse(bytes.as_slice().into()).unwrap().sha256_hex();
     let mut child = robot_program()
-        .args([
-            "probe",
-            "--robot",
-            crate::common::policies::ROBOT_FILE.as_str(),
-        ])
-        .args([
-            "--stream",
-            "s",
-            "--version-number",
-            "1",
-            "--file-version",
-            "1",
-        ])
+        .args(["probe", "--robot", crate::common::policies::ROBOT_FILE.as_str()])
+        .args(["--stream", "s", "--version-number", "1", "--file-version", "1"])
         .args(["--sha256", &sha256])
         .stdin(std::process::Stdio::piped())
         .spawn()

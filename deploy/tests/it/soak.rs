@@ -58,10 +58,7 @@ fn server(data: &Path, address: Option<SocketAddr>) -> (Killed, SocketAddr) {
 
 /// Publishes version after version, each until it is taken; what was published, by version.
 fn publish_for(end: Instant, address: SocketAddr, published: &Mutex<BTreeMap<u64, String>>) {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .unwrap();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
         let mut client = RegistryClient::new(&address.to_string()).unwrap();
         let mut version = 1;
@@ -92,11 +89,7 @@ fn soak(seconds: u64) {
     let mut table = String::from("t,vx,vy,yaw_rate\n");
     let mut t = 0.0;
     while t < seconds as f64 + 10.0 {
-        let walk = if table.lines().count() % 4 == 3 {
-            7.0
-        } else {
-            2.0
-        };
+        let walk = if table.lines().count() % 4 == 3 { 7.0 } else { 2.0 };
         table += &format!("{t},0.2,0,0\n{},0,0,0\n", t + walk);
         t += walk + 1.5;
     }
@@ -146,20 +139,13 @@ fn soak(seconds: u64) {
     });
     let errors = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.success(), "{errors}");
-    let summary: Value = serde_json::from_str(
-        String::from_utf8(output.stdout)
-            .unwrap()
-            .lines()
-            .last()
-            .unwrap(),
-    )
-    .unwrap();
+    let summary: Value =
+        serde_json::from_str(String::from_utf8(output.stdout).unwrap().lines().last().unwrap())
+            .unwrap();
     assert_eq!(summary["ended"], "time", "{summary}");
 
     let published = published.into_inner().unwrap();
-    let lines = errors
-        .lines()
-        .filter_map(|line| serde_json::from_str::<Value>(line).ok());
+    let lines = errors.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
     let mut last = 0;
     let mut swaps = 0;
     for line in lines {
@@ -178,11 +164,7 @@ fn soak(seconds: u64) {
         last = version;
         swaps += 1;
     }
-    assert_eq!(
-        summary["policy_swaps"].as_u64().unwrap(),
-        swaps,
-        "every swap was looked at"
-    );
+    assert_eq!(summary["policy_swaps"].as_u64().unwrap(), swaps, "every swap was looked at");
     assert!(swaps >= seconds / 12, "{swaps} swaps in {seconds} s");
     assert_eq!(
         summary["policy_version"].as_u64().unwrap(),
@@ -197,10 +179,7 @@ fn soak(seconds: u64) {
     // The server's store is whole after all of it, and knows what the robot said.
     child.kill();
     let (mut child, _) = server(&data, Some(address));
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .unwrap();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
         let mut client = RegistryClient::new(&address.to_string()).unwrap();
         let stream = StreamName::new(STREAM).unwrap();
@@ -208,10 +187,7 @@ fn soak(seconds: u64) {
             client.fetch(&manifest).await.unwrap();
         }
         let overview = client.overview(Some(&stream)).await.unwrap();
-        assert!(
-            overview.reports.iter().any(|r| r.robot == "soak-robot"),
-            "{overview:?}"
-        );
+        assert!(overview.reports.iter().any(|r| r.robot == "soak-robot"), "{overview:?}");
     });
     child.kill();
     let state = status_of(&state);
@@ -227,7 +203,5 @@ fn soak(seconds: u64) {
 #[test]
 fn a_robot_follows_latest_while_the_server_dies_and_the_network_breaks() {
     let seconds = std::env::var("CAUDATA_SOAK_S").ok();
-    soak(seconds.map_or(45, |text| {
-        text.parse().expect("CAUDATA_SOAK_S: whole seconds")
-    }));
+    soak(seconds.map_or(45, |text| text.parse().expect("CAUDATA_SOAK_S: whole seconds")));
 }

@@ -168,11 +168,8 @@ fn child() {
     let told: Vec<&String> = words[2..].iter().filter(|w| !w.starts_with('-')).collect();
     let (scenario, folder) = (told[0].as_str(), Path::new(told[1]));
     let start = starts(folder, part) + 1;
-    let mut log = std::fs::OpenOptions::new()
-        .append(true)
-        .create(true)
-        .open(folder.join(part))
-        .unwrap();
+    let mut log =
+        std::fs::OpenOptions::new().append(true).create(true).open(folder.join(part)).unwrap();
     writeln!(log, "{}", words[2..].join(" ")).unwrap();
     let says = Notifier::from_environment().unwrap();
     let code = match part.as_str() {
@@ -214,9 +211,7 @@ fn agent(scenario: &str, folder: &Path, start: usize, says: &Notifier) -> i32 {
         std::fs::write(folder.join("pressed"), "").unwrap();
     }
     // SIGTERM ends it as it ends any program that does nothing about it.
-    lives(says, || {
-        scenario == "no_program" && start == 1 && folder.join("agent-ends").exists()
-    });
+    lives(says, || scenario == "no_program" && start == 1 && folder.join("agent-ends").exists());
     0
 }
 
@@ -275,10 +270,7 @@ fn limp(scenario: &str, start: usize) -> i32 {
 fn a_loop_that_dies_after_its_end_does_not_rise_again() {
     let scene = Scene::new("dies_after_its_end");
     let (code, line) = failed(scene.run());
-    assert_eq!(
-        line,
-        "the loop was ended by signal: 9 (SIGKILL); the torque is off"
-    );
+    assert_eq!(line, "the loop was ended by signal: 9 (SIGKILL); the torque is off");
     assert_eq!(code, ExitCode::Internal);
     assert_eq!((scene.starts("rt"), scene.starts("limp")), (1, 1));
     // One that could not finish its log has a code by which it would be tried again, had it not come to its

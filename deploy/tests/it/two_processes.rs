@@ -30,11 +30,7 @@ struct Robot {
 
 impl Robot {
     fn start(mut command: Command) -> Self {
-        let mut supervisor = command
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
+        let mut supervisor = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let (sender, lines) = bounded(100_000);
         let outputs: [Box<dyn std::io::Read + Send>; 2] = [
             Box::new(supervisor.stdout.take().unwrap()),
@@ -49,12 +45,7 @@ impl Robot {
                 }
             });
         }
-        Self {
-            supervisor,
-            lines,
-            said: Vec::new(),
-            waiting: Vec::new(),
-        }
+        Self { supervisor, lines, said: Vec::new(), waiting: Vec::new() }
     }
 
     /// Waits until somebody says what `wanted` looks for, if nobody has yet; each line is heard once.
@@ -64,9 +55,7 @@ impl Robot {
             return self.waiting.remove(at);
         }
         let end = Instant::now() + PATIENCE;
-        while let Ok(line) = self
-            .lines
-            .recv_timeout(end.saturating_duration_since(Instant::now()))
+        while let Ok(line) = self.lines.recv_timeout(end.saturating_duration_since(Instant::now()))
         {
             self.said.push(line.clone());
             if wanted(&line) {
@@ -98,10 +87,7 @@ impl Robot {
         let code = end_of(&mut self.supervisor).code();
         let end = Instant::now() + PATIENCE;
         loop {
-            match self
-                .lines
-                .recv_timeout(end.saturating_duration_since(Instant::now()))
-            {
+            match self.lines.recv_timeout(end.saturating_duration_since(Instant::now())) {
                 Ok(line) => self.said.push(line),
                 Err(RecvTimeoutError::Disconnected) => break,
                 Err(RecvTimeoutError::Timeout) => panic!(
@@ -126,11 +112,7 @@ impl Drop for Robot {
 #[test]
 fn a_test_that_waits_for_output_does_not_wait_for_what_a_program_left_behind() {
     let left = "sleep 1000 & kill -STOP $!; echo $!";
-    let child = Command::new("sh")
-        .args(["-c", left])
-        .stdout(Stdio::piped())
-        .spawn()
-        .unwrap();
+    let child = Command::new("sh").args(["-c", left]).stdout(Stdio::piped()).spawn().unwrap();
     let output = output_within(child, Duration::from_secs(2));
     let pid = String::from_utf8(output.stdout).unwrap();
     let pid = Pid::from_raw(pid.trim().parse().expect("the shell got that far"));
@@ -144,9 +126,7 @@ fn a_test_that_waits_for_output_does_not_wait_for_what_a_program_left_behind() {
 /// Number of control ticks so far, of the loop's page of metrics.
 fn ticks(state: &Path) -> u64 {
     let page = std::fs::read_to_string(state.join("run/loop.prom")).unwrap_or_default();
-    let line = page
-        .lines()
-        .find_map(|l| l.strip_prefix("caudata_robot_ticks_total "));
+    let line = page.lines().find_map(|l| l.strip_prefix("caudata_robot_ticks_total "));
     line.map_or(0, |number| number.trim().parse().unwrap())
 }
 
@@ -164,9 +144,7 @@ fn walks_on(state: &Path, more: u64) {
 /// How often a loop was started.
 fn loops(said: &[Value]) -> usize {
     let starts = said.iter();
-    starts
-        .filter(|line| line["message"] == "started" && line["part"] == "rt")
-        .count()
+    starts.filter(|line| line["message"] == "started" && line["part"] == "rt").count()
 }
 
 /// How many lines that are not of the log hold `text`.
@@ -290,15 +268,8 @@ fn fault_49_an_agent_that_is_killed_comes_back_and_the_robot_never_stops() {
     robot.hears(|line| line["message"] == "policy swapped in" && line["version"] == 3);
     robot.stop();
     let (code, summary, said) = robot.ended();
-    assert_eq!(
-        (code, &summary["ended"]),
-        (Some(0), &"signal".into()),
-        "{said:#?}"
-    );
-    assert_eq!(
-        (&summary["policy_swaps"], &summary["policy_version"]),
-        (&2.into(), &3.into())
-    );
+    assert_eq!((code, &summary["ended"]), (Some(0), &"signal".into()), "{said:#?}");
+    assert_eq!((&summary["policy_swaps"], &summary["policy_version"]), (&2.into(), &3.into()));
     assert_eq!(loops(&said), 1, "one loop from the beginning to the end");
     // What the loop said while nobody listened was heard.
     assert_eq!(status_of(&state)["active"]["version"], 3);
@@ -329,11 +300,7 @@ fn fault_49_a_loop_that_is_killed_is_started_again_and_its_third_death_in_a_tria
     assert_eq!(line["version"], 1, "{line}");
     robot.stop();
     let (code, summary, said) = robot.ended();
-    assert_eq!(
-        (code, &summary["policy_version"]),
-        (Some(0), &1.into()),
-        "{said:#?}"
-    );
+    assert_eq!((code, &summary["policy_version"]), (Some(0), &1.into()), "{said:#?}");
     let status = status_of(&state);
     assert_eq!(status["quarantined"][0]["policy"]["version"], 2, "{status}");
     lab.stop();
@@ -374,11 +341,7 @@ fn fault_38_a_loop_that_hangs_is_ended_and_started_again() {
     assert!(gone(looper));
     robot.stop();
     let (code, summary, said) = robot.ended();
-    assert_eq!(
-        (code, &summary["ended"]),
-        (Some(0), &"signal".into()),
-        "{said:#?}"
-    );
+    assert_eq!((code, &summary["ended"]), (Some(0), &"signal".into()), "{said:#?}");
     lab.stop();
 }
 
@@ -387,12 +350,7 @@ fn fault_48_the_kill_button_works_with_the_loop_alive_and_with_the_loop_hung() {
     for hung in [false, true] {
         let lab = Lab::with([policy_file(1, |_, _| {})]);
         let key = lab.link_key();
-        let link = [
-            "--link-addr",
-            "127.0.0.1:0",
-            "--link-key",
-            key.to_str().unwrap(),
-        ];
+        let link = ["--link-addr", "127.0.0.1:0", "--link-key", key.to_str().unwrap()];
         // Silence alone is noticed after this; braking after a kill is owed within a fifth of it.
         let mut robot = Robot::start(lab.command("30000", &link));
         let address = robot.hears_message("listening for commands")["address"].clone();
@@ -410,11 +368,9 @@ fn fault_48_the_kill_button_works_with_the_loop_alive_and_with_the_loop_hung() {
         let (code, summary, said) = robot.ended();
         match hung {
             true => assert_eq!(code, Some(69), "{said:#?}"),
-            false => assert_eq!(
-                (code, &summary["ended"]),
-                (Some(0), &"killed".into()),
-                "{said:#?}"
-            ),
+            false => {
+                assert_eq!((code, &summary["ended"]), (Some(0), &"killed".into()), "{said:#?}")
+            }
         }
         assert!(loops(&said) <= 1, "nothing starts again after a kill");
         drop(driver);
@@ -454,11 +410,7 @@ fn a_terminal_that_closes_stands_the_robot_down() {
     robot.hears_message("rising");
     kill(Pid::from_raw(robot.supervisor.id() as i32), Signal::SIGHUP).unwrap();
     let (code, summary, said) = robot.ended();
-    assert_eq!(
-        (code, &summary["ended"]),
-        (Some(0), &"signal".into()),
-        "{said:#?}"
-    );
+    assert_eq!((code, &summary["ended"]), (Some(0), &"signal".into()), "{said:#?}");
     lab.stop();
 }
 
@@ -490,10 +442,7 @@ fn a_second_program_on_the_same_folder_is_kept_out() {
     second.args(["--bus", "sim:127.0.0.1:1"]);
     let (code, _, errors) = crate::common::outcome(second);
     assert_eq!(code, 73, "{errors}");
-    assert!(
-        errors.contains("another process of this robot is running"),
-        "{errors}"
-    );
+    assert!(errors.contains("another process of this robot is running"), "{errors}");
     // Another run folder makes it no other robot: two agents would write over each other's state.
     for command in ["agent", "pull"] {
         let mut other = program(command, lab.server.address, &state);
@@ -503,10 +452,7 @@ fn a_second_program_on_the_same_folder_is_kept_out() {
         }
         let (code, _, errors) = crate::common::outcome(other);
         assert_eq!(code, 73, "{command}: {errors}");
-        assert!(
-            errors.contains("another process of this robot is running"),
-            "{errors}"
-        );
+        assert!(errors.contains("another process of this robot is running"), "{errors}");
     }
     robot.stop();
     assert_eq!(robot.ended().0, Some(0));
@@ -516,20 +462,12 @@ fn a_second_program_on_the_same_folder_is_kept_out() {
 #[test]
 fn fault_16_a_robot_without_state_or_with_a_lost_one_runs_the_factory_policy() {
     let folder = tempfile::tempdir().unwrap();
-    let (state, factory) = (
-        folder.path().join("state"),
-        folder.path().join("factory.onnx"),
-    );
+    let (state, factory) = (folder.path().join("state"), folder.path().join("factory.onnx"));
     std::fs::write(&factory, standing(77)).unwrap();
     let nobody = "127.0.0.1:1".parse().unwrap();
     let run = |server, factory: Option<&Path>| {
         let mut command = program("run", server, &state);
-        command.args([
-            "--bus",
-            &format!("sim:{}", perfect_robot()),
-            "--seconds",
-            "0.5",
-        ]);
+        command.args(["--bus", &format!("sim:{}", perfect_robot()), "--seconds", "0.5"]);
         if let Some(factory) = factory {
             command.arg("--factory").arg(factory);
         }
@@ -538,32 +476,20 @@ fn fault_16_a_robot_without_state_or_with_a_lost_one_runs_the_factory_policy() {
     // Empty, and no server: nothing without a factory policy, it with one.
     assert_eq!(run(nobody, None).0, 69);
     let (code, summary, errors) = run(nobody, Some(&factory));
-    assert_eq!(
-        (code, &summary["policy_stream"]),
-        (0, &"(factory)".into()),
-        "{errors}"
-    );
+    assert_eq!((code, &summary["policy_stream"]), (0, &"(factory)".into()), "{errors}");
     assert_eq!(summary["policy_version"], 77);
     // With a server the server's newest runs; the factory policy left no trace.
     let server = Server::start(&folder.path().join("server"));
     server.publish(standing(3));
     let (code, summary, errors) = run(server.address, Some(&factory));
-    assert_eq!(
-        (code, &summary["policy_version"]),
-        (0, &3.into()),
-        "{errors}"
-    );
+    assert_eq!((code, &summary["policy_version"]), (0, &3.into()), "{errors}");
     // Both copies of the state lost: nothing that a server says counts without proof, the factory policy
     // runs.
     for copy in ["state.json", "state.copy.json"] {
         std::fs::write(state.join(copy), "{").unwrap();
     }
     let (code, summary, errors) = run(server.address, Some(&factory));
-    assert_eq!(
-        (code, &summary["policy_stream"]),
-        (0, &"(factory)".into()),
-        "{errors}"
-    );
+    assert_eq!((code, &summary["policy_stream"]), (0, &"(factory)".into()), "{errors}");
     assert_eq!(run(server.address, None).0, 65);
     // A factory file that is not for this robot is said so before it is needed.
     let wrong = policy_file(1, |_, m| m.contract.robot = "newt".to_owned());
@@ -592,11 +518,7 @@ fn a_log_that_nobody_reads_holds_neither_loop_nor_supervisor() {
     let output = output_of(running);
     let said = String::from_utf8(output.stdout).unwrap();
     let summary: Value = serde_json::from_str(said.lines().last().unwrap()).unwrap();
-    assert_eq!(
-        (output.status.code(), &summary["ended"]),
-        (Some(0), &"time".into()),
-        "{summary}"
-    );
+    assert_eq!((output.status.code(), &summary["ended"]), (Some(0), &"time".into()), "{summary}");
     drop((command, reader));
     lab.stop();
 }
@@ -634,11 +556,7 @@ fn a_loop_for_which_there_is_nothing_to_run_is_told_so_once() {
     let (code, _, said) = robot.ended();
     // Neither waited for, nor tried again and again.
     assert_eq!(code, Some(77), "{said:#?}");
-    assert_eq!(
-        loops(&said),
-        2,
-        "the first, and one after its death: {said:#?}"
-    );
+    assert_eq!(loops(&said), 2, "the first, and one after its death: {said:#?}");
     let line = "error: no policy may run";
     assert_eq!(told(&said, line), 1, "{said:#?}");
     lab.stop();
@@ -661,30 +579,20 @@ fn a_server_whose_versions_do_not_fit_this_robot_is_told_of_once() {
     for version in 2..=4 {
         lab.server.publish(order(version));
         while refused() < version as usize {
-            assert!(
-                Instant::now() < end,
-                "version {version} was never looked at"
-            );
+            assert!(Instant::now() < end, "version {version} was never looked at");
             std::thread::sleep(Duration::from_millis(50));
         }
     }
     robot.stop();
     let (code, summary, said) = robot.ended();
     // The robot walked on with what it had.
-    assert_eq!(
-        (code, &summary["policy_stream"]),
-        (Some(0), &"(factory)".into()),
-        "{said:#?}"
-    );
+    assert_eq!((code, &summary["policy_stream"]), (Some(0), &"(factory)".into()), "{said:#?}");
     let text = "the newest version may not run on this robot";
     let told = |l: &&Value| l["message"].as_str().is_some_and(|m| m.contains(text));
     let lines: Vec<_> = said.iter().filter(told).collect();
     assert_eq!(lines.len(), 1, "{lines:#?}");
     let reason = lines[0]["reason"].as_str().unwrap();
-    assert_eq!(
-        reason,
-        "joint 2 is `spine_4` in the policy and `spine_3` here"
-    );
+    assert_eq!(reason, "joint 2 is `spine_4` in the policy and `spine_3` here");
     lab.stop();
 }
 
@@ -696,9 +604,12 @@ fn fault_28_over_a_network_of_two_seconds_that_breaks_newer_policies_arrive_and_
     // There and back.
     wire.set_delay_ms(1000);
     let mut command = program("run", wire.address, &lab.state());
-    command
-        .args(["--bus", &format!("sim:{}", perfect_robot()), "--follow"])
-        .args(["--metrics-addr", "127.0.0.1:0", "--hang-ms", "60000"]);
+    command.args(["--bus", &format!("sim:{}", perfect_robot()), "--follow"]).args([
+        "--metrics-addr",
+        "127.0.0.1:0",
+        "--hang-ms",
+        "60000",
+    ]);
     let mut robot = Robot::start(command);
     robot.hears_message("rising");
     for version in 2..=4 {
@@ -714,11 +625,7 @@ fn fault_28_over_a_network_of_two_seconds_that_breaks_newer_policies_arrive_and_
     }
     robot.stop();
     let (code, summary, said) = robot.ended();
-    assert_eq!(
-        (code, &summary["ended"]),
-        (Some(0), &"signal".into()),
-        "{said:#?}"
-    );
+    assert_eq!((code, &summary["ended"]), (Some(0), &"signal".into()), "{said:#?}");
     // The loop's process knows nothing of all this, and was never started again.
     assert_eq!(
         (&summary["policy_version"], &summary["held_actions"]),
@@ -731,11 +638,7 @@ fn fault_28_over_a_network_of_two_seconds_that_breaks_newer_policies_arrive_and_
 
 #[test]
 fn fault_47_without_the_dead_mans_button_a_robot_that_asks_for_it_stands() {
-    for (line, moves) in [
-        ("0.2,0,0", false),
-        ("0.2,0,0,0", false),
-        ("0.2,0,0,1", true),
-    ] {
+    for (line, moves) in [("0.2,0,0", false), ("0.2,0,0,0", false), ("0.2,0,0,1", true)] {
         let lab = Lab::with([policy_file(1, |_, _| {})]);
         let key = lab.link_key();
         let link = ["--dead-man", "--link-addr", "127.0.0.1:0", "--link-key"];
@@ -767,10 +670,7 @@ fn fault_30_a_state_folder_that_takes_no_word_of_the_loop_does_not_stop_the_robo
     let flags = ["--seconds", "0.5", "--run-dir", run_dir.to_str().unwrap()];
     let (code, summary, errors) = crate::common::outcome(lab.command("60000", &flags));
     assert_eq!((code, &summary["ended"]), (0, &"time".into()), "{errors}");
-    assert!(
-        errors.contains("the state's disk takes nothing"),
-        "{errors}"
-    );
+    assert!(errors.contains("the state's disk takes nothing"), "{errors}");
     lab.stop();
 }
 
@@ -784,17 +684,11 @@ fn a_run_folder_that_others_may_use_is_refused() {
     let flags = ["--run-dir", open.to_str().unwrap()];
     let (code, _, errors) = crate::common::outcome(lab.command("60000", &flags));
     assert_eq!(code, 73, "{errors}");
-    assert!(
-        errors.contains("may be used by others (mode 755"),
-        "{errors}"
-    );
+    assert!(errors.contains("may be used by others (mode 755"), "{errors}");
     // Its own is nobody else's.
     let flags = ["--seconds", "0.5"];
     assert_eq!(crate::common::outcome(lab.command("60000", &flags)).0, 0);
-    let mode = std::fs::metadata(lab.state().join("run"))
-        .unwrap()
-        .permissions()
-        .mode();
+    let mode = std::fs::metadata(lab.state().join("run")).unwrap().permissions().mode();
     assert_eq!(mode & 0o777, 0o700);
     lab.stop();
 }

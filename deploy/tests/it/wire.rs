@@ -21,10 +21,7 @@ use caudata_policy::PolicyFile;
 use caudata_runlog::{RunLog, Signal};
 use caudata_sim::{EngineConfig, InitialState, TerrainConfig};
 
-const WIRING: &str = concat!(
-    env!("CARGO_MANIFEST_DIR"),
-    "/../robots/polymander.wiring.toml"
-);
+const WIRING: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/polymander.wiring.toml");
 
 /// How long anything is waited for before the test gives up.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -80,10 +77,7 @@ impl Emulated {
         change: impl FnOnce(&mut EmulatedRobot),
         mut later: Option<(f64, Change)>,
     ) -> Self {
-        let config = EngineConfig {
-            substeps: SUBSTEPS,
-            ..EngineConfig::default()
-        };
+        let config = EngineConfig { substeps: SUBSTEPS, ..EngineConfig::default() };
         let engine =
             caudata_sim::build(model(), 1, &config, &TerrainConfig::default(), 1, 1).unwrap();
         let wiring = Wiring::read(Path::new(WIRING)).unwrap();
@@ -120,25 +114,13 @@ impl Emulated {
                 change_of_torque(&edges, robot.torque_on());
             }
         });
-        Self {
-            folder: folder.to_owned(),
-            pace,
-            stop,
-            places_m,
-            torque,
-            thread,
-        }
+        Self { folder: folder.to_owned(), pace, stop, places_m, torque, thread }
     }
 
     fn ports(&self) -> [String; 4] {
         let at = |name: &str| self.folder.join(name).display().to_string();
         let imu = format!("bridge:{}", at("imu"));
-        [
-            "--servo-port".to_owned(),
-            at("servos"),
-            "--imu-bus".to_owned(),
-            imu,
-        ]
+        ["--servo-port".to_owned(), at("servos"), "--imu-bus".to_owned(), imu]
     }
 
     /// Every change of its torque so far, off at first.
@@ -191,12 +173,7 @@ impl Bench {
         let (folder, server) = Self::place(policy);
         let robot = Emulated::start(&folder.path().join("robot"), change, later);
         let wiring = patient_wiring(folder.path());
-        Self {
-            folder,
-            server,
-            robot,
-            wiring,
-        }
+        Self { folder, server, robot, wiring }
     }
 
     /// By the clock: a robot that is let go comes to rest although nobody sends goals. Its servos' own
@@ -205,12 +182,7 @@ impl Bench {
         let (folder, server) = Self::place(standing(1));
         let robot = Emulated::start_at(Pace::RealTime, &folder.path().join("robot"), |_| {}, None);
         let wiring = calm_wiring(folder.path());
-        Self {
-            folder,
-            server,
-            robot,
-            wiring,
-        }
+        Self { folder, server, robot, wiring }
     }
 
     fn place(policy: Vec<u8>) -> (tempfile::TempDir, Server) {
@@ -228,9 +200,7 @@ impl Bench {
     /// The same with another state folder.
     fn run_in(&self, folder: &Path, flags: &[&str]) -> Command {
         let mut command = program("run", self.server.address, &folder.join("state"));
-        command
-            .args(["--bus", &format!("wiring:{}", self.wiring)])
-            .args(self.robot.ports());
+        command.args(["--bus", &format!("wiring:{}", self.wiring)]).args(self.robot.ports());
         if self.robot.pace == Pace::Goals {
             command.args(["--in-step", "--hang-ms", "120000"]);
         }
@@ -273,11 +243,7 @@ fn doctor_finds_factory_settings_sets_them_right_and_then_is_content() {
     let (_, fixed, errors) = doctor(&robot, &["--fix", "--nominal"]);
     let checks = fixed["checks"].as_array().unwrap();
     let of = |what: &str| checks.iter().filter(|c| c["what"] == what).count();
-    assert_eq!(
-        (of("Return Delay Time"), of("model"), of("zero offset")),
-        (16, 16, 16),
-        "{errors}"
-    );
+    assert_eq!((of("Return Delay Time"), of("model"), of("zero offset")), (16, 16, 16), "{errors}");
     let wrong: Vec<_> = checks.iter().filter(|c| c["mark"] == "wrong").collect();
     // The round trip depends on how busy this machine is; everything else does not.
     assert!(wrong.iter().all(|c| c["what"] == "round trip"), "{wrong:?}");
@@ -287,11 +253,7 @@ fn doctor_finds_factory_settings_sets_them_right_and_then_is_content() {
 #[test]
 fn the_program_stands_up_over_the_wire_and_lets_go() {
     // The wire is not perfect: one answer in 200 is damaged, another has noise before it.
-    let faults = WireFaults {
-        flipped_bit: 0.005,
-        noise: 0.005,
-        ..WireFaults::default()
-    };
+    let faults = WireFaults { flipped_bit: 0.005, noise: 0.005, ..WireFaults::default() };
     let bench = Bench::in_step(|r| r.set_faults(faults), None);
     let log = bench.folder.path().join("log");
     let mut command = bench.run(&["--seconds", "3", "--log-dir"]);
@@ -342,14 +304,8 @@ fn the_legs_say_where_the_robot_is() {
         }
         way
     });
-    let mut command = bench.run(&[
-        "--seconds",
-        "12",
-        "--command",
-        "0.3,0,0.1",
-        "--tap",
-        "--run-dir",
-    ]);
+    let mut command =
+        bench.run(&["--seconds", "12", "--command", "0.3,0,0.1", "--tap", "--run-dir"]);
     command.arg(&run_dir);
     let (code, summary, errors) = outcome(command);
     over.store(true, Ordering::Relaxed);
@@ -368,15 +324,8 @@ fn the_legs_say_where_the_robot_is() {
         here.pose.pos_m[2]
     );
     assert!(way_m > 2.5, "{way_m}");
-    assert!(
-        off_m < 2.0 * sd_m && sd_m < 0.2 * way_m,
-        "{off_m} m off, {sd_m} m claimed, {way_m} m"
-    );
-    assert!(
-        (here.pose.pos_m[2] - z).abs() < 0.02,
-        "{} m high, {z}",
-        here.pose.pos_m[2]
-    );
+    assert!(off_m < 2.0 * sd_m && sd_m < 0.2 * way_m, "{off_m} m off, {sd_m} m claimed, {way_m} m");
+    assert!((here.pose.pos_m[2] - z).abs() < 0.02, "{} m high, {z}", here.pose.pos_m[2]);
 }
 
 /// On its back where it first stood.
@@ -407,11 +356,7 @@ fn fault_41_an_overload_stands_the_robot_down_with_its_name() {
     let bench = Bench::in_step(|_| {}, Some((2.0, overload as Change)));
     let (code, summary, errors) = outcome(bench.run(&["--seconds", "60"]));
     bench.end();
-    assert_eq!(
-        (code, &summary["ended"]),
-        (69, &"servo_alert".into()),
-        "{errors}"
-    );
+    assert_eq!((code, &summary["ended"]), (69, &"servo_alert".into()), "{errors}");
     assert!(errors.contains("ServoAlert"), "{errors}");
     // The loop ended by itself, with an error: its supervisor makes sure.
     assert!(errors.contains("the servos were let go"), "{errors}");
@@ -428,28 +373,12 @@ fn a_log_of_the_flight_recorder_goes_straight_through_check_and_diagnosis() {
     assert_eq!((code, &summary["ended"]), (0, &"time".into()), "{errors}");
     let caudata = Path::new(env!("CARGO_BIN_EXE_caudata-robot")).with_file_name("caudata");
     let mut check = Command::new(&caudata);
-    check
-        .args([
-            "gap",
-            "check",
-            "--robot",
-            ROBOT_FILE.as_str(),
-            "--json",
-            "--log",
-        ])
-        .arg(&log);
+    check.args(["gap", "check", "--robot", ROBOT_FILE.as_str(), "--json", "--log"]).arg(&log);
     let (code, checked, errors) = outcome(check);
-    assert_eq!(
-        (code, &checked["verdict"]),
-        (0, &"ok".into()),
-        "{errors}\n{checked}"
-    );
+    assert_eq!((code, &checked["verdict"]), (0, &"ok".into()), "{errors}\n{checked}");
     // It was read as what it is: 50 Hz, all joints, in motion.
     let run = &checked["runs"][0];
-    assert!(
-        (run["rate_hz"].as_f64().unwrap() - 50.0).abs() < 1.0,
-        "{run}"
-    );
+    assert!((run["rate_hz"].as_f64().unwrap() - 50.0).abs() < 1.0, "{run}");
     let joints = run["excites"]["joints"].as_array().unwrap();
     assert_eq!(joints.len(), 16);
     let moved = |j: &&serde_json::Value| j["speed_max_radps"].as_f64().unwrap() > 0.3;
@@ -584,10 +513,7 @@ fn a_second_signal_leaves_no_torque_on_a_robot_whose_loop_hangs() {
     let (code, _, errors) = ended(running);
     let (seen, _) = bench.end();
     assert_eq!((code, seen), (130, vec![false, true, false]), "{errors}");
-    assert!(
-        errors.contains("stopped at once by a second signal; the torque is off"),
-        "{errors}"
-    );
+    assert!(errors.contains("stopped at once by a second signal; the torque is off"), "{errors}");
     assert!(!Path::new(&format!("/proc/{looper}/status")).exists());
 }
 
@@ -655,10 +581,7 @@ fn limp_asks_whether_the_servos_let_go_and_names_those_that_do_not() {
     robot.torque_comes_to(&[false, true]);
     let (code, said) = limp(&robot, &[]);
     assert_eq!(code, Some(0), "{said}");
-    assert!(
-        said.contains("the torque is off: 16 servos say so"),
-        "{said}"
-    );
+    assert!(said.contains("the torque is off: 16 servos say so"), "{said}");
     robot.torque_comes_to(&[false, true, false]);
     robot.stop();
 
@@ -670,10 +593,7 @@ fn limp_asks_whether_the_servos_let_go_and_names_those_that_do_not() {
     robot.torque_comes_to(&[false, true]);
     let (code, said) = limp(&robot, &[]);
     assert_eq!(code, Some(86), "{said}");
-    assert!(
-        said.contains("error: the torque is still on of servos 5: cut the supply"),
-        "{said}"
-    );
+    assert!(said.contains("error: the torque is still on of servos 5: cut the supply"), "{said}");
     assert_eq!(robot.torque(), [false, true]);
     robot.stop();
 }
@@ -718,9 +638,7 @@ fn what_has_the_port_keeps_a_second_run_and_doctor_out_but_not_limp() {
     let (code, summary, errors) = ended(running);
     assert_eq!(code, 69, "{errors}");
     assert!(
-        ["servo_restarted", "servo_silent"]
-            .map(Into::into)
-            .contains(&summary["ended"]),
+        ["servo_restarted", "servo_silent"].map(Into::into).contains(&summary["ended"]),
         "{summary}"
     );
     assert_eq!(bench.end().0.last(), Some(&false));

@@ -12,15 +12,8 @@ use caudata_runlog::BaseHold;
 type Case = (LabFile, BaseHold, (&'static str, Hides));
 
 fn cases() -> Vec<Case> {
-    let play = |half_width_deg| Hides::Play {
-        hinge: 2,
-        half_width_deg,
-    };
-    let paper = Hides::Paper {
-        half_width_deg: 4.0,
-        low_pass_s: 0.03,
-        torque: 0.7,
-    };
+    let play = |half_width_deg| Hides::Play { hinge: 2, half_width_deg };
+    let paper = Hides::Paper { half_width_deg: 4.0, low_pass_s: 0.03, torque: 0.7 };
     let walks = [
         ("ground_null", Hides::Nothing),
         ("play_hind_x_4deg", play(4.0)),
@@ -57,10 +50,7 @@ fn cases() -> Vec<Case> {
 /// Everything, but for one case what servos report alone.
 fn channels_of(name: &str) -> Channels {
     match name {
-        "play_hind_x_joints_only" => Channels {
-            imu: false,
-            mocap: false,
-        },
+        "play_hind_x_joints_only" => Channels { imu: false, mocap: false },
         _ => Channels::ALL,
     }
 }
@@ -97,11 +87,7 @@ fn main() {
         let answer = salamander::make(&plan, &out, &|| true).unwrap();
         println!(
             "{name} {:?} {:.1} s",
-            answer
-                .effects
-                .iter()
-                .map(|e| (&e.effect, &e.joint))
-                .collect::<Vec<_>>(),
+            answer.effects.iter().map(|e| (&e.effect, &e.joint)).collect::<Vec<_>>(),
             now.elapsed().as_secs_f64()
         );
     }

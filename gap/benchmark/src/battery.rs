@@ -41,12 +41,7 @@ struct Track {
 
 impl Track {
     fn new(range: (f64, f64), pace: f64) -> Self {
-        Self {
-            rad: vec![0.0f64.clamp(range.0, range.1)],
-            low: range.0,
-            high: range.1,
-            pace,
-        }
+        Self { rad: vec![0.0f64.clamp(range.0, range.1)], low: range.0, high: range.1, pace }
     }
 
     fn now(&self) -> f64 {
@@ -120,26 +115,14 @@ impl Track {
 fn trial(name: &str, tracks: Vec<Track>) -> Trial {
     let rows = tracks.iter().map(|t| t.rad.len()).max().unwrap_or(0);
     let rows_rad = (0..rows)
-        .map(|k| {
-            tracks
-                .iter()
-                .map(|t| t.rad.get(k).copied().unwrap_or(t.now()))
-                .collect()
-        })
+        .map(|k| tracks.iter().map(|t| t.rad.get(k).copied().unwrap_or(t.now())).collect())
         .collect();
-    Trial {
-        name: name.to_owned(),
-        rows_rad,
-    }
+    Trial { name: name.to_owned(), rows_rad }
 }
 
 /// What a joint may be sent to: its range less a margin.
 fn ranges(model: &RobotModel) -> Vec<(f64, f64)> {
-    model
-        .joint_limits_rad()
-        .iter()
-        .map(|&(low, high)| (low + 0.15, high - 0.15))
-        .collect()
+    model.joint_limits_rad().iter().map(|&(low, high)| (low + 0.15, high - 0.15)).collect()
 }
 
 /// Trials to fit on: holds under load, chirps, triangles at three speeds, steps of three sizes.
@@ -217,11 +200,7 @@ pub fn holdout(model: &RobotModel, amount: Amount, stream: &mut Stream) -> Vec<T
             let sines: Vec<(f64, f64, f64)> = (0..5)
                 .map(|i| {
                     let f = 0.4 * 1.8f64.powi(i) * stream.uniform_f64(0.9, 1.1);
-                    (
-                        0.3 / (1.0 + f),
-                        f,
-                        stream.uniform_f64(0.0, std::f64::consts::TAU),
-                    )
+                    (0.3 / (1.0 + f), f, stream.uniform_f64(0.0, std::f64::consts::TAU))
                 })
                 .collect();
             let n = t.rows(7.0);

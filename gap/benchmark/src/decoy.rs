@@ -81,24 +81,18 @@ impl Decoy {
         let pos = servos;
         let vel = 2 * servos;
         match self {
-            Self::Sign => rows
-                .iter_mut()
-                .for_each(|(_, row)| row[pos] = row[pos].map(|x| -x)),
-            Self::Unit => rows
-                .iter_mut()
-                .for_each(|(_, row)| row[pos] = row[pos].map(f64::to_degrees)),
+            Self::Sign => rows.iter_mut().for_each(|(_, row)| row[pos] = row[pos].map(|x| -x)),
+            Self::Unit => {
+                rows.iter_mut().for_each(|(_, row)| row[pos] = row[pos].map(f64::to_degrees))
+            }
             Self::Order if servos > 1 => {
                 rows.iter_mut().for_each(|(_, row)| row.swap(pos, pos + 1))
             }
-            Self::Order => rows
-                .iter_mut()
-                .for_each(|(_, row)| row[vel] = row[vel].map(|x| -x)),
+            Self::Order => rows.iter_mut().for_each(|(_, row)| row[vel] = row[vel].map(|x| -x)),
             Self::Stamps => rows.iter_mut().skip(middle).for_each(|(t, _)| *t += 0.3),
             Self::Stuck => {
                 let held = rows[middle].1[pos];
-                rows.iter_mut()
-                    .skip(middle)
-                    .for_each(|(_, row)| row[pos] = held);
+                rows.iter_mut().skip(middle).for_each(|(_, row)| row[pos] = held);
             }
             _ => {}
         }

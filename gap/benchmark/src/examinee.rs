@@ -46,10 +46,7 @@ pub fn diagnose(folder: &Path, options: Options) -> Result<Report, ExamineeError
         let path = path.to_owned();
         move |source| ExamineeError::Io { path, source }
     };
-    let missing = |what| ExamineeError::Missing {
-        folder: folder.to_owned(),
-        what,
-    };
+    let missing = |what| ExamineeError::Missing { folder: folder.to_owned(), what };
     let mut entries: Vec<PathBuf> = std::fs::read_dir(folder)
         .map_err(failed(folder))?
         .filter_map(|e| Some(e.ok()?.path()))
@@ -64,11 +61,7 @@ pub fn diagnose(folder: &Path, options: Options) -> Result<Report, ExamineeError
     let runs = logs
         .into_iter()
         .map(|(name, log)| Run {
-            role: if name.starts_with(HOLDOUT) {
-                Role::Holdout
-            } else {
-                Role::Fit
-            },
+            role: if name.starts_with(HOLDOUT) { Role::Holdout } else { Role::Fit },
             name,
             log,
             sha256: String::new(),

@@ -53,11 +53,8 @@ pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateErro
     let model = &rig.model;
     let seed = request.seed;
     let full_fit = battery::fit(model, request.amount);
-    let trials = if request.block == Block::Starved {
-        battery::starved(model)
-    } else {
-        full_fit.clone()
-    };
+    let trials =
+        if request.block == Block::Starved { battery::starved(model) } else { full_fit.clone() };
     let mut world = lab(model, seed);
     let mut effects = Vec::new();
     let mut together_d = 0.0;
@@ -70,11 +67,7 @@ pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateErro
             other_laws(request, &mut world, &full_fit, &view)?;
         }
         for &(hidden, joint, d) in &request.effects {
-            let sign = if hidden.signed && signs.chance(0.5) {
-                -1.0
-            } else {
-                1.0
-            };
+            let sign = if hidden.signed && signs.chance(0.5) { -1.0 } else { 1.0 };
             let (size, reached) = size_for(rig, hidden, joint, sign, d, &full_fit, &view, seed)?;
             hidden.apply(&mut world, model, joint, sign * size);
             effects.push((hidden, joint, sign * size, reached));
@@ -103,9 +96,8 @@ pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateErro
         without: request.without.clone(),
         decoy: decoy.map_or(String::new(), |d| d.name().to_owned()),
         fault: decoy.is_some_and(Decoy::is_fault),
-        fault_kinds: decoy.map_or(Vec::new(), |d| {
-            d.kinds().iter().map(|k| (*k).to_owned()).collect()
-        }),
+        fault_kinds: decoy
+            .map_or(Vec::new(), |d| d.kinds().iter().map(|k| (*k).to_owned()).collect()),
     })
 }
 
@@ -149,11 +141,7 @@ fn true_effect(
     hidden: &[&str],
 ) -> TrueEffect {
     let joints = model.actuated().len();
-    let same = if joints == 1 {
-        h.equivalent.0
-    } else {
-        h.equivalent.1
-    };
+    let same = if joints == 1 { h.equivalent.0 } else { h.equivalent.1 };
     let beside = h.same_beside(joints, hidden).into_iter();
     TrueEffect {
         effect: h.id.to_owned(),
@@ -192,11 +180,7 @@ fn runs(
         Amount::Full => 3,
     };
     let plain = lab(&rig.model, seed);
-    let fit_world = if request.block == Block::HoldoutChange {
-        &plain
-    } else {
-        world
-    };
+    let fit_world = if request.block == Block::HoldoutChange { &plain } else { world };
     let mut fit = Vec::new();
     for (i, trial) in trials.iter().enumerate() {
         for r in 0..repeats {
@@ -206,10 +190,7 @@ fn runs(
     }
     let mut s = stream(seed, HELD_OUT, 0);
     let mut holdout = Vec::new();
-    for (i, trial) in battery::holdout(&rig.model, request.amount, &mut s)
-        .iter()
-        .enumerate()
-    {
+    for (i, trial) in battery::holdout(&rig.model, request.amount, &mut s).iter().enumerate() {
         for r in 0..2 {
             let index = FIRST_HELD_OUT + 10 * i as u64 + r;
             holdout.push(one_run(request, world, trial, index, "holdout", r)?);
@@ -245,11 +226,7 @@ fn one_run(
     let supply = day.declared_supply_v.unwrap_or(day.spec.supply_v);
     meta.supply_v = Some((supply * 10.0).round() / 10.0);
     meta.notes = format!("{} {}", trial.name, repeat + 1);
-    Ok(Run {
-        folder: format!("{role}_{}_{}", trial.name, repeat + 1),
-        rows,
-        meta,
-    })
+    Ok(Run { folder: format!("{role}_{}_{}", trial.name, repeat + 1), rows, meta })
 }
 
 fn write(
@@ -314,9 +291,6 @@ mod tests {
         };
         // ± 0.4 V from run to run are there in any case
         let (steady, drained) = (apart(0.0), apart(4.0));
-        assert!(
-            steady < 0.8 && drained > 1.0 && drained > 2.0 * steady,
-            "{steady} {drained}"
-        );
+        assert!(steady < 0.8 && drained > 1.0 && drained > 2.0 * steady, "{steady} {drained}");
     }
 }

@@ -66,10 +66,9 @@ pub(crate) fn lane_of(model: &RobotModel, hidden: Hides) -> LaneParams {
     let rad = |deg: f64| deg.to_radians() as f32;
     match hidden {
         Hides::Nothing => {}
-        Hides::Play {
-            hinge,
-            half_width_deg,
-        } => lane.backlash_half_width_rad[hinge] = rad(half_width_deg),
+        Hides::Play { hinge, half_width_deg } => {
+            lane.backlash_half_width_rad[hinge] = rad(half_width_deg)
+        }
         Hides::Friction(factor) => lane.foot_friction *= factor as f32,
         Hides::Payload(kg) => {
             lane.payload_kg = kg as f32;
@@ -83,11 +82,7 @@ pub(crate) fn lane_of(model: &RobotModel, hidden: Hides) -> LaneParams {
                 }
             }
         }
-        Hides::Paper {
-            half_width_deg,
-            low_pass_s,
-            torque,
-        } => {
+        Hides::Paper { half_width_deg, low_pass_s, torque } => {
             lane.backlash_half_width_rad.fill(rad(half_width_deg));
             lane.torque_scale.fill(torque as f32);
             for j in &mut lane.joints {
@@ -123,21 +118,13 @@ pub(crate) fn truth(model: &RobotModel, hidden: Hides) -> Vec<TrueEffect> {
     };
     match hidden {
         Hides::Nothing => Vec::new(),
-        Hides::Play {
-            hinge,
-            half_width_deg,
-        } => {
+        Hides::Play { hinge, half_width_deg } => {
             let joint = &model.joints()[model.backlash().joints[hinge]];
             vec![play(&joint.name, half_width_deg)]
         }
         Hides::Friction(f) => {
             let nominal = model.contact().foot_friction;
-            robot(
-                "contact_friction",
-                &["scale", "friction"],
-                f * nominal,
-                nominal,
-            )
+            robot("contact_friction", &["scale", "friction"], f * nominal, nominal)
         }
         Hides::Payload(kg) => robot("payload", &["mass"], kg, 0.0),
         Hides::Slope(deg) => robot("floor_slope", &["pitch"], deg.to_radians(), 0.0),
@@ -147,22 +134,12 @@ pub(crate) fn truth(model: &RobotModel, hidden: Hides) -> Vec<TrueEffect> {
             .filter(|name| name.starts_with(WEAK_LEG))
             .map(|name| true_effect("kp_error", name, &["scale"], share, 1.0))
             .collect(),
-        Hides::Paper {
-            half_width_deg,
-            low_pass_s,
-            torque,
-        } => {
+        Hides::Paper { half_width_deg, low_pass_s, torque } => {
             let most_nm = model.servo(0).tau_max_nm;
             vec![
                 play("", half_width_deg),
                 true_effect("command_low_pass", "", &["time"], low_pass_s, 0.0),
-                true_effect(
-                    "torque_limit",
-                    "",
-                    &["limit", "scale"],
-                    torque * most_nm,
-                    most_nm,
-                ),
+                true_effect("torque_limit", "", &["limit", "scale"], torque * most_nm, most_nm),
             ]
         }
         Hides::Drag(f) => robot("quadratic_drag", &["across"], f, 1.0),

@@ -76,14 +76,10 @@ impl Rig {
     /// [`GenerateError::Rig`].
     pub fn bench(name: &str) -> Result<Self, GenerateError> {
         let (robot_toml, xml) = match name {
-            "arm" => (
-                include_str!("../rigs/arm.robot.toml"),
-                include_str!("../rigs/arm.xml"),
-            ),
-            _ => (
-                include_str!("../rigs/pendulum.robot.toml"),
-                include_str!("../rigs/pendulum.xml"),
-            ),
+            "arm" => (include_str!("../rigs/arm.robot.toml"), include_str!("../rigs/arm.xml")),
+            _ => {
+                (include_str!("../rigs/pendulum.robot.toml"), include_str!("../rigs/pendulum.xml"))
+            }
         };
         let name = if name == "arm" { "arm" } else { "pendulum" };
         let model = RobotModel::from_bytes(name, robot_toml.as_bytes(), xml.as_bytes())
@@ -110,12 +106,7 @@ pub(crate) const SIGNS: u64 = 6;
 pub(crate) const LAWS: u64 = 7;
 
 pub(crate) fn stream(seed: u64, what: u64, run: u64) -> Stream {
-    let key = Key {
-        seed,
-        actor: what,
-        env: run,
-        episode: 0,
-    };
+    let key = Key { seed, actor: what, env: run, episode: 0 };
     Stream::new(key, Purpose::Excitation)
 }
 
@@ -145,11 +136,7 @@ fn of_the_day(world: &World, seed: u64, run: u64) -> (World, Vec<f64>) {
     let shift = s.uniform_f64(-0.4, 0.4);
     w.spec.supply_v += shift;
     // four trials to fit on, then the held-out ones
-    let late = if run < FIRST_HELD_OUT {
-        (run / 10) as f64 / 4.0
-    } else {
-        1.0
-    };
+    let late = if run < FIRST_HELD_OUT { (run / 10) as f64 / 4.0 } else { 1.0 };
     w.spec.supply_v -= world.drained_v * late.min(1.0);
     if let Some(v) = &mut w.declared_supply_v {
         *v += shift;
@@ -157,11 +144,7 @@ fn of_the_day(world: &World, seed: u64, run: u64) -> (World, Vec<f64>) {
     let mut start = Vec::new();
     for p in &mut w.spec.joints {
         p.coulomb_nm *= s.uniform_f64(0.92, 1.08);
-        p.drift = (
-            0.03,
-            s.uniform_f64(20.0, 60.0),
-            s.uniform_f64(0.0, std::f64::consts::TAU),
-        );
+        p.drift = (0.03, s.uniform_f64(20.0, 60.0), s.uniform_f64(0.0, std::f64::consts::TAU));
         start.push(0.004 * s.normal_f64());
     }
     (w, start)
@@ -177,20 +160,12 @@ fn commands(trial: &Trial, sensing: &Sensing, seed: u64, run: u64, loss: (f64, f
     let lost = (0..n)
         .map(|_| {
             let burst = if loss.0 > 0.0 { loss.1 } else { 1.0 };
-            let chance = if on {
-                1.0 - 1.0 / burst
-            } else {
-                share / (burst * (1.0 - share))
-            };
+            let chance = if on { 1.0 - 1.0 / burst } else { share / (burst * (1.0 - share)) };
             on = s.uniform_f64(0.0, 1.0) < chance;
             on
         })
         .collect();
-    Commands {
-        sent_s: sent_s[..n].to_vec(),
-        rows_rad: trial.rows_rad[..n].to_vec(),
-        lost,
-    }
+    Commands { sent_s: sent_s[..n].to_vec(), rows_rad: trial.rows_rad[..n].to_vec(), lost }
 }
 
 /// One run of a trial: commands as sent, and rows of the log.
@@ -210,13 +185,7 @@ pub(crate) fn run(
         return Err(GenerateError::Diverged(trial.name.clone()));
     }
     let mut reading = stream(seed, READING, index);
-    let rows = sensors::record(
-        &rig.model,
-        &day.spec,
-        &day.sensing,
-        &commands,
-        &dense,
-        &mut reading,
-    );
+    let rows =
+        sensors::record(&rig.model, &day.spec, &day.sensing, &commands, &dense, &mut reading);
     Ok((commands, rows, day))
 }

@@ -58,13 +58,7 @@ impl Null {
         folder: &Path,
     ) -> Result<Self, GenerateError> {
         let lane = LaneParams::nominal(model);
-        let robot = Robot {
-            lab: model,
-            model,
-            lane: &lane,
-            seed,
-            payload: &[],
-        };
+        let robot = Robot { lab: model, model, lane: &lane, seed, payload: &[] };
         let mut repeats = [Vec::new(), Vec::new()];
         let known = excite::names(model, None);
         for (number, name) in (0..).zip(REFERENCE.iter().filter(|n| known.contains(n))) {
@@ -88,20 +82,13 @@ impl Null {
         let mut sigma = vec![1.0; first.len()];
         for (s, t) in first.segments.iter().zip(&second.segments) {
             for (p, q) in s.pieces.iter().zip(&t.pieces) {
-                let pairs = first.value[p.range.clone()]
-                    .iter()
-                    .zip(&second.value[q.range.clone()]);
+                let pairs = first.value[p.range.clone()].iter().zip(&second.value[q.range.clone()]);
                 let square: f64 = pairs.map(|(a, b)| 0.5 * (a - b) * (a - b)).sum();
                 let own = (square / p.range.len().max(1) as f64).sqrt().max(1e-6);
                 sigma[p.range.clone()].fill(own);
             }
         }
-        Ok(Self {
-            replayer,
-            data: first,
-            nominal,
-            sigma,
-        })
+        Ok(Self { replayer, data: first, nominal, sigma })
     }
 
     /// Sizes of candidates of one effect at one place, d.
@@ -138,10 +125,7 @@ impl Null {
     /// Draws a robot with one effect of at least `least_d`. None where [`DRAWS`] draws gave none.
     pub fn hide(&self, seed: u64, least_d: f64) -> Result<Option<Unknown>, GenerateError> {
         let model = self.replayer.model();
-        let key = Key {
-            env: 1,
-            ..Key::for_run(seed)
-        };
+        let key = Key { env: 1, ..Key::for_run(seed) };
         let mut s = Stream::new(key, Purpose::Excitation);
         for _ in 0..DRAWS {
             let effect = effects::ALL[s.below(effects::ALL.len() as u64) as usize];
@@ -163,11 +147,7 @@ impl Null {
                     })
                     .collect()
             };
-            let term = |values| Term {
-                effect,
-                place: place.clone(),
-                values,
-            };
+            let term = |values| Term { effect, place: place.clone(), values };
             let hidden = (0..effect.grid.len()).map(|k| term(sized(k)));
             let hidden: Vec<Term> = hidden.filter(|t| self.is_physics(t)).collect();
             let variants: Vec<Variant> = hidden.iter().map(|t| vec![t.clone()]).collect();
@@ -186,10 +166,7 @@ impl Null {
 
     /// A healthy one.
     pub fn healthy(&self, seed: u64) -> Unknown {
-        Unknown {
-            lane: LaneParams::nominal(self.replayer.model()),
-            answer: answer(seed, None),
-        }
+        Unknown { lane: LaneParams::nominal(self.replayer.model()), answer: answer(seed, None) }
     }
 
     /// Whether it changes the robot's physics, and those alone: nothing in sensors and clocks, nothing that
@@ -229,11 +206,7 @@ fn answer(seed: u64, hidden: Option<(TrueEffect, f64)>) -> Answer {
 }
 
 fn true_effect(model: &RobotModel, term: &Term, d: f64) -> TrueEffect {
-    let Term {
-        effect,
-        place,
-        values,
-    } = term;
+    let Term { effect, place, values } = term;
     let same = |of: &Effect| hidden::find(of.id).map_or(&[][..], |h| h.equivalent.1);
     let neutral = effect.neutral(model, place);
     TrueEffect {

@@ -19,20 +19,13 @@ use crate::simulated::{self, Robot};
 
 /// The paper's robot, as far as the paper says: play of 4° each side, and the middle of what a servo's filter
 /// and supply can do.
-pub const HIDDEN: Hides = Hides::Paper {
-    half_width_deg: 4.0,
-    low_pass_s: 0.03,
-    torque: 0.7,
-};
+pub const HIDDEN: Hides = Hides::Paper { half_width_deg: 4.0, low_pass_s: 0.03, torque: 0.7 };
 /// Trials of the battery that the lab records on a stand as well, and what they are for. Walking, rocking and
 /// lifting hardly ever ask a servo for the 1.36 N·m that it has left, and at one tempo a filter is as good as
 /// a delay: neither could be named from them. Weaker servos are 23 and 17 mrad in these fit trials and 81 in
 /// the one that is held out; in `steps_medium` they are nothing, so that it could not speak for them.
-const ON_STAND: [(&str, &str); 3] = [
-    ("fit", "chirp_medium"),
-    ("fit", "steps_large"),
-    ("holdout", "chirp_large"),
-];
+const ON_STAND: [(&str, &str); 3] =
+    [("fit", "chirp_medium"), ("fit", "steps_large"), ("holdout", "chirp_large")];
 /// Repeats of each.
 const STAND_REPEATS: u64 = 2;
 /// Recordings of the stand are counted from here: each has its own friction and noise, and so do those of the
@@ -84,13 +77,7 @@ pub fn on_stand(
 ) -> Result<(), GenerateError> {
     let (_, _, model) = salamander::lab_file(file)?;
     let lane = hides::lane_of(&model, HIDDEN);
-    let robot = Robot {
-        lab: &model,
-        model: &model,
-        lane: &lane,
-        seed,
-        payload: &[],
-    };
+    let robot = Robot { lab: &model, model: &model, lane: &lane, seed, payload: &[] };
     for (i, (role, trial)) in ON_STAND.iter().enumerate() {
         for r in 0..STAND_REPEATS {
             if !go_on() {
@@ -120,10 +107,7 @@ pub fn pictures(
         .iter()
         .map(|run| caudata_gap::reading::trial(model, run))
         .collect::<Result<Vec<_>, _>>()?;
-    let options = SegmentOptions {
-        free_s: STRETCH_S,
-        ..SegmentOptions::default()
-    };
+    let options = SegmentOptions { free_s: STRETCH_S, ..SegmentOptions::default() };
     let data = Data::new(model, trials, options);
     let replayer = Replayer::new(Arc::clone(model), threads)?.with_go_on(go_on);
     let predictions = replayer.predict(&data, &[Vec::new(), extended])?;
@@ -155,9 +139,8 @@ pub fn pictures(
             let height = |of: &dyn Fn(usize) -> f64| {
                 mean_over(&data, Kind::Foot, 3 * f + 2, &|range| {
                     let all = range.map(of);
-                    let ends = all.fold((f64::INFINITY, f64::NEG_INFINITY), |e, z| {
-                        (e.0.min(z), e.1.max(z))
-                    });
+                    let ends = all
+                        .fold((f64::INFINITY, f64::NEG_INFINITY), |e, z| (e.0.min(z), e.1.max(z)));
                     ends.1 - ends.0
                 })
             };
@@ -176,12 +159,7 @@ pub fn pictures(
     let stretches = &data.segments;
     let overlays = (stretches.get(DRAWN_STRETCH).or(stretches.first()))
         .map_or_else(Vec::new, |s| drawn(model, &data, s, before, after));
-    Ok(Pictures {
-        joints,
-        feet,
-        speed: Some(row("trunk", &data, before, after, &way)),
-        overlays,
-    })
+    Ok(Pictures { joints, feet, speed: Some(row("trunk", &data, before, after, &way)), overlays })
 }
 
 /// The value of each sample of the flat vector.
@@ -207,10 +185,7 @@ fn row(
 /// count.
 fn stretches(data: &Data, kind: Kind, index: usize) -> Vec<std::ops::Range<usize>> {
     let own = data.segments.iter().flat_map(|s| {
-        let pieces = s
-            .pieces
-            .iter()
-            .map(move |p| (s.start_s + SETTLED_AFTER_S, p));
+        let pieces = s.pieces.iter().map(move |p| (s.start_s + SETTLED_AFTER_S, p));
         pieces.filter(|(_, p)| p.kind == kind && p.index == index)
     });
     own.map(|(from_s, p)| {
@@ -233,10 +208,7 @@ fn mean_over(
     index: usize,
     figure: &dyn Fn(std::ops::Range<usize>) -> f64,
 ) -> f64 {
-    let all: Vec<f64> = stretches(data, kind, index)
-        .into_iter()
-        .map(figure)
-        .collect();
+    let all: Vec<f64> = stretches(data, kind, index).into_iter().map(figure).collect();
     all.iter().sum::<f64>() / all.len().max(1) as f64
 }
 
@@ -274,10 +246,7 @@ fn drawn(
                 unit: p.kind.unit().to_owned(),
                 time_s: time.to_vec(),
                 command: match p.kind {
-                    Kind::Position => time
-                        .iter()
-                        .map(|&t| trial.commands[p.index].at(t))
-                        .collect(),
+                    Kind::Position => time.iter().map(|&t| trial.commands[p.index].at(t)).collect(),
                     _ => Vec::new(),
                 },
                 measured_low: measured.clone(),

@@ -59,20 +59,14 @@ pub fn predict(
     commands: &Commands,
     times_s: &[f64],
 ) -> Result<Vec<Prediction>, SimError> {
-    let config = EngineConfig {
-        dt_s: DT_S,
-        substeps: 1,
-        fixed_base: true,
-        ..EngineConfig::default()
-    };
+    let config =
+        EngineConfig { dt_s: DT_S, substeps: 1, fixed_base: true, ..EngineConfig::default() };
     let lanes = variants.len();
     let servos = model.actuated().len();
     let ground = TerrainConfig::default();
     let mut engine = caudata_sim::build(Arc::clone(model), lanes, &config, &ground, 1, 1)?;
     let in_lanes = |row: &[f64]| -> Vec<f32> {
-        (0..lanes)
-            .flat_map(|_| row.iter().map(|&x| x as f32))
-            .collect()
+        (0..lanes).flat_map(|_| row.iter().map(|&x| x as f32)).collect()
     };
     let mut targets = in_lanes(&commands.rows_rad[0]);
     for (lane, params) in variants.iter().enumerate() {
@@ -90,8 +84,7 @@ pub fn predict(
     let mut out = vec![Prediction::of(servos); lanes];
     let read = |engine: &dyn caudata_sim::Engine| -> Vec<[f64; 3]> {
         let each = (0..lanes).flat_map(|lane| (0..servos).map(move |a| (lane, a)));
-        each.map(|(lane, a)| reading(engine, model, lane, a))
-            .collect()
+        each.map(|(lane, a)| reading(engine, model, lane, a)).collect()
     };
     let mut now = read(engine.as_ref());
     let mut before: Vec<[f64; 3]> = Vec::new();

@@ -147,11 +147,8 @@ pub fn diagnose(
     // What has to be left out of the catalogue must be known before; nothing else of the answers is looked
     // at.
     let known = answers(root, secret)?;
-    let orders: Vec<(String, Vec<String>)> = known
-        .answers
-        .iter()
-        .map(|a| (a.case.clone(), a.without.clone()))
-        .collect();
+    let orders: Vec<(String, Vec<String>)> =
+        known.answers.iter().map(|a| (a.case.clone(), a.without.clone())).collect();
     let given = in_parallel(
         &orders,
         jobs,
@@ -175,10 +172,7 @@ fn judged(known: &Answers, given: &[Given]) -> Result<Vec<Outcome>, BenchError> 
             .iter()
             .map(|&j| {
                 let joint = &model.joints()[j];
-                (
-                    joint.name.clone(),
-                    model.links()[joint.child_link].name.clone(),
-                )
+                (joint.name.clone(), model.links()[joint.child_link].name.clone())
             })
             .collect();
         outcomes.push(judge(answer, given, &links));
@@ -189,11 +183,8 @@ fn judged(known: &Answers, given: &[Given]) -> Result<Vec<Outcome>, BenchError> 
 /// Runs one diagnosis in a process with its case folder and an empty output folder, and nothing else.
 fn one(root: &Path, case: &str, without: &[String], diagnoser: &Diagnoser) -> Given {
     let began = Instant::now();
-    let failed = |failure: String| Given {
-        report: None,
-        failure,
-        seconds: began.elapsed().as_secs_f64(),
-    };
+    let failed =
+        |failure: String| Given { report: None, failure, seconds: began.elapsed().as_secs_f64() };
     let out = root.join("out").join(case);
     if let Err(e) = std::fs::create_dir_all(&out) {
         return failed(format!("{}: {e}", out.display()));
@@ -203,11 +194,7 @@ fn one(root: &Path, case: &str, without: &[String], diagnoser: &Diagnoser) -> Gi
         Err(e) => return failed(format!("{case}: {e}")),
     };
     let mut command = Command::new(&diagnoser.program);
-    command
-        .args(&diagnoser.arguments)
-        .env_clear()
-        .current_dir(&out)
-        .stdin(Stdio::null());
+    command.args(&diagnoser.arguments).env_clear().current_dir(&out).stdin(Stdio::null());
     for id in without {
         command.args(["--without", id]);
     }
@@ -235,17 +222,10 @@ fn one(root: &Path, case: &str, without: &[String], diagnoser: &Diagnoser) -> Gi
     let seconds = began.elapsed().as_secs_f64();
     let text = std::fs::read_to_string(out.join("report.json")).unwrap_or_default();
     match serde_json::from_str::<Report>(&text) {
-        Ok(report) => Given {
-            report: Some(report),
-            failure: String::new(),
-            seconds,
-        },
+        Ok(report) => Given { report: Some(report), failure: String::new(), seconds },
         Err(_) => {
             let said = std::fs::read_to_string(&log).unwrap_or_default();
-            failed(format!(
-                "{status}: {}",
-                said.lines().last().unwrap_or("no report")
-            ))
+            failed(format!("{status}: {}", said.lines().last().unwrap_or("no report")))
         }
     }
 }
@@ -266,9 +246,7 @@ fn in_parallel<T: Sync, R: Send>(
                     let i = next.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
                     let Some(item) = items.get(i) else { break };
                     let result = work(i, item);
-                    let mut done = done
-                        .lock()
-                        .unwrap_or_else(std::sync::PoisonError::into_inner);
+                    let mut done = done.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
                     done.0.push((i, result));
                     let count = done.0.len();
                     (done.1)(count, items.len());
@@ -276,10 +254,7 @@ fn in_parallel<T: Sync, R: Send>(
             });
         }
     });
-    let mut results = done
-        .into_inner()
-        .unwrap_or_else(std::sync::PoisonError::into_inner)
-        .0;
+    let mut results = done.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner).0;
     results.sort_by_key(|(i, _)| *i);
     results.into_iter().map(|(_, r)| r).collect()
 }

@@ -115,13 +115,7 @@ pub fn make(
         fs::write(&path, text).map_err(io(&path))?;
     }
     let lane = lane_of(&model, plan.hidden);
-    let robot = Robot {
-        lab: &model,
-        model: &model,
-        lane: &lane,
-        seed: plan.seed,
-        payload: &[],
-    };
+    let robot = Robot { lab: &model, model: &model, lane: &lane, seed: plan.seed, payload: &[] };
     let scripts = match plan.place {
         BaseHold::Water => swims,
         BaseHold::Fixed | BaseHold::Free => walks,
@@ -138,14 +132,7 @@ pub fn make(
             }
             let index = 10 * i as u64 + r;
             let dir = folder.join(format!("{role}_{}_{}", script.name, r + 1));
-            simulated::rows(
-                &robot,
-                &script.rows_rad,
-                script.begins,
-                plan.channels,
-                index,
-                &dir,
-            )?;
+            simulated::rows(&robot, &script.rows_rad, script.begins, plan.channels, index, &dir)?;
         }
     }
     Ok(Answer {

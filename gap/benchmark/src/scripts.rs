@@ -73,14 +73,8 @@ pub(crate) fn walks(model: &RobotModel, tempo: f64) -> Vec<Script> {
         let up = -0.7 * (std::f64::consts::PI * x).sin().powi(2);
         add(&format!("{leg}_knee"), up);
     });
-    let from_rest = |(name, rows_rad)| Script {
-        name,
-        rows_rad,
-        begins: BaseHold::Free.into(),
-    };
-    [("walk", walk), ("rock", rock), ("lift", lift)]
-        .map(from_rest)
-        .into()
+    let from_rest = |(name, rows_rad)| Script { name, rows_rad, begins: BaseHold::Free.into() };
+    [("walk", walk), ("rock", rock), ("lift", lift)].map(from_rest).into()
 }
 
 /// A hand that presses the trunk under water and rolls it: N, N·m.
@@ -128,20 +122,14 @@ pub(crate) fn swims(model: &RobotModel, tempo: f64) -> Vec<Script> {
     });
     let pressed = tempo as f32;
     let at_rest = Beginning::from(BaseHold::Water);
-    let pressed = Beginning {
-        hand: [0.0, 0.0, -PRESS_N * pressed, ROLL_NM * pressed, 0.0, 0.0],
-        ..at_rest
-    };
+    let pressed =
+        Beginning { hand: [0.0, 0.0, -PRESS_N * pressed, ROLL_NM * pressed, 0.0, 0.0], ..at_rest };
     [
         ("sizes", sizes, at_rest),
         ("turn", turn, at_rest),
         ("coast", coast, at_rest),
         ("float", still, pressed),
     ]
-    .map(|(name, rows_rad, begins)| Script {
-        name,
-        rows_rad,
-        begins,
-    })
+    .map(|(name, rows_rad, begins)| Script { name, rows_rad, begins })
     .into()
 }

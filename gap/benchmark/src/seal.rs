@@ -37,11 +37,7 @@ pub fn open(sealed: &[u8], secret: &[u8]) -> Result<Vec<u8>, SealError> {
     let mut plain = sealed.to_vec();
     mask(&mut plain, secret);
     let text = plain.split_off(TAG);
-    if Sha256::digest(&text).as_slice() == plain {
-        Ok(text)
-    } else {
-        Err(SealError::Wrong)
-    }
+    if Sha256::digest(&text).as_slice() == plain { Ok(text) } else { Err(SealError::Wrong) }
 }
 
 fn mask(bytes: &mut [u8], secret: &[u8]) {
@@ -51,12 +47,7 @@ fn mask(bytes: &mut [u8], secret: &[u8]) {
         eight.copy_from_slice(&hash[8 * i..8 * i + 8]);
         u64::from_le_bytes(eight)
     };
-    let key = Key {
-        seed: word(0),
-        actor: word(1),
-        env: word(2),
-        episode: word(3),
-    };
+    let key = Key { seed: word(0), actor: word(1), env: word(2), episode: word(3) };
     let mut stream = Stream::new(key, Purpose::Init);
     for chunk in bytes.chunks_mut(4) {
         for (byte, mask) in chunk.iter_mut().zip(stream.next_u32().to_le_bytes()) {

@@ -84,28 +84,9 @@ impl Counts {
             SetName::Pr => ([20, 20, 16, 12, 4, 8, 4, 4, 7], Amount::Full),
             SetName::Nightly => ([200, 120, 96, 60, 60, 48, 24, 60, 28], Amount::Full),
         };
-        let [
-            nulls,
-            pairs,
-            decoys,
-            outside,
-            left_out,
-            starved,
-            changes,
-            ground,
-            water,
-        ] = counts;
-        let counts = Self {
-            nulls,
-            pairs,
-            decoys,
-            outside,
-            left_out,
-            starved,
-            changes,
-            ground,
-            water,
-        };
+        let [nulls, pairs, decoys, outside, left_out, starved, changes, ground, water] = counts;
+        let counts =
+            Self { nulls, pairs, decoys, outside, left_out, starved, changes, ground, water };
         (counts, amount)
     }
 }
@@ -135,11 +116,8 @@ const WIDER: &[(&str, &str)] = &[
 
 /// The same on a rig with one joint. Of a hanging link two numbers show, its moment of gravity and its
 /// inertia about the hinge: any two of its mass, its centre and an inertia are the third one.
-const WIDER_OF_ONE: &[(&str, &str)] = &[
-    ("armature", "link_com"),
-    ("link_mass", "link_com"),
-    ("link_com", "link_mass"),
-];
+const WIDER_OF_ONE: &[(&str, &str)] =
+    &[("armature", "link_com"), ("link_mass", "link_com"), ("link_com", "link_mass")];
 
 /// Effects whose starved data leave them among look-alikes.
 const STARVABLE: &[&str] = &[
@@ -163,11 +141,7 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
     let mut plans = singles(set, amount, &mut s);
     let case = |block, rig, s: &mut Stream| Plan::new(block, rig, s.next_u64(), amount);
     let rig = |i: usize| {
-        if set == SetName::Quick || i % 3 != 2 {
-            "pendulum"
-        } else {
-            "arm"
-        }
+        if set == SetName::Quick || i % 3 != 2 { "pendulum" } else { "arm" }
     };
     for i in 0..counts.nulls {
         plans.push(case(Block::Null, rig(i), &mut s));
@@ -234,9 +208,7 @@ pub(crate) fn left_out_with(h: &Hidden, rig: &str) -> Vec<String> {
     let of_one: &[(&str, &str)] = if rig == "pendulum" { WIDER_OF_ONE } else { &[] };
     let wider = WIDER.iter().chain(of_one).filter(|(id, _)| *id == h.id);
     let same = h.equivalent.0.iter().chain(h.equivalent.1).copied();
-    let all = std::iter::once(h.id)
-        .chain(same)
-        .chain(wider.map(|(_, wider)| *wider));
+    let all = std::iter::once(h.id).chain(same).chain(wider.map(|(_, wider)| *wider));
     all.map(str::to_owned).collect()
 }
 
@@ -270,13 +242,8 @@ fn singles(set: SetName, amount: Amount, s: &mut Stream) -> Vec<Plan> {
     match set {
         SetName::Quick => {
             // effects of every layer, large enough that missing one is a defect
-            for id in [
-                "command_delay",
-                "kp_error",
-                "coulomb_friction",
-                "velocity_lag",
-                "armature",
-            ] {
+            for id in ["command_delay", "kp_error", "coulomb_friction", "velocity_lag", "armature"]
+            {
                 if let Some(h) = find(id) {
                     plans.push(one(h, "pendulum", 0, 8.0, s));
                 }
@@ -284,11 +251,7 @@ fn singles(set: SetName, amount: Amount, s: &mut Stream) -> Vec<Plan> {
         }
         SetName::Pr => {
             for (i, h) in CATALOGUE.iter().enumerate() {
-                let rig = if h.scope == Scope::Chain || i % 3 == 2 {
-                    "arm"
-                } else {
-                    "pendulum"
-                };
+                let rig = if h.scope == Scope::Chain || i % 3 == 2 { "arm" } else { "pendulum" };
                 plans.push(one(h, rig, joint(rig, s), 4.0, s));
                 if i % 2 == 0 && h.scope != Scope::Chain {
                     plans.push(one(h, "pendulum", 0, [1.0, 2.0, 8.0][i / 2 % 3], s));
@@ -321,14 +284,8 @@ fn on_ground(i: usize, s: &mut Stream) -> (BaseHold, Hides, Channels) {
         low_pass_s: between(s, 0.02, 0.05),
         torque: between(s, 0.6, 0.8),
     };
-    let play = |hinge| Hides::Play {
-        hinge,
-        half_width_deg,
-    };
-    let without_mocap = Channels {
-        mocap: false,
-        ..Channels::ALL
-    };
+    let play = |hinge| Hides::Play { hinge, half_width_deg };
+    let without_mocap = Channels { mocap: false, ..Channels::ALL };
     let (hidden, channels) = match i % 10 {
         hinge @ 0..4 => (play(hinge), Channels::ALL),
         4 => (paper, Channels::ALL),
@@ -384,14 +341,8 @@ mod tests {
     #[test]
     fn same_seed_same_set_and_blocks_are_all_there() {
         let ids = |p: &[Plan]| p.iter().map(|p| (p.block, p.seed)).collect::<Vec<_>>();
-        assert_eq!(
-            ids(&plan(SetName::Pr, 1, None)),
-            ids(&plan(SetName::Pr, 1, None))
-        );
-        assert_ne!(
-            ids(&plan(SetName::Pr, 1, None)),
-            ids(&plan(SetName::Pr, 2, None))
-        );
+        assert_eq!(ids(&plan(SetName::Pr, 1, None)), ids(&plan(SetName::Pr, 1, None)));
+        assert_ne!(ids(&plan(SetName::Pr, 1, None)), ids(&plan(SetName::Pr, 2, None)));
         let nightly = plan(SetName::Nightly, 1, None);
         for block in [
             Block::Null,
@@ -406,10 +357,7 @@ mod tests {
         ] {
             assert!(nightly.iter().any(|p| p.block == block), "{block:?}");
         }
-        assert_eq!(
-            nightly.iter().filter(|p| p.block == Block::Null).count(),
-            200
-        );
+        assert_eq!(nightly.iter().filter(|p| p.block == Block::Null).count(), 200);
         assert_eq!(plan(SetName::Quick, 1, Some(4)).len(), 4);
     }
 }

@@ -39,18 +39,8 @@ pub fn record(
     dir: &Path,
 ) -> Result<(), GenerateError> {
     let free = trial.base != BaseHold::Fixed;
-    let channels = Channels {
-        imu: free && robot.model.sensors().imu.is_some(),
-        mocap: free,
-    };
-    rows(
-        robot,
-        &trial.commands_rad,
-        trial.base.into(),
-        channels,
-        run,
-        dir,
-    )
+    let channels = Channels { imu: free && robot.model.sensors().imu.is_some(), mocap: free };
+    rows(robot, &trial.commands_rad, trial.base.into(), channels, run, dir)
 }
 
 /// The same of any commands, a row each 10 ms.
@@ -62,21 +52,10 @@ pub(crate) fn rows(
     run: u64,
     dir: &Path,
 ) -> Result<(), GenerateError> {
-    let &Robot {
-        lab,
-        model,
-        lane,
-        seed,
-        payload,
-    } = robot;
+    let &Robot { lab, model, lane, seed, payload } = robot;
     let mut session = Session::of_the_day(model, lane, begins.place, seed, run);
     carry(model, payload, &mut session.lane);
-    let key = Key {
-        seed,
-        actor: 13,
-        env: run,
-        episode: 0,
-    };
+    let key = Key { seed, actor: 13, env: run, episode: 0 };
     let mut stream = Stream::new(key, Purpose::Sensor);
     let log = free::run(model, &session, rows_rad, channels, begins, &mut stream)?;
     let mut meta = LogMeta::new(lab.name(), begins.place, RATE_HZ);
@@ -112,11 +91,7 @@ mod tests {
         let file = concat!(env!("CARGO_MANIFEST_DIR"), "/rigs/pendulum.robot.toml");
         let model = Arc::new(RobotModel::load(file.as_ref()).unwrap());
         let trial = excite::trial(&model, "holds", None, RATE_HZ).unwrap();
-        let weight = Payload {
-            link: "arm".to_owned(),
-            mass_kg: 0.2,
-            at_m: [0.0, 0.0, -0.13],
-        };
+        let weight = Payload { link: "arm".to_owned(), mass_kg: 0.2, at_m: [0.0, 0.0, -0.13] };
         let folder = tempfile::tempdir().unwrap();
         let recorded = |name: &str, payload: &[Payload]| {
             let dir = folder.path().join(name);

@@ -23,8 +23,7 @@ fn measured(
     kind: usize,
     a: usize,
 ) -> impl Iterator<Item = Option<f64>> + '_ {
-    rows.iter()
-        .map(move |(_, row)| row.get((1 + kind) * servos + a).copied().flatten())
+    rows.iter().map(move |(_, row)| row.get((1 + kind) * servos + a).copied().flatten())
 }
 
 fn predicted(p: &Prediction, kind: usize, a: usize) -> &[f64] {
@@ -78,11 +77,7 @@ pub fn null_view(rig: &Rig, trials: &[Trial], seed: u64) -> Result<NullView, Gen
         all_rows.push(rows);
         sigmas.push(sigma);
     }
-    Ok(NullView {
-        rows: all_rows,
-        sigma: sigmas,
-        discrepancy: (sum / f64::max(count, 1.0)).sqrt(),
-    })
+    Ok(NullView { rows: all_rows, sigma: sigmas, discrepancy: (sum / f64::max(count, 1.0)).sqrt() })
 }
 
 /// Size of what `world` does beyond the null, in detectability units.
@@ -164,9 +159,5 @@ pub(crate) fn size_for(
     if (best.1 / d).ln().abs() < 0.3 {
         return Ok(best);
     }
-    Err(GenerateError::TooSmall {
-        effect: hidden.id.to_owned(),
-        reached: best.1,
-        asked: d,
-    })
+    Err(GenerateError::TooSmall { effect: hidden.id.to_owned(), reached: best.1, asked: d })
 }

@@ -65,19 +65,11 @@ impl Evidence<'_> {
 
     /// Something outside the joints that sees where links are.
     fn sees_links(&self) -> bool {
-        [
-            "imu.grav", "imu.acc", "foot", "mocap", "base.pos", "contact",
-        ]
-        .iter()
-        .any(|k| self.has(k))
+        ["imu.grav", "imu.acc", "foot", "mocap", "base.pos", "contact"].iter().any(|k| self.has(k))
     }
 }
 
-type Need = (
-    &'static [&'static str],
-    fn(&Evidence<'_>) -> Option<&'static str>,
-    &'static str,
-);
+type Need = (&'static [&'static str], fn(&Evidence<'_>) -> Option<&'static str>, &'static str);
 
 fn unless(holds: bool, missing: &'static str) -> Option<&'static str> {
     (!holds).then_some(missing)
@@ -158,10 +150,8 @@ fn unseen(
     let mut out = BTreeMap::new();
     for effect in effects::ALL.iter().filter(|e| !known.contains_key(e.id)) {
         let places = effect.places(robot);
-        let why: Option<Vec<&str>> = places
-            .iter()
-            .map(|p| (effect.unseen)(&excitation, p))
-            .collect();
+        let why: Option<Vec<&str>> =
+            places.iter().map(|p| (effect.unseen)(&excitation, p)).collect();
         if let Some(why) = why.as_ref().and_then(|w| w.first()) {
             let trial = crate::excite::canonical(effect.trial).unwrap_or_default();
             let can = crate::excite::names(robot, None).contains(&trial);
@@ -218,13 +208,7 @@ pub fn blind(
             } else {
                 crate::excite::next(robot, &[effect], &[]).map_or_else(String::new, |n| n.trial)
             };
-            out.insert(
-                (*effect).to_owned(),
-                Blind {
-                    missing: missing.to_owned(),
-                    record,
-                },
-            );
+            out.insert((*effect).to_owned(), Blind { missing: missing.to_owned(), record });
         }
     }
     let more = unseen(logs, robot, &out);

@@ -10,9 +10,8 @@ use super::finding::Run;
 use super::series::{slope, smooth};
 
 /// Frequencies at which a command's share is asked for, Hz: half-octaves.
-const BAND_HZ: [f64; 16] = [
-    0.1, 0.14, 0.2, 0.28, 0.4, 0.57, 0.8, 1.13, 1.6, 2.26, 3.2, 4.5, 6.4, 9.0, 12.8, 18.0,
-];
+const BAND_HZ: [f64; 16] =
+    [0.1, 0.14, 0.2, 0.28, 0.4, 0.57, 0.8, 1.13, 1.6, 2.26, 3.2, 4.5, 6.4, 9.0, 12.8, 18.0];
 /// A speed below this is rest, rad/s.
 const REST_RADPS: f64 = 0.02;
 /// Up to this speed motion counts as slow, rad/s: friction at rest and near it shows there.
@@ -85,15 +84,9 @@ pub(super) fn of(run: &Run<'_>, joints: &[Channels]) -> RunExcitation {
     let warming_k = joints
         .iter()
         .filter_map(|j| {
-            let t = run
-                .grid
-                .held(&run.log.table, &Signal::Temperature(j.name.clone()))?;
+            let t = run.grid.held(&run.log.table, &Signal::Temperature(j.name.clone()))?;
             let first = t.iter().find(|x| x.is_finite())?;
-            Some(
-                t.iter()
-                    .filter(|x| x.is_finite())
-                    .fold(0.0, |m: f64, x| m.max(x - first)),
-            )
+            Some(t.iter().filter(|x| x.is_finite()).fold(0.0, |m: f64, x| m.max(x - first)))
         })
         .fold(0.0, f64::max);
     RunExcitation {
@@ -108,11 +101,7 @@ pub(super) fn of(run: &Run<'_>, joints: &[Channels]) -> RunExcitation {
 /// `pos`, `imu.gyro`, `foot`: the column's name without joint, leg, marker and axis.
 pub(super) fn kind(signal: &Signal) -> String {
     let text = signal.to_string();
-    let keep = if text.starts_with("imu.") || text.starts_with("base.") {
-        2
-    } else {
-        1
-    };
+    let keep = if text.starts_with("imu.") || text.starts_with("base.") { 2 } else { 1 };
     let parts: Vec<&str> = text.split('.').take(keep).collect();
     parts.join(".")
 }
@@ -120,10 +109,7 @@ pub(super) fn kind(signal: &Signal) -> String {
 fn joint(run: &Run<'_>, c: &Channels) -> JointExcitation {
     let grid = &run.grid;
     let step_s = grid.step_s;
-    let mut out = JointExcitation {
-        joint: c.name.clone(),
-        ..JointExcitation::default()
-    };
+    let mut out = JointExcitation { joint: c.name.clone(), ..JointExcitation::default() };
     if let Some(on) = &c.on {
         out.off_s = on.iter().filter(|x| **x == 0.0).count() as f64 * step_s;
     }
@@ -131,16 +117,10 @@ fn joint(run: &Run<'_>, c: &Channels) -> JointExcitation {
         let half = (grid.points(0.06) / 2).max(1);
         let speed = slope(&smooth(pos, 2 * half), half, step_s);
         // one count of an encoder in 0.25 s is 6 mrad/s: rest is told from slow motion
-        let calm = slope(
-            &smooth(pos, grid.points(0.25)),
-            (grid.points(0.25) / 2).max(1),
-            step_s,
-        );
+        let calm = slope(&smooth(pos, grid.points(0.25)), (grid.points(0.25) / 2).max(1), step_s);
         let known = || pos.iter().copied().filter(|x| x.is_finite());
-        out.range_rad = [
-            known().fold(f64::INFINITY, f64::min),
-            known().fold(f64::NEG_INFINITY, f64::max),
-        ];
+        out.range_rad =
+            [known().fold(f64::INFINITY, f64::min), known().fold(f64::NEG_INFINITY, f64::max)];
         if known().next().is_none() {
             out.range_rad = [0.0; 2];
         }
@@ -252,10 +232,7 @@ fn reversals(pos: &[f64], out: &mut JointExcitation) {
 
 /// Lowest and highest half-octave with at least 4 % of the strongest one's speed.
 fn band(cmd: &[f64], step_s: f64) -> [f64; 2] {
-    let known: Vec<f64> = cmd
-        .iter()
-        .map(|x| if x.is_finite() { *x } else { 0.0 })
-        .collect();
+    let known: Vec<f64> = cmd.iter().map(|x| if x.is_finite() { *x } else { 0.0 }).collect();
     let n = known.len();
     let mean = known.iter().sum::<f64>() / n.max(1) as f64;
     let span_s = n as f64 * step_s;
@@ -266,10 +243,7 @@ fn band(cmd: &[f64], step_s: f64) -> [f64; 2] {
                 return 0.0;
             }
             // three lines across the half-octave, each with a window against leakage
-            [0.9, 1.0, 1.12]
-                .iter()
-                .map(|k| line(&known, mean, f * k * step_s))
-                .fold(0.0, f64::max)
+            [0.9, 1.0, 1.12].iter().map(|k| line(&known, mean, f * k * step_s)).fold(0.0, f64::max)
                 * f
         })
         .collect();
@@ -312,17 +286,13 @@ mod tests {
     #[test]
     fn reversals_and_bands_of_a_sine() {
         // 1 Hz, 10 s, 0.3 rad at 100 Hz: two reversals a second
-        let x: Vec<f64> = (0..1000)
-            .map(|i| 0.3 * (std::f64::consts::TAU * f64::from(i) / 100.0).sin())
-            .collect();
+        let x: Vec<f64> =
+            (0..1000).map(|i| 0.3 * (std::f64::consts::TAU * f64::from(i) / 100.0).sin()).collect();
         let mut out = JointExcitation::default();
         reversals(&x, &mut out);
         assert_eq!((out.reversals, out.small_reversals), (20, 0));
         let [low, high] = band(&x, 0.01);
-        assert!(
-            (0.5..1.2).contains(&low) && (0.8..1.7).contains(&high),
-            "{low} {high}"
-        );
+        assert!((0.5..1.2).contains(&low) && (0.8..1.7).contains(&high), "{low} {high}");
         assert!((line(&x, 0.0, 0.01) - 0.3).abs() < 0.01); // the amplitude
         // 5 mrad back and forth
         let small: Vec<f64> = x.iter().map(|v| v / 60.0).collect();

@@ -26,21 +26,11 @@ pub(super) struct Run<'a> {
 impl Finding {
     /// A fault that must be put right first.
     pub(super) fn fatal(kind: &'static str, at: impl Into<String>, detail: String) -> Self {
-        Self {
-            kind,
-            at: at.into(),
-            detail,
-            fatal: true,
-        }
+        Self { kind, at: at.into(), detail, fatal: true }
     }
 
     /// Something worth knowing.
     pub(super) fn note(kind: &'static str, at: impl Into<String>, detail: String) -> Self {
-        Self {
-            kind,
-            at: at.into(),
-            detail,
-            fatal: false,
-        }
+        Self { kind, at: at.into(), detail, fatal: false }
     }
 }

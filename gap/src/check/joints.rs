@@ -94,10 +94,8 @@ fn units(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     };
     // 57.3 either way, also where the joint's range is wide enough to hold it
     if t.r > 0.7 && t.slope > 20.0 && beyond(&joint.pos).is_none() {
-        let detail = format!(
-            "moves {:.1} times as far as its command; is one of them in degrees?",
-            t.slope
-        );
+        let detail =
+            format!("moves {:.1} times as far as its command; is one of them in degrees?", t.slope);
         out.push(joint.fatal("unit", "pos", detail));
     } else if t.r > 0.7 && t.slope > 0.0 && t.slope < 0.03 && beyond(&joint.cmd).is_none() {
         let detail = format!(
@@ -129,13 +127,11 @@ fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     let speed = slope(pos, half, run.grid.step_s);
     let moves = slope(cmd, half, run.grid.step_s);
     let error: Vec<f64> = (cmd.iter().zip(pos).zip(speed.iter().zip(&moves)))
-        .map(|((u, q), (v, w))| {
-            if v.abs() < RESTS_RADPS && w.abs() < RESTS_RADPS {
-                u - q
-            } else {
-                f64::NAN
-            }
-        })
+        .map(
+            |((u, q), (v, w))| {
+                if v.abs() < RESTS_RADPS && w.abs() < RESTS_RADPS { u - q } else { f64::NAN }
+            },
+        )
         .collect();
     let t = together(&error, &smooth(cur, run.grid.points(SLOW_S)), 0);
     let asked: Vec<f64> = cmd.iter().zip(pos).map(|(u, q)| u - q).collect();
@@ -183,9 +179,7 @@ fn one_sided(
         ));
     }
     let detail = "is never negative although the servo pulls both ways: log it with its sign";
-    known()
-        .all(|i| *i >= 0.0)
-        .then(|| ("sign", detail.to_owned()))
+    known().all(|i| *i >= 0.0).then(|| ("sign", detail.to_owned()))
 }
 
 /// A reading that stays the same to the last bit while the command asks for both sides of it.
@@ -236,11 +230,8 @@ fn counts(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     known.sort_unstable_by(f64::total_cmp);
     known.dedup();
     let span = known.last().unwrap_or(&0.0) - known.first().unwrap_or(&0.0);
-    let step = known
-        .windows(2)
-        .map(|w| w[1] - w[0])
-        .filter(|d| *d > 1e-9)
-        .fold(f64::INFINITY, f64::min);
+    let step =
+        known.windows(2).map(|w| w[1] - w[0]).filter(|d| *d > 1e-9).fold(f64::INFINITY, f64::min);
     let lsb = run.robot.servo(joint.index).encoder_lsb_rad();
     if known.len() >= 5 && span > 20.0 * lsb && step > 4.0 * lsb {
         let counts = "encoder_counts_per_turn";
@@ -267,9 +258,8 @@ fn order(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) -> Vec<bool
     // joints that another's reading is in the place of, and readings that are in another's place
     let (mut named, mut taken) = (vec![false; n], vec![false; n]);
     // what each command leaves of each reading: [command][reading]
-    let left: Vec<Vec<Option<Missed>>> = (joints.iter())
-        .map(|a| joints.iter().map(|b| missed(run, a, b)).collect())
-        .collect();
+    let left: Vec<Vec<Option<Missed>>> =
+        (joints.iter()).map(|a| joints.iter().map(|b| missed(run, a, b)).collect()).collect();
     let own = |j: usize| left[j][j];
     let ahead = |a: usize, b: usize, share: f64| {
         let than = |own: Option<Missed>| {
@@ -376,17 +366,10 @@ fn missed(run: &Run<'_>, cmd: &Channels, pos: &Channels) -> Option<Missed> {
     let most = (LONGEST_LAG_S / (stride as f64 * run.grid.step_s)).round() as isize;
     let (_, t) = best_lag(&thinned(u), &thinned(q), 0..=most);
     let resolved = t.second_sd > 0.2 * t.first_sd && (0.1..3.0).contains(&t.slope);
-    let left = if resolved && t.r > 0.0 {
-        1.0 - t.r * t.r
-    } else {
-        1.0
-    };
+    let left = if resolved && t.r > 0.0 { 1.0 - t.r * t.r } else { 1.0 };
     // counts, friction and droop leave something of the best
     let noise = (RESOLVED_RAD / t.second_sd.max(1e-9)).powi(2).min(1.0);
-    Some(Missed {
-        left: left.max(noise),
-        slope: t.slope,
-    })
+    Some(Missed { left: left.max(noise), slope: t.slope })
 }
 
 /// Whether two commands go together, one of them late by anything up to what is looked at.
@@ -405,11 +388,7 @@ fn doubled(joints: &[Channels], out: &mut Vec<Finding>) {
             let (Some(x), Some(y)) = (&first.pos, &second.pos) else {
                 continue;
             };
-            let known = || {
-                x.iter()
-                    .zip(y)
-                    .filter(|(p, q)| p.is_finite() && q.is_finite())
-            };
+            let known = || x.iter().zip(y).filter(|(p, q)| p.is_finite() && q.is_finite());
             let all = known().count();
             let same = known().filter(|(p, q)| p == q).count();
             let moved = together(x, y, 0).first_sd > MOVES_RAD;

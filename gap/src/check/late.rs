@@ -58,9 +58,8 @@ pub(super) fn asks_much_rad(run: &Run<'_>, joint: &Channels) -> f64 {
 
 /// A joint at rest that does not stir for longer than any servo and any delay takes.
 fn dead_time(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
-    let seen: Vec<(&str, Vec<f64>)> = (joints.iter())
-        .map(|j| (j.name.as_str(), dead_times_s(run, j)))
-        .collect();
+    let seen: Vec<(&str, Vec<f64>)> =
+        (joints.iter()).map(|j| (j.name.as_str(), dead_times_s(run, j))).collect();
     let all: Vec<f64> = seen.iter().flat_map(|(_, s)| s.iter().copied()).collect();
     let count = all.len();
     let Some(dead_s) = median(all).filter(|d| count >= OFTEN && *d > LONGEST_DEAD_S) else {
@@ -154,11 +153,7 @@ fn cause_before_effect(lags: &[Lag<'_>], out: &mut Vec<Finding>) {
             lag.r,
             wrong.len()
         );
-        out.push(Finding::fatal(
-            "stamps",
-            format!("pos.{}", lag.name),
-            detail,
-        ));
+        out.push(Finding::fatal("stamps", format!("pos.{}", lag.name), detail));
     }
 }
 

@@ -127,12 +127,7 @@ fn unreadable(name: &str, error: &LogError) -> DataFault {
         LogError::Meta { .. } => "meta",
         _ => "unreadable",
     };
-    DataFault {
-        kind: kind.to_owned(),
-        location: name.to_owned(),
-        detail: text,
-        fatal: true,
-    }
+    DataFault { kind: kind.to_owned(), location: name.to_owned(), detail: text, fatal: true }
 }
 
 /// Checks runs (name and log) of `robot` together.
@@ -206,9 +201,7 @@ const NEARLY: f64 = 0.75;
 /// Joints that turn about as fast as an assumed figure lets them have their torque, or faster.
 fn assumed(robot: &RobotModel, runs: &[RunExcitation]) -> Vec<DataFault> {
     let of = |(a, name): (usize, &&str)| {
-        let own = runs
-            .iter()
-            .flat_map(|r| r.joints.iter().filter(|j| j.joint == **name));
+        let own = runs.iter().flat_map(|r| r.joints.iter().filter(|j| j.joint == **name));
         let fastest = own.map(|j| j.speed_max_radps).fold(0.0, f64::max);
         let full = robot.servo(a).qd_tau_max_radps;
         let path = robot.assumed_of_servo(a, "qd_tau_max_radps")?;
@@ -221,24 +214,10 @@ fn assumed(robot: &RobotModel, runs: &[RunExcitation]) -> Vec<DataFault> {
             fatal: false,
         })
     };
-    robot
-        .actuated_names()
-        .iter()
-        .enumerate()
-        .filter_map(of)
-        .collect()
+    robot.actuated_names().iter().enumerate().filter_map(of).collect()
 }
 
 fn fault(run: &str, f: Finding) -> DataFault {
-    let location = if run.is_empty() {
-        f.at
-    } else {
-        format!("{run} {}", f.at)
-    };
-    DataFault {
-        kind: f.kind.to_owned(),
-        location,
-        detail: f.detail,
-        fatal: f.fatal,
-    }
+    let location = if run.is_empty() { f.at } else { format!("{run} {}", f.at) };
+    DataFault { kind: f.kind.to_owned(), location, detail: f.detail, fatal: f.fatal }
 }

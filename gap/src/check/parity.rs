@@ -91,10 +91,8 @@ fn speed_fault(t: Together, at: &str, of: &str) -> Option<Finding> {
         return Some(Finding::fatal("parity", at.to_owned(), detail));
     }
     if let Some(unit) = unit_factor(t.slope) {
-        let detail = format!(
-            "is {:.1} times the change of {of} per second; is it in {unit}?",
-            t.slope
-        );
+        let detail =
+            format!("is {:.1} times the change of {of} per second; is it in {unit}?", t.slope);
         return Some(Finding::fatal("unit", at.to_owned(), detail));
     }
     if !(1.0 / RATIO..RATIO).contains(&t.slope) {
@@ -111,9 +109,7 @@ fn vector(run: &Run<'_>, of: fn(Axis) -> Signal) -> Option<[Vec<f64>; 3]> {
 }
 
 fn norms(v: &[Vec<f64>; 3]) -> Vec<f64> {
-    (0..v[0].len())
-        .map(|i| (v[0][i].powi(2) + v[1][i].powi(2) + v[2][i].powi(2)).sqrt())
-        .collect()
+    (0..v[0].len()).map(|i| (v[0][i].powi(2) + v[1][i].powi(2) + v[2][i].powi(2)).sqrt()).collect()
 }
 
 /// Mean of what is known; `None` where nothing is.
@@ -149,11 +145,8 @@ fn imu(run: &Run<'_>, out: &mut Vec<Finding>) {
             let length = median(norms(acc)).unwrap_or(g).max(1e-9);
             // at rest the accelerometer reads gravity's reaction: straight against its direction
             if along / length > -0.7 {
-                let (kind, how) = if along / length > 0.7 {
-                    ("sign", "along")
-                } else {
-                    ("order", "across")
-                };
+                let (kind, how) =
+                    if along / length > 0.7 { ("sign", "along") } else { ("order", "across") };
                 let detail = format!(
                     "points {how} imu.grav (cosine {:.2}) where it must point against it: check signs and axes",
                     along / length
@@ -166,10 +159,7 @@ fn imu(run: &Run<'_>, out: &mut Vec<Finding>) {
         }
     }
     if let Some(gyro) = &gyro {
-        let most = norms(gyro)
-            .into_iter()
-            .filter(|x| x.is_finite())
-            .fold(0.0, f64::max);
+        let most = norms(gyro).into_iter().filter(|x| x.is_finite()).fold(0.0, f64::max);
         if most > 60.0 {
             let detail = format!("reaches {most:.0} rad/s; is it in deg/s?");
             out.push(Finding::fatal("unit", "imu.gyro", detail));
@@ -179,9 +169,7 @@ fn imu(run: &Run<'_>, out: &mut Vec<Finding>) {
 
 /// Mean component of `a` along the unit vector `g`.
 fn along(a: &[Vec<f64>; 3], g: &[Vec<f64>; 3]) -> Option<f64> {
-    let dots: Vec<f64> = (0..a[0].len())
-        .map(|i| (0..3).map(|k| a[k][i] * g[k][i]).sum())
-        .collect();
+    let dots: Vec<f64> = (0..a[0].len()).map(|i| (0..3).map(|k| a[k][i] * g[k][i]).sum()).collect();
     mean(&dots)
 }
 
@@ -190,9 +178,7 @@ fn turning(run: &Run<'_>, gyro: &[Vec<f64>; 3], grav: &[Vec<f64>; 3], out: &mut 
     let half = (run.grid.points(PARITY_WINDOW_S) / 2).max(1);
     let smooth3 = |v: &[Vec<f64>; 3]| [0, 1, 2].map(|k| smooth(&v[k], 2 * half));
     let (w, g) = (smooth3(gyro), smooth3(grav));
-    let change: Vec<f64> = (0..3)
-        .flat_map(|k| slope(&grav[k], half, run.grid.step_s))
-        .collect();
+    let change: Vec<f64> = (0..3).flat_map(|k| slope(&grav[k], half, run.grid.step_s)).collect();
     let predicted = |signs: [f64; 3], axes: [usize; 3]| -> Vec<f64> {
         let w = |k: usize, i: usize| signs[k] * w[axes[k]][i];
         (0..3)
@@ -220,14 +206,7 @@ fn turning(run: &Run<'_>, gyro: &[Vec<f64>; 3], grav: &[Vec<f64>; 3], out: &mut 
     }
     // Which exchange of axes and signs would explain it?
     let mut best: Option<(f64, String)> = None;
-    for axes in [
-        [0, 1, 2],
-        [0, 2, 1],
-        [1, 0, 2],
-        [1, 2, 0],
-        [2, 0, 1],
-        [2, 1, 0],
-    ] {
+    for axes in [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]] {
         for bits in 0..8u8 {
             let signs = [0, 1, 2].map(|k| if bits >> k & 1 == 1 { -1.0 } else { 1.0 });
             let r = together(&predicted(signs, axes), &change, 0).r;
@@ -253,23 +232,17 @@ fn turning(run: &Run<'_>, gyro: &[Vec<f64>; 3], grav: &[Vec<f64>; 3], out: &mut 
     } else {
         "order"
     };
-    let detail = format!(
-        "does not turn imu.grav as it must (correlation {:.2}){hint}",
-        plain.r
-    );
+    let detail = format!("does not turn imu.grav as it must (correlation {:.2}){hint}", plain.r);
     out.push(Finding::fatal(kind, "imu.gyro", detail));
 }
 
 fn base(run: &Run<'_>, out: &mut Vec<Finding>) {
     let table = &run.log.table;
-    let quat: Option<Vec<Vec<f64>>> = QuatPart::ALL
-        .iter()
-        .map(|p| run.grid.held(table, &Signal::BaseQuaternion(*p)))
-        .collect();
+    let quat: Option<Vec<Vec<f64>>> =
+        QuatPart::ALL.iter().map(|p| run.grid.held(table, &Signal::BaseQuaternion(*p))).collect();
     if let Some(q) = quat {
-        let lengths = (0..q[0].len())
-            .map(|i| q.iter().map(|c| c[i] * c[i]).sum::<f64>().sqrt())
-            .collect();
+        let lengths =
+            (0..q[0].len()).map(|i| q.iter().map(|c| c[i] * c[i]).sum::<f64>().sqrt()).collect();
         if let Some(length) = median(lengths)
             && !(0.95..1.05).contains(&length)
         {

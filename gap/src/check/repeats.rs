@@ -78,9 +78,7 @@ fn alike(runs: &[Run<'_>], channels: &[Vec<Channels>], a: usize, b: usize) -> bo
             let near = &v[k.saturating_sub(2).min(v.len())..(k + 3).min(v.len())];
             let (low, high) = near
                 .iter()
-                .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| {
-                    (l.min(*v), h.max(*v))
-                });
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
             let close = (low - SAME_RAD..=high + SAME_RAD).contains(&u)
                 || (u.is_nan() && near.iter().any(|v| v.is_nan()));
             if !close && !near.is_empty() {
@@ -111,11 +109,7 @@ pub(super) fn odd_spans(
             continue;
         };
         // of two nobody knows which one was disturbed: both
-        let members = if group.len() == 2 {
-            1..2
-        } else {
-            0..group.len()
-        };
+        let members = if group.len() == 2 { 1..2 } else { 0..group.len() };
         for m in members {
             for (from, to) in off.spans(m, grid) {
                 let peak_rad = off.rad[m][from..to].iter().fold(0.0, |a: f64, b| a.max(*b));
@@ -134,10 +128,8 @@ pub(super) fn odd_spans(
         }
     }
     let mut all = merge(found);
-    let counts: Vec<usize> = all
-        .iter()
-        .map(|s| all.iter().filter(|x| x.run == s.run).count())
-        .collect();
+    let counts: Vec<usize> =
+        all.iter().map(|s| all.iter().filter(|x| x.run == s.run).count()).collect();
     let mut counts = counts.iter();
     all.retain(|_| counts.next().is_some_and(|n| *n <= MOST_SPANS));
     all
@@ -187,9 +179,7 @@ impl Off {
         let moved = |d: Vec<f64>| {
             let pairs = d.into_iter().zip(&motion);
             let moves = |s: &f64| MOTION_SHARE * (2.0 * s).sqrt();
-            pairs
-                .map(|(d, s)| if d > moves(s) { d } else { 0.0 })
-                .collect()
+            pairs.map(|(d, s)| if d > moves(s) { d } else { 0.0 }).collect()
         };
         let servo = first.robot.servo(channels[group[0]][j].index);
         let name = &channels[group[0]][j].name;
@@ -210,12 +200,7 @@ impl Off {
             let mut others = self.rad.iter().enumerate();
             others.all(|(k, d)| k == m || d[t].is_nan() || d[t] <= 0.5 * own[t])
         };
-        let mut all = spans(
-            own,
-            self.threshold_rad,
-            grid.points(SHORTEST_S),
-            grid.points(0.3),
-        );
+        let mut all = spans(own, self.threshold_rad, grid.points(SHORTEST_S), grid.points(0.3));
         all.retain(|&(from, to)| {
             let short = ((to - from) as f64) < LONGEST_SHARE * own.len() as f64;
             short && (from..to).filter(|&t| alone(t)).count() * 3 >= (to - from) * 2

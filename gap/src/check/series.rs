@@ -27,14 +27,8 @@ impl Grid {
         let start_s = time_s.first().copied().unwrap_or(0.0);
         let span_s = time_s.last().copied().unwrap_or(0.0) - start_s;
         let step_s = median_step_s(time_s).clamp(GRID_S.0, GRID_S.1);
-        let len = ((span_s / step_s).floor() as usize)
-            .saturating_add(1)
-            .min(MAX_POINTS);
-        Self {
-            start_s,
-            step_s,
-            len,
-        }
+        let len = ((span_s / step_s).floor() as usize).saturating_add(1).min(MAX_POINTS);
+        Self { start_s, step_s, len }
     }
 
     /// Points in `s` seconds, at least one.
@@ -212,11 +206,7 @@ mod tests {
     #[test]
     fn a_grid_bridges_lost_samples_and_leaves_holes() {
         let t = table("t,pos.a,cmd.a\n0,0,1\n0.01,,\n0.02,2,3\n0.03,3,\n1.0,4,\n");
-        let grid = Grid {
-            start_s: 0.0,
-            step_s: 0.01,
-            len: 101,
-        };
+        let grid = Grid { start_s: 0.0, step_s: 0.01, len: 101 };
         let x = grid.linear(&t, &"pos.a".parse().unwrap()).unwrap();
         assert!((x[1] - 1.0).abs() < 1e-9 && x[3] == 3.0);
         assert!(x[50].is_nan(), "a hole of almost a second");
@@ -229,9 +219,7 @@ mod tests {
     fn a_delayed_and_scaled_copy_is_recognised() {
         let wave = |i: f64| (0.05 * i).sin() + (0.021 * i + 1.0).cos();
         let x: Vec<f64> = (0..1000).map(|i| wave(f64::from(i))).collect();
-        let y: Vec<f64> = (0..1000)
-            .map(|i| 0.5 * wave(f64::from(i) - 7.0) + 3.0)
-            .collect();
+        let y: Vec<f64> = (0..1000).map(|i| 0.5 * wave(f64::from(i) - 7.0) + 3.0).collect();
         let (lag, t) = best_lag(&x, &y, -20..=20);
         assert_eq!(lag, 7);
         assert!((t.r - 1.0).abs() < 1e-9 && (t.slope - 0.5).abs() < 1e-9);

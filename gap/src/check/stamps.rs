@@ -47,11 +47,7 @@ pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
             r if (9e-7..1.1e-6).contains(&r) => "; is `t` in microseconds?",
             _ => "; correct `t` or `rate_hz`",
         };
-        let kind = if hint.contains("seconds?") {
-            "unit"
-        } else {
-            "stamps"
-        };
+        let kind = if hint.contains("seconds?") { "unit" } else { "stamps" };
         let detail = format!(
             "rows come at {:.4} Hz where {} says {claimed:.4} Hz{hint}",
             1.0 / median,
@@ -77,11 +73,7 @@ pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
         }
         let lost: f64 = gaps.iter().map(|g| g.1).sum();
         let share = lost / (time_s[time_s.len() - 1] - time_s[0]);
-        let said = if share > 0.5 {
-            Finding::fatal
-        } else {
-            Finding::note
-        };
+        let said = if share > 0.5 { Finding::fatal } else { Finding::note };
         out.push(said(
 "gap",
 "t".to_owned(),
@@ -109,9 +101,8 @@ format!(
 /// numbers of them. What was commanded in these rows is not known.
 fn lost(time_s: &[f64], median_s: f64, out: &mut Vec<Finding>) {
     let steps = || time_s.windows(2).map(|w| (w[1] - w[0]) / median_s);
-    let longer: Vec<f64> = steps()
-        .filter(|n| *n > 1.5 && !(*n > GAP_STEPS && n * median_s > GAP_S))
-        .collect();
+    let longer: Vec<f64> =
+        steps().filter(|n| *n > 1.5 && !(*n > GAP_STEPS && n * median_s > GAP_S)).collect();
     let even = longer.iter().filter(|n| (*n - n.round()).abs() < EVEN);
     if (even.count() as f64) < EVEN_SHARE * longer.len() as f64 {
         return;
@@ -137,31 +128,20 @@ fn lost(time_s: &[f64], median_s: f64, out: &mut Vec<Finding>) {
 /// shows that time did pass.
 fn clock_jumped(run: &Run<'_>, joints: &[Channels], at_s: f64, step_s: f64) -> usize {
     let table = &run.log.table;
-    let signals = joints.iter().flat_map(|j| {
-        [
-            Signal::Command(j.name.clone()),
-            Signal::Position(j.name.clone()),
-        ]
-    });
+    let signals = joints
+        .iter()
+        .flat_map(|j| [Signal::Command(j.name.clone()), Signal::Position(j.name.clone())]);
     let mut jumped = 0;
     for signal in signals {
         let Some(column) = table.column(&signal) else {
             continue;
         };
-        let known = || {
-            table
-                .time_s()
-                .iter()
-                .zip(column)
-                .filter_map(|(&t, x)| Some((t, (*x)?)))
-        };
-        let before: Vec<(f64, f64)> = known()
-            .filter(|(t, _)| (at_s - BESIDE_S..=at_s).contains(t))
-            .collect();
+        let known = || table.time_s().iter().zip(column).filter_map(|(&t, x)| Some((t, (*x)?)));
+        let before: Vec<(f64, f64)> =
+            known().filter(|(t, _)| (at_s - BESIDE_S..=at_s).contains(t)).collect();
         let end_s = at_s + step_s;
-        let after: Vec<(f64, f64)> = known()
-            .filter(|(t, _)| (end_s..=end_s + BESIDE_S).contains(t))
-            .collect();
+        let after: Vec<(f64, f64)> =
+            known().filter(|(t, _)| (end_s..=end_s + BESIDE_S).contains(t)).collect();
         let (Some(v0), Some(v1)) = (speed(&before), speed(&after)) else {
             continue;
         };

@@ -57,9 +57,7 @@ fn misspelt(run: &Run<'_>, out: &mut Vec<Finding>) {
     let plain = |key: &str| {
         let key = key.to_lowercase().replace(['_', '-', ' '], "");
         let ends = ["nmperrad", "nmsperrad", "volts", "volt", "hz", "v", "s"];
-        let end = ends
-            .iter()
-            .find(|e| key.len() > e.len() + 1 && key.ends_with(**e));
+        let end = ends.iter().find(|e| key.len() > e.len() + 1 && key.ends_with(**e));
         end.map_or(key.clone(), |e| key[..key.len() - e.len()].to_owned())
     };
     for key in run.log.meta.settings.keys() {
@@ -115,9 +113,8 @@ fn columns(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
     let mut fatal = |detail| out.push(Finding::fatal("columns", &run.log.rows_name, detail));
     let known = run.robot.actuated_names();
     let signals = run.log.table.signals().iter();
-    let mut strangers: Vec<&str> = (signals.filter_map(|s| s.joint()))
-        .filter(|j| !known.contains(j))
-        .collect();
+    let mut strangers: Vec<&str> =
+        (signals.filter_map(|s| s.joint())).filter(|j| !known.contains(j)).collect();
     strangers.sort_unstable();
     strangers.dedup();
     let (robot, own, strange) = (run.robot.name(), known.join(", "), strangers.join(", "));
@@ -133,9 +130,7 @@ fn columns(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
         });
     }
     if !strangers.is_empty() {
-        fatal(format!(
-            "has {strange} and `{robot}` has no such joint; its joints are {own}"
-        ));
+        fatal(format!("has {strange} and `{robot}` has no such joint; its joints are {own}"));
     }
     for (what, has) in [
         ("cmd", joints.iter().any(|j| j.cmd.is_some())),

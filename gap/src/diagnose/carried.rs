@@ -49,10 +49,7 @@ pub fn choose(
     let Found { base, best, .. } = &mut *found;
     context.judge_held_out(&terms, &mut [base, best, &mut carried.state])?;
     if !nearer(context, base, &carried.state) {
-        carried = Model {
-            state: best.clone(),
-            deviations: Vec::new(),
-        };
+        carried = Model { state: best.clone(), deviations: Vec::new() };
     }
     Ok(carried)
 }
@@ -69,9 +66,7 @@ fn supported_most(
         return Ok(of_search);
     };
     let angles = Angles::of(context, &context.fit.data);
-    let off = angles
-        .residuals(std::slice::from_ref(&of_search.state.terms))?
-        .swap_remove(0);
+    let off = angles.residuals(std::slice::from_ref(&of_search.state.terms))?.swap_remove(0);
     let mean_rad = angles.mean(|a| mean_abs(&off[a]));
     if built.cross_rad >= BUILT * mean_rad {
         return Ok(of_search);
@@ -82,11 +77,7 @@ fn supported_most(
     let (shown, rest): (Vec<&Term>, Vec<&Term>) = own.partition(|t| !unseen(t));
     let around = |shown: &[&Term]| {
         let named = shown.iter().filter(|t| is_among(t, &named.terms));
-        built.around(
-            context,
-            &angles,
-            named.chain(&rest).map(|t| (*t).clone()).collect(),
-        )
+        built.around(context, &angles, named.chain(&rest).map(|t| (*t).clone()).collect())
     };
     let mut model = around(&shown)?;
     if model.cross_rad * BUILT >= built.cross_rad {
@@ -97,10 +88,7 @@ fn supported_most(
     let whole = built.joints.fixed.iter().chain(&built.joints.shared);
     let mut deviations = vec![0.0; whole.map(|t| t.values.len()).sum()];
     deviations.extend(built.deviations.iter().flatten());
-    Ok(Model {
-        state: single(context, built.joints.variant())?,
-        deviations,
-    })
+    Ok(Model { state: single(context, built.joints.variant())?, deviations })
 }
 
 /// The model that causes were `named` in, or, if that leaves much more, what was found `before` with it.
@@ -114,22 +102,14 @@ fn supported(context: &Context, named: &State, before: &State) -> Result<Model, 
         state = single(context, fitted.into_iter().flat_map(|f| f.0).collect())?;
     }
     Ok(match much(&state) {
-        true => Model {
-            deviations: deviations(context, &state)?,
-            state,
-        },
-        false => Model {
-            state: named.clone(),
-            deviations: Vec::new(),
-        },
+        true => Model { deviations: deviations(context, &state)?, state },
+        false => Model { state: named.clone(), deviations: Vec::new() },
     })
 }
 
 /// Whether `terms` have this effect at this place.
 fn is_among(term: &Term, terms: &[Term]) -> bool {
-    terms
-        .iter()
-        .any(|t| t.effect == term.effect && t.place == term.place)
+    terms.iter().any(|t| t.effect == term.effect && t.place == term.place)
 }
 
 /// The last gate: what is no nearer to held-out runs than the robot as given is not named. Causes are left out
@@ -154,11 +134,8 @@ pub fn refuse(
         }
         refused.insert(best.key());
         if refused.len() == 1 {
-            let worth = Worth {
-                passed: false,
-                why: NO_NEARER,
-                ..gates::worth(context, base, best, None)
-            };
+            let worth =
+                Worth { passed: false, why: NO_NEARER, ..gates::worth(context, base, best, None) };
             found.refused.insert(0, (found.best.clone(), worth));
         }
         let least = least_sure(named);
@@ -200,9 +177,7 @@ fn nearer(context: &Context, base: &State, state: &State) -> bool {
 /// The cause whose gain in cross-validation is the least of the width of its interval.
 fn least_sure(named: &[Named]) -> Option<&Named> {
     let sure = |w: &Worth| w.cross / (w.interval.1 - w.interval.0).max(f64::MIN_POSITIVE);
-    named
-        .iter()
-        .min_by(|a, b| sure(&a.worth).total_cmp(&sure(&b.worth)))
+    named.iter().min_by(|a, b| sure(&a.worth).total_cmp(&sure(&b.worth)))
 }
 
 /// Standard deviations of the parameters of `state` by the jackknife over the parts of the runs, SI.
@@ -247,9 +222,7 @@ impl Model {
             effect: e.id.clone(),
             location: e.location.clone(),
             named: e.confidence > 0.0,
-            parameters: (e.parameters.iter())
-                .map(|(name, p)| (name.clone(), p.value))
-                .collect(),
+            parameters: (e.parameters.iter()).map(|(name, p)| (name.clone(), p.value)).collect(),
         };
         entries.iter().map(of).collect()
     }
@@ -335,11 +308,8 @@ mod tests {
     #[test]
     fn what_the_fitted_runs_are_least_sure_of_is_left_out_first() {
         // ten times its interval; half of its; twice its, though it takes least
-        let all = [
-            named(0, 2.0, (1.9, 2.1)),
-            named(1, 0.6, (0.0, 1.2)),
-            named(2, 0.2, (0.15, 0.25)),
-        ];
+        let all =
+            [named(0, 2.0, (1.9, 2.1)), named(1, 0.6, (0.0, 1.2)), named(2, 0.2, (0.15, 0.25))];
         assert_eq!(least_sure(&all).map(|n| n.index), Some(1));
         assert!(least_sure(&[]).is_none());
     }

@@ -107,11 +107,7 @@ pub fn scatter(
     let amounts = amounts(context, best, &derivatives.steps);
     let mut sides = vec![Side::new(&context.fit, &best.fit, &derivatives.fit)];
     if !context.same_runs {
-        sides.push(Side::new(
-            &context.holdout,
-            &best.holdout,
-            &derivatives.holdout,
-        ));
+        sides.push(Side::new(&context.holdout, &best.holdout, &derivatives.holdout));
     }
     let mut out = Vec::new();
     for &term in which {
@@ -123,9 +119,7 @@ pub fn scatter(
             true => &Along::ALL[..],
             false => &[Along::Runs],
         };
-        let each = arguments
-            .iter()
-            .filter_map(|&along| along_one(&sides, &trace, along, term));
+        let each = arguments.iter().filter_map(|&along| along_one(&sides, &trace, along, term));
         out.extend(each.max_by(|a, b| a.share.total_cmp(&b.share)));
     }
     out
@@ -191,13 +185,7 @@ impl<'a> Side<'a> {
                 }
             }
         }
-        Self {
-            judge,
-            on,
-            columns,
-            run,
-            arguments,
-        }
+        Self { judge, on, columns, run, arguments }
     }
 }
 
@@ -265,21 +253,14 @@ fn along_one(sides: &[Side], trace: &[Vec<f32>], along: Along, term: usize) -> O
     let runs = sides.iter().map(|s| s.judge.data.trials.len()).sum();
     let parts = match along {
         Along::Runs => sums(&samples, runs, |s, _| s.argument as usize),
-        _ => sums(&samples, PARTS, |_, before| {
-            (before * PARTS as f64) as usize
-        }),
+        _ => sums(&samples, PARTS, |_, before| (before * PARTS as f64) as usize),
     };
     let least = match along {
         Along::Runs => LEAST_FLOORS_RUNS,
         _ => LEAST_FLOORS,
     };
     let (share, sizes) = apart(&parts, least * samples.len() as f64)?;
-    Some(Scatter {
-        term,
-        along,
-        share,
-        sizes,
-    })
+    Some(Scatter { term, along, share, sizes })
 }
 
 /// Share of `trace` that shows in joints' channels.
@@ -349,9 +330,7 @@ fn sums(samples: &[Sample], count: usize, part: impl Fn(&Sample, f64) -> usize) 
 /// than `least`.
 fn apart(parts: &[Part], least: f64) -> Option<(f64, Vec<f64>)> {
     let all: f64 = parts.iter().map(|p| p.information).sum();
-    let parts: Vec<&Part> = (parts.iter())
-        .filter(|p| p.information > LEAST_PART * all)
-        .collect();
+    let parts: Vec<&Part> = (parts.iter()).filter(|p| p.information > LEAST_PART * all).collect();
     if parts.len() < 2 {
         return None;
     }
@@ -360,9 +339,8 @@ fn apart(parts: &[Part], least: f64) -> Option<(f64, Vec<f64>)> {
     let off = |p: &Part| p.score / p.information - mean;
     let square: f64 = parts.iter().map(|p| p.information * off(p).powi(2)).sum();
     // of n parts that differ by noise alone, what their mean leaves
-    let noise: f64 = (parts.iter())
-        .map(|p| p.variance / p.information * (1.0 - p.information / total))
-        .sum();
+    let noise: f64 =
+        (parts.iter()).map(|p| p.variance / p.information * (1.0 - p.information / total)).sum();
     let sizes = parts.iter().map(|p| 1.0 + p.score / p.information);
     let scattered = (square - noise).max(0.0);
     (scattered >= least).then(|| ((scattered / total).sqrt(), sizes.collect()))
@@ -374,12 +352,7 @@ mod tests {
 
     fn sample(argument: f64, block: u32, residual: f64) -> Sample {
         // the whole effect does 20 everywhere: where a tenth of it is missing, 2 are left
-        Sample {
-            argument,
-            block: (0, block),
-            score: 20.0 * residual,
-            information: 400.0,
-        }
+        Sample { argument, block: (0, block), score: 20.0 * residual, information: 400.0 }
     }
 
     #[test]

@@ -167,11 +167,7 @@ impl Motion {
             .map(|k| {
                 let (a, b) = (k.saturating_sub(3), (k + 3).min(n - 1));
                 let dt = c.time_s[b] - c.time_s[a];
-                if dt > 0.0 {
-                    (c.value[b] - c.value[a]) / dt
-                } else {
-                    0.0
-                }
+                if dt > 0.0 { (c.value[b] - c.value[a]) / dt } else { 0.0 }
             })
             .collect();
         let load = (0..n)
@@ -204,25 +200,13 @@ impl Motion {
 
     fn regimes(&self, t_s: f64) -> [bool; 5] {
         let k = self.time_s.partition_point(|&t| t < t_s);
-        let Some(speed) = self
-            .speed_radps
-            .get(k.min(self.time_s.len().saturating_sub(1)))
-        else {
+        let Some(speed) = self.speed_radps.get(k.min(self.time_s.len().saturating_sub(1))) else {
             return [true, false, false, false, false];
         };
         let speed = speed.abs();
         let near = self.reversals_s.partition_point(|&t| t < t_s - REVERSAL_S);
-        let reversal = self
-            .reversals_s
-            .get(near)
-            .is_some_and(|&t| t <= t_s + REVERSAL_S);
+        let reversal = self.reversals_s.get(near).is_some_and(|&t| t <= t_s + REVERSAL_S);
         let load = self.load.get(k).copied().unwrap_or(0.0);
-        [
-            true,
-            speed < SLOW_RADPS,
-            speed > self.fast_radps,
-            reversal,
-            load > self.heavy,
-        ]
+        [true, speed < SLOW_RADPS, speed > self.fast_radps, reversal, load > self.heavy]
     }
 }

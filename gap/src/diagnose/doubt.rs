@@ -108,11 +108,7 @@ impl<'a> Doubts<'a> {
             location: String::new(),
             detail: format!(
                 "Of {} {:.2} floors are left at the worst joint; before, the worst had {:.2}.",
-                if l.held_out {
-                    "held-out runs"
-                } else {
-                    "the runs that were fitted"
-                },
+                if l.held_out { "held-out runs" } else { "the runs that were fitted" },
                 l.after,
                 l.before
             ),
@@ -145,9 +141,7 @@ impl<'a> Doubts<'a> {
 /// With a capital.
 fn capitalised(words: &str) -> String {
     let mut letters = words.chars();
-    letters.next().map_or_else(String::new, |first| {
-        first.to_uppercase().chain(letters).collect()
-    })
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
 /// What `best` leaves, and `base` has, of held-out runs and of those that were fitted, where it is most.
@@ -160,11 +154,7 @@ fn left(context: &Context, base: &State, best: &State) -> Vec<Left> {
     let parts = &parts[usize::from(context.same_runs)..];
     let of = |&(held_out, judge, before, after): &(bool, &Judge, &On, &On)| {
         let of = |on| gates::worst_of(context, &[(judge, on)]);
-        Left {
-            held_out,
-            before: of(before),
-            after: of(after),
-        }
+        Left { held_out, before: of(before), after: of(after) }
     };
     parts.iter().map(of).collect()
 }
@@ -214,11 +204,7 @@ mod tests {
     use crate::effects::{self, Domain};
 
     fn at(domain: Domain, items: &[usize]) -> Place {
-        Place {
-            domain,
-            items: items.to_vec(),
-            names: items.iter().map(usize::to_string).collect(),
-        }
+        Place { domain, items: items.to_vec(), names: items.iter().map(usize::to_string).collect() }
     }
 
     #[test]

@@ -27,13 +27,10 @@ pub fn extended(
     Extension {
         base: model.hash_hex(),
         logs: request.runs.iter().map(|r| r.sha256.clone()).collect(),
-        effect: (model
-            .extension()
-            .into_iter()
-            .flat_map(|e| e.effect.iter().cloned()))
-        .chain(losses.map(entry))
-        .chain(effects.iter().cloned())
-        .collect(),
+        effect: (model.extension().into_iter().flat_map(|e| e.effect.iter().cloned()))
+            .chain(losses.map(entry))
+            .chain(effects.iter().cloned())
+            .collect(),
         observation_noise: noise
             .into_iter()
             .map(|(k, (sum, n))| (k, (sum / n as f64).sqrt()))
@@ -60,9 +57,7 @@ pub fn entry(cause: &Cause) -> ExtensionEffect {
         alternatives: cause.alternatives.clone(),
         elsewhere: cause.elsewhere.clone(),
         evidence: cause.evidence.clone(),
-        parameters: (cause.parameters.iter())
-            .map(|(name, p)| (name.clone(), written(p)))
-            .collect(),
+        parameters: (cause.parameters.iter()).map(|(name, p)| (name.clone(), written(p))).collect(),
         randomise,
     }
 }

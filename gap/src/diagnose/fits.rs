@@ -48,10 +48,7 @@ impl Before {
     /// As `state` has it.
     #[must_use]
     pub fn of(state: &State) -> Self {
-        Self {
-            look: state.on_scout().misfit,
-            fit: state.fit.misfit,
-        }
+        Self { look: state.on_scout().misfit, fit: state.fit.misfit }
     }
 }
 
@@ -67,14 +64,12 @@ pub fn best_fits(
     before: Before,
 ) -> Result<Vec<State>, GapError> {
     let mut best: Vec<Option<(Variant, f64)>> = vec![None; groups];
-    for (whole, judge, from) in [
-        (false, context.first_look(), before.look),
-        (true, &context.fit, before.fit),
-    ] {
+    for (whole, judge, from) in
+        [(false, context.first_look(), before.look), (true, &context.fit, before.fit)]
+    {
         let slow = |v: &Variant| context.scout.is_some() && v.iter().any(|t| builds_up(t.effect));
-        let own: Vec<usize> = (0..variants.len())
-            .filter(|&i| slow(&variants[i]) == whole)
-            .collect();
+        let own: Vec<usize> =
+            (0..variants.len()).filter(|&i| slow(&variants[i]) == whole).collect();
         if own.is_empty() {
             continue;
         }
@@ -122,11 +117,7 @@ pub fn polished(context: &Context, state: State) -> Result<State, GapError> {
     let terms = vec![state.terms.clone()];
     let mut fitted = refine(context, &context.fit, terms, Some(LAST_STEPS), None)?;
     let fitted = single(context, fitted.swap_remove(0).0)?;
-    Ok(if fitted.fit.misfit <= state.fit.misfit {
-        fitted
-    } else {
-        state
-    })
+    Ok(if fitted.fit.misfit <= state.fit.misfit { fitted } else { state })
 }
 
 /// `state` with its term `index` replaced by each of `rivals`, refitted; the best fit of each. `without`: the
@@ -146,11 +137,8 @@ pub fn swapped(
     for (number, rival) in rivals.iter().enumerate() {
         for start in &rival.starts {
             let mut terms = state.terms.clone();
-            terms[index] = Term {
-                effect: rival.effect,
-                place: rival.place.clone(),
-                values: start.clone(),
-            };
+            terms[index] =
+                Term { effect: rival.effect, place: rival.place.clone(), values: start.clone() };
             variants.push(terms);
             of.push(number);
         }

@@ -24,11 +24,7 @@ pub fn floors(context: &Context, screened: &[Screened], misfit: f64) -> BTreeMap
             _ => continue,
         };
         let share = (needed / energy.max(1e-12)).sqrt();
-        let share = if s.effect.hinge {
-            share.max(0.5)
-        } else {
-            share
-        };
+        let share = if s.effect.hinge { share.max(0.5) } else { share };
         let p = main_parameter(s.effect, point, &neutral);
         let spec = &s.effect.parameters[p];
         let value = neutral[p] + share * (point[p] - neutral[p]);
@@ -38,11 +34,7 @@ pub fn floors(context: &Context, screened: &[Screened], misfit: f64) -> BTreeMap
             s.place.label(s.effect.id),
             Floor {
                 parameter: spec.name.to_owned(),
-                value: if excited {
-                    value
-                } else {
-                    value.clamp(low, high)
-                },
+                value: if excited { value } else { value.clamp(low, high) },
                 unit: spec.unit.to_owned(),
                 excited,
             },
@@ -78,9 +70,7 @@ fn main_parameter(effect: &Effect, point: &[f64], neutral: &[f64]) -> usize {
         of.filter(|&i| moved(i) > 0.0)
             .max_by(|&a, &b| moved(a).total_cmp(&moved(b)).then(b.cmp(&a)))
     };
-    most(&mut sizes(effect))
-        .or_else(|| most(&mut (0..point.len())))
-        .unwrap_or(0)
+    most(&mut sizes(effect)).or_else(|| most(&mut (0..point.len()))).unwrap_or(0)
 }
 
 #[cfg(test)]
@@ -101,10 +91,7 @@ mod tests {
         assert_eq!(main("torque_limit", &[0.3, 1.0], &[1.1, 0.0]), "limit_nm");
         let compliance = main("gear_compliance", &[0.15, 0.1], &[0.0, 0.3]);
         assert_eq!(compliance, "compliance_rad_per_nm");
-        assert_eq!(
-            main("friction_drift", &[0.0, 0.1, 4.0], &[0.0, 0.0, 4.0]),
-            "run_in_nm"
-        );
+        assert_eq!(main("friction_drift", &[0.0, 0.1, 4.0], &[0.0, 0.0, 4.0]), "run_in_nm");
         // where the size stays
         let ratio = main("braking_asymmetry", &[1.0, 0.5], &[1.0, 1.0]);
         assert_eq!(ratio, "back_drive_kp_ratio");

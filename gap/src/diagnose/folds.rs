@@ -50,11 +50,7 @@ impl Folds {
     /// of them; as [`Self::of_channels`].
     #[must_use]
     pub fn of_runs(data: &Data, keep: impl Fn(&Piece) -> bool) -> (Self, Vec<Range<usize>>) {
-        let parts = if data.trials.len() < MANY_RUNS {
-            PARTS_OF_A_RUN
-        } else {
-            1
-        };
+        let parts = if data.trials.len() < MANY_RUNS { PARTS_OF_A_RUN } else { 1 };
         Self::of_channels(data, parts, keep)
     }
 
@@ -66,10 +62,7 @@ impl Folds {
         parts: usize,
         keep: impl Fn(&Piece) -> bool,
     ) -> (Self, Vec<Range<usize>>) {
-        let mut folds = Self {
-            spans: Vec::new(),
-            count: parts * data.trials.len(),
-        };
+        let mut folds = Self { spans: Vec::new(), count: parts * data.trials.len() };
         let mut ranges = Vec::new();
         let mut kept = 0;
         for (number, _) in data.trials.iter().enumerate() {
@@ -170,9 +163,8 @@ fn without(gram: &DMatrix<f64>, slope: &DVector<f64>, free: &[Free]) -> DVector<
         gram[(i, i)] += precision;
         slope[i] -= precision * f.from_neutral;
     }
-    let mut shift = gram
-        .cholesky()
-        .map_or_else(|| DVector::zeros(slope.len()), |c| c.solve(&slope));
+    let mut shift =
+        gram.cholesky().map_or_else(|| DVector::zeros(slope.len()), |c| c.solve(&slope));
     for (s, f) in shift.iter_mut().zip(free) {
         // no further than to no effect, or to twice of it: there a straight line says nothing any more
         let most = f.from_neutral.abs();
@@ -186,16 +178,10 @@ mod tests {
     use super::*;
 
     fn folds(count: usize, each: usize) -> Folds {
-        Folds {
-            spans: (0..count).map(|f| (f * each..(f + 1) * each, f)).collect(),
-            count,
-        }
+        Folds { spans: (0..count).map(|f| (f * each..(f + 1) * each, f)).collect(), count }
     }
 
-    const FREE: Free = Free {
-        from_neutral: 2.0,
-        room: (-1e9, 1e9),
-    };
+    const FREE: Free = Free { from_neutral: 2.0, room: (-1e9, 1e9) };
 
     #[test]
     fn what_a_fold_says_of_itself_is_left_out() {
@@ -204,10 +190,7 @@ mod tests {
         let measured = [2.0_f32, 2.0, 2.0, 2.0, 5.0, 5.0];
         // fitted to all: 3
         let residual: Vec<f32> = measured.iter().map(|y| y - 3.0).collect();
-        let free = Free {
-            from_neutral: 3.0,
-            ..FREE
-        };
+        let free = Free { from_neutral: 3.0, ..FREE };
         let left = folds(3, 2).left_out(&columns, &residual, &[free]);
         // the last fold by the mean of the first two, which a prior of width 3 draws to nothing:
         // (4·2)/(4 + 1/9) = 1.946

@@ -162,11 +162,7 @@ fn from_one_block(gains: &[f64]) -> bool {
 /// Misfit from which on there is something to explain. Of many joints one is always a little off.
 #[must_use]
 pub fn quiet(context: &Context) -> f64 {
-    if context.replayer.model().actuated().len() < MANY_JOINTS {
-        CAREFUL_LAB
-    } else {
-        NOTHING_LEFT
-    }
+    if context.replayer.model().actuated().len() < MANY_JOINTS { CAREFUL_LAB } else { NOTHING_LEFT }
 }
 
 /// The greatest misfit of the joints, and of the body, that have a sample in `mask`.
@@ -177,9 +173,7 @@ fn worst_within(joints: usize, judge: &Judge, on: &On, mask: &[bool]) -> f64 {
     }
     let sums = groups(joints, &[(judge, on)]);
     let named = sums.iter().zip(within).filter(|(_, w)| *w);
-    named
-        .map(|((square, n), _)| square / f64::max(*n, 1.0))
-        .fold(0.0, f64::max)
+    named.map(|((square, n), _)| square / f64::max(*n, 1.0)).fold(0.0, f64::max)
 }
 
 /// Mean square on the channels that `place` concerns.
@@ -207,10 +201,7 @@ fn masked(joints: usize, judge: &Judge, from: &On, place: Option<&Place>) -> Vec
         return mask;
     }
     let sums = groups(joints, &[(judge, from)]);
-    let quiet: Vec<bool> = sums
-        .iter()
-        .map(|(square, n)| *square <= CAREFUL_LAB * n)
-        .collect();
+    let quiet: Vec<bool> = sums.iter().map(|(square, n)| *square <= CAREFUL_LAB * n).collect();
     if quiet.iter().all(|q| *q) {
         return mask;
     }
@@ -266,10 +257,7 @@ pub fn worst(context: &Context, state: &State) -> f64 {
 #[must_use]
 pub fn worst_of(context: &Context, parts: &[(&Judge, &On)]) -> f64 {
     let joints = context.replayer.model().actuated().len();
-    groups(joints, parts)
-        .iter()
-        .map(|(square, n)| square / f64::max(*n, 1.0))
-        .fold(0.0, f64::max)
+    groups(joints, parts).iter().map(|(square, n)| square / f64::max(*n, 1.0)).fold(0.0, f64::max)
 }
 
 /// Whether held-out runs are nearer to `to` than to `from`: in the mean, or at one joint and no further in the mean,

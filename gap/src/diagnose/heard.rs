@@ -117,14 +117,7 @@ pub(super) fn watched<'a>(replayer: &Replayer, trials: &'a [Trial]) -> Vec<Group
             let least_rad = LEAST_STEP_RAD.max(TIMES_NOISE * together.noise_rad(1));
             let large =
                 (0..together.time_s.len()).filter(|k| together.step(*k, 1).abs() > least_rad);
-            Some((
-                large.count(),
-                Group {
-                    runs,
-                    joint,
-                    least_rad,
-                },
-            ))
+            Some((large.count(), Group { runs, joint, least_rad }))
         });
         // of joints that are asked for as much the first
         let most = each.rev().max_by_key(|(large, _)| *large)?;
@@ -191,9 +184,8 @@ impl<'a> Together<'a> {
         if command.frame_s <= 0.0 || command.value.len() < 2 {
             return None;
         }
-        let heard: Vec<Heard> = (runs.iter())
-            .map(|t| Heard::of(replayer, t, a))
-            .collect::<Option<_>>()?;
+        let heard: Vec<Heard> =
+            (runs.iter()).map(|t| Heard::of(replayer, t, a)).collect::<Option<_>>()?;
         let masked = |t: &Trial, at: f64| t.masked_s.iter().any(|(a, b)| (*a..=*b).contains(&at));
         let all_at = |&t: &f64| {
             let since = t - first.span_s.0;
@@ -272,14 +264,9 @@ impl<'a> Together<'a> {
             };
             let along = |x: &f64| x * step.signum();
             let ahead = heard.iter().map(along).fold(f64::NEG_INFINITY, f64::max);
-            let behind: Vec<f64> = (heard.iter().map(along))
-                .map(|x| (ahead - x) / step.abs())
-                .collect();
-            let most = if heard.len() > 2 {
-                middle(&behind)
-            } else {
-                f64::NAN
-            };
+            let behind: Vec<f64> =
+                (heard.iter().map(along)).map(|x| (ahead - x) / step.abs()).collect();
+            let most = if heard.len() > 2 { middle(&behind) } else { f64::NAN };
             for (run, &now) in behind.iter().enumerate() {
                 tally.samples += 1;
                 tally.behind_most += usize::from(now - most > BEHIND_FRAMES);

@@ -42,10 +42,7 @@ impl Joints {
     /// As given, with so many joints.
     #[must_use]
     pub fn as_given(joints: usize) -> Self {
-        Self {
-            own: vec![Vec::new(); joints],
-            ..Self::default()
-        }
+        Self { own: vec![Vec::new(); joints], ..Self::default() }
     }
 
     /// As a candidate. Terms at different joints do not meet, so that their order says nothing.
@@ -141,17 +138,9 @@ impl<'a> Angles<'a> {
         let of = |a: usize| {
             let (folds, ranges) =
                 Folds::of_runs(data, |p| p.kind == Kind::Position && p.index == a);
-            OfJoint {
-                count: ranges.iter().map(Range::len).sum(),
-                ranges,
-                folds,
-            }
+            OfJoint { count: ranges.iter().map(Range::len).sum(), ranges, folds }
         };
-        Self {
-            context,
-            data,
-            of: (0..joints).map(of).collect(),
-        }
+        Self { context, data, of: (0..joints).map(of).collect() }
     }
 
     /// Whether joint `a` has an angle in these runs.
@@ -203,9 +192,7 @@ impl<'a> Angles<'a> {
         model: &Joints,
         variants: &[Variant],
     ) -> Result<Vec<Vec<Vec<f32>>>, GapError> {
-        let base = (self.context.replayer)
-            .predict(self.data, &[model.variant()])?
-            .swap_remove(0);
+        let base = (self.context.replayer).predict(self.data, &[model.variant()])?.swap_remove(0);
         let mut out = Vec::with_capacity(variants.len());
         for batch in variants.chunks(64) {
             let predictions = self.context.replayer.predict(self.data, batch)?;
@@ -339,13 +326,10 @@ impl<'a> Angles<'a> {
             .map(|share| self.moved(model, linear, scales, damping, *share))
             .collect();
         let variants: Vec<Variant> = tried.iter().map(Joints::variant).collect();
-        let costs: Vec<Vec<f64>> = (self.residuals(&variants)?.iter())
-            .map(|r| losses(r, scales))
-            .collect();
+        let costs: Vec<Vec<f64>> =
+            (self.residuals(&variants)?.iter()).map(|r| losses(r, scales)).collect();
         let best_of = |cost: &dyn Fn(usize) -> f64| {
-            (0..TRIES.len())
-                .min_by(|&a, &b| cost(a).total_cmp(&cost(b)))
-                .unwrap_or(0)
+            (0..TRIES.len()).min_by(|&a, &b| cost(a).total_cmp(&cost(b))).unwrap_or(0)
         };
         let together = best_of(&|t| costs[t].iter().sum());
         for a in 0..self.of.len() {
@@ -406,17 +390,10 @@ impl<'a> Angles<'a> {
             left[(s, s)] *= 1.0 + mean * share;
             left[(s, s)] += 1e-30;
         }
-        let of_all = left
-            .cholesky()
-            .map_or_else(|| DVector::zeros(shared), |c| c.solve(&right));
+        let of_all = left.cholesky().map_or_else(|| DVector::zeros(shared), |c| c.solve(&right));
         let mut out = model.clone();
         let robot = self.context.replayer.model();
-        moved(
-            robot,
-            &mut out.shared,
-            of_all.as_slice(),
-            &linear.shared_steps,
-        );
+        moved(robot, &mut out.shared, of_all.as_slice(), &linear.shared_steps);
         for (a, part) in parts.iter().enumerate() {
             if let Some((inverse, slope, cross)) = part {
                 let by = inverse * (slope - cross * &of_all);
@@ -486,10 +463,7 @@ mod tests {
         let small = losses(&[vec![0.01]], &scales)[0];
         assert!((small - 1e-4).abs() < 1e-6, "{small}");
         // twice as far, about twice the loss
-        let (one, two) = (
-            losses(&[vec![10.0]], &scales)[0],
-            losses(&[vec![20.0]], &scales)[0],
-        );
+        let (one, two) = (losses(&[vec![10.0]], &scales)[0], losses(&[vec![20.0]], &scales)[0]);
         assert!((two / one - 2.0).abs() < 0.02, "{one} {two}");
         // the weight of a residual that is √3 scales is 1/√(√(1 + 3))
         let w = weights(&[3.0_f32.sqrt() * 0.1], 0.1)[0];

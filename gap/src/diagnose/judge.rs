@@ -53,11 +53,7 @@ impl Judge {
     pub fn new(replayer: &Replayer, data: Data, options: SegmentOptions) -> Result<Self, GapError> {
         let mut noise = Noise::of(replayer.model(), &data);
         add_own_misses(replayer, &data, options, &mut noise)?;
-        let mut judge = Self {
-            data,
-            noise,
-            trials: Vec::new(),
-        };
+        let mut judge = Self { data, noise, trials: Vec::new() };
         judge.cap(replayer)?;
         judge.set_base(replayer, &[])?;
         if judge.add_numerics(replayer)? {
@@ -78,10 +74,7 @@ impl Judge {
             false => ENGINES_APART,
         };
         let harder = replayer.on_harder_ground(HARDER_GROUND);
-        let others = [
-            (BaseHold::Fixed, replayer.finer(), apart),
-            (BaseHold::Free, harder, 1.0),
-        ];
+        let others = [(BaseHold::Fixed, replayer.finer(), apart), (BaseHold::Free, harder, 1.0)];
         let as_given = replayer.predict(&self.data, &[Vec::new()])?.swap_remove(0);
         for (base, other, times) in others {
             if self.data.trials.iter().all(|t| t.base != base) {
@@ -144,11 +137,7 @@ impl Judge {
                 }
             }
         }
-        let mut judge = Self {
-            data,
-            noise,
-            trials: Vec::new(),
-        };
+        let mut judge = Self { data, noise, trials: Vec::new() };
         judge.set_base(replayer, &[])?;
         Ok(judge)
     }
@@ -259,11 +248,7 @@ impl Judge {
             .map(|k| {
                 let r =
                     (self.data.value[k] - f64::from(prediction[k])) as f32 / self.noise.sigma[k];
-                if r.is_finite() {
-                    r.clamp(-1e4, 1e4)
-                } else {
-                    100.0
-                }
+                if r.is_finite() { r.clamp(-1e4, 1e4) } else { 100.0 }
             })
             .collect();
         self.whiten(raw)
@@ -275,11 +260,7 @@ impl Judge {
         let raw = (0..self.data.len())
             .map(|k| {
                 let d = (to[k] - from[k]) / self.noise.sigma[k];
-                if d.is_finite() {
-                    d.clamp(-1e4, 1e4)
-                } else {
-                    0.0
-                }
+                if d.is_finite() { d.clamp(-1e4, 1e4) } else { 0.0 }
             })
             .collect();
         self.whiten(raw)
@@ -295,11 +276,7 @@ impl Judge {
     /// Noise as repeats show it, whitened; empty without repeats.
     #[must_use]
     pub fn repeat_noise(&self) -> Vec<f32> {
-        if self.noise.repeated {
-            self.whiten(self.noise.difference.clone())
-        } else {
-            Vec::new()
-        }
+        if self.noise.repeated { self.whiten(self.noise.difference.clone()) } else { Vec::new() }
     }
 
     /// Mean square of a whitened vector.
@@ -321,10 +298,7 @@ impl Judge {
     /// Per run: Σ of f over its samples. `[T]`
     #[must_use]
     pub fn by_trial(&self, f: impl Fn(usize) -> f64) -> Vec<f64> {
-        self.trials
-            .iter()
-            .map(|t| t.range.clone().map(&f).sum())
-            .collect()
+        self.trials.iter().map(|t| t.range.clone().map(&f).sum()).collect()
     }
 
     /// Whether the candidate could be simulated at all.
@@ -379,9 +353,5 @@ fn shown_in(
 /// body.
 #[must_use]
 pub fn group(joints: usize, piece: &Piece) -> usize {
-    if piece.kind.of_joint() {
-        piece.index
-    } else {
-        joints
-    }
+    if piece.kind.of_joint() { piece.index } else { joints }
 }

@@ -23,10 +23,7 @@ pub fn leftover(context: &Context, found: &Found) -> Vec<Unexplained> {
             let part = &on.residual[piece.range.clone()];
             let square = dot(part, part);
             let name = &judge.data.trials[segment.trial].channels[piece.channel].name;
-            match cells
-                .iter_mut()
-                .find(|c| c.1 == piece.kind && c.2 == piece.index)
-            {
+            match cells.iter_mut().find(|c| c.1 == piece.kind && c.2 == piece.index) {
                 Some(c) => c.0 += square,
                 None => cells.push((square, piece.kind, piece.index, name.clone())),
             }
@@ -62,11 +59,7 @@ fn depends(context: &Context, found: &Found, kind: Kind, index: usize) -> (Vec<S
     let mut rows: Vec<(f64, Vec<f64>)> = Vec::new();
     for segment in &data.segments {
         let trial = &data.trials[segment.trial];
-        for piece in segment
-            .pieces
-            .iter()
-            .filter(|p| p.kind == kind && p.index == index)
-        {
+        for piece in segment.pieces.iter().filter(|p| p.kind == kind && p.index == index) {
             let joint = if kind.of_joint() { index } else { 0 };
             let Some(position) = trial.channel(Kind::Position, joint) else {
                 continue;
@@ -121,11 +114,8 @@ fn depends(context: &Context, found: &Found, kind: Kind, index: usize) -> (Vec<S
             arguments.push(a);
         }
     }
-    let formula: Vec<String> = chosen
-        .iter()
-        .zip(&weights)
-        .map(|(i, w)| format!("{w:+.3e}·{}", NAMES[*i]))
-        .collect();
+    let formula: Vec<String> =
+        chosen.iter().zip(&weights).map(|(i, w)| format!("{w:+.3e}·{}", NAMES[*i])).collect();
     let share = 100.0 * (1.0 - left / total.max(1e-300));
     (
         arguments,
@@ -208,8 +198,6 @@ fn residual_energy(rows: &[(f64, Vec<f64>)], terms: &[usize]) -> (f64, Vec<f64>)
     for i in 0..n {
         gram[(i, i)] = gram[(i, i)] * (1.0 + 1e-9) + 1e-12;
     }
-    let weights = gram
-        .cholesky()
-        .map_or_else(|| DVector::zeros(n), |c| c.solve(&right));
+    let weights = gram.cholesky().map_or_else(|| DVector::zeros(n), |c| c.solve(&right));
     (energy - weights.dot(&right), weights.as_slice().to_vec())
 }

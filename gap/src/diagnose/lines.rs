@@ -36,11 +36,7 @@ pub fn promising(children: &[(State, Worth, usize)], firsts: usize) -> Option<Li
     let (state, _, _) = (children.iter())
         .take_while(|(_, w, number)| *number >= firsts || !w.passed)
         .find(|(_, w, _)| !w.passed && w.fit > 0.0 && w.cross > 0.0)?;
-    Some(Line {
-        state: state.clone(),
-        without: Vec::new(),
-        says_more: false,
-    })
+    Some(Line { state: state.clone(), without: Vec::new(), says_more: false })
 }
 
 /// `best` with a look-alike in the place of one of its effects, refitted, best first.
@@ -84,11 +80,7 @@ pub fn look_alikes(
             let mut without = vec![term.effect];
             let others = rivals.iter().map(|r| r.effect);
             without.extend(others.filter(|e| *e != rival.effect && wider(term.effect, e)));
-            all.push(Line {
-                state,
-                without,
-                says_more: wider(term.effect, rival.effect),
-            });
+            all.push(Line { state, without, says_more: wider(term.effect, rival.effect) });
         }
     }
     sort_lines(context, &mut all);

@@ -76,23 +76,13 @@ pub fn find(
         first || spent_s <= MOST_SIMULATED_S
     });
     let measured = tally(replayer, &groups);
-    let place = Place {
-        domain: Domain::Robot,
-        items: Vec::new(),
-        names: Vec::new(),
-    };
-    Ok(
-        like(replayer, &groups, &measured)?.map(|(share, burst)| Losses {
-            term: Term {
-                effect: &DROPPED_FRAMES,
-                place,
-                values: vec![share, burst],
-            },
-            at_bound: burst >= BURSTS[BURSTS.len() - 1],
-            fit,
-            held_out,
-        }),
-    )
+    let place = Place { domain: Domain::Robot, items: Vec::new(), names: Vec::new() };
+    Ok(like(replayer, &groups, &measured)?.map(|(share, burst)| Losses {
+        term: Term { effect: &DROPPED_FRAMES, place, values: vec![share, burst] },
+        at_bound: burst >= BURSTS[BURSTS.len() - 1],
+        fit,
+        held_out,
+    }))
 }
 
 /// Whether frames are lost in the runs that are fitted and in held-out ones.
@@ -124,14 +114,8 @@ impl Losses {
         };
         let [of_share, of_burst] = [0, 1].map(|p| &self.term.effect.parameters[p]);
         let parameters = BTreeMap::from([
-            (
-                of_share.name.to_owned(),
-                parameter(share, half_share, of_share.low, of_share.high),
-            ),
-            (
-                of_burst.name.to_owned(),
-                parameter(burst, half_burst, of_burst.low, of_burst.high),
-            ),
+            (of_share.name.to_owned(), parameter(share, half_share, of_share.low, of_share.high)),
+            (of_burst.name.to_owned(), parameter(burst, half_burst, of_burst.low, of_burst.high)),
         ]);
         let in_words = |t: &Tally, runs: &str| {
             format!(
@@ -212,10 +196,7 @@ fn between(points: &[(f64, f64)], x: f64) -> Option<f64> {
         return Some(w[0].1 + share * (w[1].1 - w[0].1));
     }
     let off = |p: &&(f64, f64)| (p.0 - x).abs();
-    points
-        .iter()
-        .min_by(|a, b| off(a).total_cmp(&off(b)))
-        .map(|p| p.1)
+    points.iter().min_by(|a, b| off(a).total_cmp(&off(b))).map(|p| p.1)
 }
 
 /// The same runs by the simulation, losing frames; none where it breaks down.
@@ -233,12 +214,7 @@ fn simulated(
             let mut run = run.clone();
             run.masked_s.clear();
             let frame_s = run.commands.first().map_or(0.0, |c| c.frame_s).max(1e-3);
-            let lost = drawn(
-                (run.duration_s() / frame_s) as usize + 2,
-                share,
-                burst,
-                &mut stream,
-            );
+            let lost = drawn((run.duration_s() / frame_s) as usize + 2, share, burst, &mut stream);
             for command in &mut run.commands {
                 *command = lose(command, run.span_s.0, &lost);
             }
@@ -301,10 +277,7 @@ fn drawn(frames: usize, share: f64, burst: f64, stream: &mut Stream) -> Vec<bool
 /// `sent` as it is heard where the frames that `lost` says, counted from `from_s`, do not arrive: what holds
 /// is sent again with the next one.
 fn lose(sent: &Steps, from_s: f64, lost: &[bool]) -> Steps {
-    let mut heard = Steps {
-        frame_s: sent.frame_s,
-        ..Steps::default()
-    };
+    let mut heard = Steps { frame_s: sent.frame_s, ..Steps::default() };
     for (k, (&t, &value)) in sent.time_s.iter().zip(&sent.value).enumerate() {
         let end_s = sent.time_s.get(k + 1).copied().unwrap_or(f64::INFINITY);
         let frame = ((t - from_s) / sent.frame_s).round().max(0.0) as usize;
@@ -344,41 +317,18 @@ mod tests {
         assert!(shown(&lossy, None));
         // friction lets go sooner in one run and later in another: ahead as often; √(160·4)·3 = 76 is what
         // chance may give
-        let either_way = Tally {
-            behind_most: 100,
-            ahead_of_most: 60,
-            ..lossy
-        };
+        let either_way = Tally { behind_most: 100, ahead_of_most: 60, ..lossy };
         assert!(!shown(&either_way, None));
         // it does so slowly
-        let slow = Tally {
-            at_one_stroke: 5,
-            ..lossy
-        };
+        let slow = Tally { at_one_stroke: 5, ..lossy };
         assert!(!shown(&slow, None));
         // of two repeats nobody knows which one is behind
-        let two = Tally {
-            behind_most: 0,
-            ahead_of_most: 0,
-            ..lossy
-        };
+        let two = Tally { behind_most: 0, ahead_of_most: 0, ..lossy };
         assert!(!shown(&two, None));
         // but two are enough in held-out runs, where it must happen again
-        let held_out = Tally {
-            samples: 1000,
-            behind: 40,
-            times: 8,
-            at_one_stroke: 6,
-            ..two
-        };
+        let held_out = Tally { samples: 1000, behind: 40, times: 8, at_one_stroke: 6, ..two };
         assert!(shown(&lossy, Some(&held_out)));
-        assert!(!shown(
-            &lossy,
-            Some(&Tally {
-                times: 3,
-                ..held_out
-            })
-        ));
+        assert!(!shown(&lossy, Some(&Tally { times: 3, ..held_out })));
         assert!(!shown(&lossy, Some(&Tally::default())));
     }
 

@@ -35,10 +35,7 @@ impl Column {
 
     /// Σ over its places of its values times `x`.
     fn dot(&self, x: &[f32]) -> f64 {
-        self.parts
-            .iter()
-            .map(|(at, v)| dot(v, &x[*at..at + v.len()]))
-            .sum()
+        self.parts.iter().map(|(at, v)| dot(v, &x[*at..at + v.len()])).sum()
     }
 
     /// Σ of products with another.
@@ -99,11 +96,7 @@ impl TrialMetric {
                 },
             )
         };
-        Self {
-            range,
-            columns,
-            shrink,
-        }
+        Self { range, columns, shrink }
     }
 
     /// Whitens the trial's samples.

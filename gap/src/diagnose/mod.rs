@@ -74,11 +74,8 @@ pub fn diagnose(
     progress: &mut dyn FnMut(Progress),
 ) -> Result<Diagnosis, GapError> {
     progress(Progress::new(Stage::Reading, 0, ""));
-    let model = Arc::new(RobotModel::from_bytes(
-        &request.label,
-        &request.robot_toml,
-        &request.mjcf,
-    )?);
+    let model =
+        Arc::new(RobotModel::from_bytes(&request.label, &request.robot_toml, &request.mjcf)?);
     if request.runs.is_empty() {
         return Err(GapError::NoRuns);
     }
@@ -102,14 +99,8 @@ pub fn diagnose(
     let mut named = Vec::new();
     let mut tracking = tracking::Tracking::default();
     let began = Instant::now();
-    let unfinished = explore(
-        request,
-        &mut context,
-        &mut found,
-        &mut named,
-        &mut tracking,
-        progress,
-    )?;
+    let unfinished =
+        explore(request, &mut context, &mut found, &mut named, &mut tracking, progress)?;
     progress(Progress::new(Stage::Reporting, 0, &found.best.label()));
     context.replayer.set_go_on(GoOn::default());
     if unfinished {
@@ -134,18 +125,11 @@ pub fn diagnose(
         unfinished,
     };
     let mut diagnosis = verdict::conclude(request, &context, &evidence, runs, split)?;
-    diagnosis
-        .report
-        .data_faults
-        .extend(request.data_faults.iter().cloned());
+    diagnosis.report.data_faults.extend(request.data_faults.iter().cloned());
     diagnosis.report.data_faults.extend(faults);
     let (rollouts, simulated_s) = context.replayer.spent();
-    diagnosis.report.compute = Compute {
-        candidates: found.tried,
-        rollouts,
-        simulated_s,
-        seconds: 0.0,
-    };
+    diagnosis.report.compute =
+        Compute { candidates: found.tried, rollouts, simulated_s, seconds: 0.0 };
     Ok(diagnosis)
 }
 
@@ -231,11 +215,7 @@ fn hold_out(trials: &mut [Trial]) -> Split {
         return Split::Same;
     }
     for t in trials.iter_mut() {
-        t.role = if t.group % 3 == 2 {
-            Role::Holdout
-        } else {
-            Role::Fit
-        };
+        t.role = if t.group % 3 == 2 { Role::Holdout } else { Role::Fit };
     }
     Split::SetAside
 }
@@ -301,11 +281,7 @@ fn context(
     let mut effects: Vec<&'static Effect> = effects::ALL.iter().copied().filter(wanted).collect();
     let same_runs = split == Split::Same;
     let losses = if effects.iter().any(|e| e.id == DROPPED_FRAMES.id) {
-        losses::find(
-            &replayer,
-            &fit_trials,
-            (!same_runs).then_some(&held_out[..]),
-        )?
+        losses::find(&replayer, &fit_trials, (!same_runs).then_some(&held_out[..]))?
     } else {
         None
     };

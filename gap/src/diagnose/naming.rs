@@ -221,13 +221,8 @@ fn without(context: &Context, best: &State, index: usize) -> Result<State, GapEr
 /// How many joints have the size of another one by chance: places of effects of joints that are several
 /// joints.
 fn chances(state: &State) -> usize {
-    let of_joints = state
-        .terms
-        .iter()
-        .filter(|t| t.place.domain == Domain::Joints);
-    of_joints
-        .map(|t| t.place.items.len().saturating_sub(1))
-        .sum()
+    let of_joints = state.terms.iter().filter(|t| t.place.domain == Domain::Joints);
+    of_joints.map(|t| t.place.items.len().saturating_sub(1)).sum()
 }
 
 /// The model with the rival of the cause in `named` that is far more probable than it, says it with as little, and
@@ -388,9 +383,7 @@ fn rivals_of(
 /// `concerned` of the joints.
 fn likelihood(own: f64, rival: f64, concerned: f64) -> f64 {
     let ratio = (own + RIGHT_LEAVES) / (rival + RIGHT_LEAVES);
-    ratio
-        .powf(0.5 * ERRORS_OF_LAW / concerned)
-        .min(1.0 / AS_LIKELY)
+    ratio.powf(0.5 * ERRORS_OF_LAW / concerned).min(1.0 / AS_LIKELY)
 }
 
 /// Declared look-alikes at their best place, and whatever screening likes.
@@ -406,10 +399,7 @@ fn rivals<'a>(term: &crate::replay::Term, screened: &'a [Screened]) -> Vec<&'a S
     }
     let mut more = 0;
     for s in screened.iter().filter(|s| s.gain > 0.0 && !own(s)) {
-        if chosen
-            .iter()
-            .any(|c| c.effect == s.effect && c.place == s.place)
-        {
+        if chosen.iter().any(|c| c.effect == s.effect && c.place == s.place) {
             continue;
         }
         chosen.push(s);
@@ -419,11 +409,7 @@ fn rivals<'a>(term: &crate::replay::Term, screened: &'a [Screened]) -> Vec<&'a S
         }
     }
     // the same effect at other places: where it is belongs to the name
-    for s in screened
-        .iter()
-        .filter(|s| own(s) && s.place != term.place && s.gain > 0.0)
-        .take(3)
-    {
+    for s in screened.iter().filter(|s| own(s) && s.place != term.place && s.gain > 0.0).take(3) {
         chosen.push(s);
     }
     chosen

@@ -118,9 +118,7 @@ fn between_names(
             let has = |of: &[String]| of.iter().any(|a| a == id);
             has(&open.alternatives) && !has(&open.synonyms)
         };
-        n.rivals
-            .iter()
-            .find(|r| r.in_set && is(r.state.terms[r.index].effect.id))
+        n.rivals.iter().find(|r| r.in_set && is(r.state.terms[r.index].effect.id))
     });
     let Some(rival) = rival else { return Ok(None) };
     let pair = [found.best.terms.clone(), rival.state.terms.clone()];
@@ -160,12 +158,7 @@ fn between_names(
 fn known_weight(model: &RobotModel, pair: &[Variant; 2]) -> Option<Payload> {
     let weighs = |t: &&Term| t.effect.layer == Layer::Inertia && t.place.domain == Domain::Links;
     let not_in = |t: &&Term, other: &Variant| !other.iter().any(|o| o.effect == t.effect);
-    let of = |a: usize| {
-        pair[a]
-            .iter()
-            .filter(weighs)
-            .find(|t| not_in(t, &pair[1 - a]))
-    };
+    let of = |a: usize| pair[a].iter().filter(weighs).find(|t| not_in(t, &pair[1 - a]));
     let l = match (of(0), of(1)) {
         (Some(one), None) | (None, Some(one)) => *one.place.items.first()?,
         _ => return None,
@@ -176,10 +169,7 @@ fn known_weight(model: &RobotModel, pair: &[Variant; 2]) -> Option<Payload> {
     let (direction, far_m) = lever(model, l);
     let far_m = BEYOND_CENTRE * far_m;
     let most_kg = OF_TORQUE * servo.tau_max_nm / (GRAVITY * far_m);
-    let mass_kg = 0.01
-        * (100.0 * most_kg.min(OF_LINK * link.mass_kg))
-            .round()
-            .max(1.0);
+    let mass_kg = 0.01 * (100.0 * most_kg.min(OF_LINK * link.mass_kg)).round().max(1.0);
     let anchor_m = anchor_m(model, l);
     Some(Payload {
         link: link.name.clone(),
@@ -337,20 +327,13 @@ mod tests {
 
     #[test]
     fn a_known_weight_is_hung_where_a_mass_is_in_question_and_nothing_else_that_weighs() {
-        let file = concat!(
-            env!("CARGO_MANIFEST_DIR"),
-            "/../robots/xl330_pendulum.robot.toml"
-        );
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/xl330_pendulum.robot.toml");
         let model = RobotModel::load(file.as_ref()).unwrap();
         let one = |id: &str| {
             let effect = crate::effects::find(id).unwrap();
             let place = places(&model, effect.domain).pop().unwrap();
             let values = effect.neutral(&model, &place);
-            vec![Term {
-                effect,
-                place,
-                values,
-            }]
+            vec![Term { effect, place, values }]
         };
         let hung = |a: &str, b: &str| known_weight(&model, &[one(a), one(b)]);
         let weight = hung("point_mass", "torque_constant").unwrap();

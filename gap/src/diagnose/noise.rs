@@ -94,24 +94,13 @@ impl Noise {
         let least = (self.white.entry((trial, piece.kind, piece.index))).or_insert(floor);
         *least = least.min(floor);
         let members: Vec<(f64, &Channel)> = (own.members.iter())
-            .filter_map(|m| {
-                Some((
-                    m.span_s.0 - own.span_s.0,
-                    m.channel(piece.kind, piece.index)?,
-                ))
-            })
+            .filter_map(|m| Some((m.span_s.0 - own.span_s.0, m.channel(piece.kind, piece.index)?)))
             .collect();
         // where a swimmer was when the stretch began is known of each run: repeats differ by where it goes
         // from there
         let swims = own.base == BaseHold::Water && piece.kind.of_place(piece.index);
         let began: Vec<f64> = (members.iter())
-            .map(|(shift, c)| {
-                if swims {
-                    began_at(data, piece, *shift, c)
-                } else {
-                    0.0
-                }
-            })
+            .map(|(shift, c)| if swims { began_at(data, piece, *shift, c) } else { 0.0 })
             .collect();
         self.left[range.clone()].fill(rough(values) as f32);
         let (m, mut sum) = (members.len() as f64, 0.0);
@@ -171,12 +160,8 @@ fn began_at(data: &Data, piece: &Piece, shift_s: f64, channel: &Channel) -> f64 
 /// All samples of the channel of `piece` in `trial`.
 fn in_all_stretches(data: &Data, trial: usize, piece: &Piece) -> Vec<f64> {
     let stretches = data.segments.iter().filter(|s| s.trial == trial);
-    let same = stretches
-        .flat_map(|s| &s.pieces)
-        .filter(|p| p.channel == piece.channel);
-    same.flat_map(|p| &data.value[p.range.clone()])
-        .copied()
-        .collect()
+    let same = stretches.flat_map(|s| &s.pieces).filter(|p| p.channel == piece.channel);
+    same.flat_map(|p| &data.value[p.range.clone()]).copied().collect()
 }
 
 /// Stretches in which one of at least three repeats departs from the others far more than usual: (trial,
@@ -225,11 +210,7 @@ pub fn disturbed(trials: &[Trial]) -> Vec<(usize, f64, f64)> {
     }
     let mut sorted: Vec<f64> = levels.iter().map(|l| l.0).collect();
     sorted.sort_by(f64::total_cmp);
-    let usual = sorted
-        .get(sorted.len() * 9 / 10)
-        .copied()
-        .unwrap_or(0.0)
-        .max(LEAST_RAD);
+    let usual = sorted.get(sorted.len() * 9 / 10).copied().unwrap_or(0.0).max(LEAST_RAD);
     levels
         .into_iter()
         .filter(|l| l.0 > DISTURBED * usual)
@@ -239,11 +220,7 @@ pub fn disturbed(trials: &[Trial]) -> Vec<(usize, f64, f64)> {
 
 /// Noise of a reading, SI: where it may be idle current (A; 0: the servo shows none), all of that.
 fn or_idle(sigma: f64, read: f64, idle_a: f64) -> f64 {
-    if read.abs() < IDLE * idle_a {
-        sigma.max(idle_a)
-    } else {
-        sigma
-    }
+    if read.abs() < IDLE * idle_a { sigma.max(idle_a) } else { sigma }
 }
 
 /// Step of a channel's numbers, SI.
@@ -287,10 +264,7 @@ fn white(kind: Kind, y: &[f64]) -> f64 {
 
 /// White noise by second differences: 1.4826·median|y₊ − 2y + y₋|/√6, which a smooth signal does not add to.
 fn jitter(y: &[f64]) -> f64 {
-    let mut second: Vec<f64> = y
-        .windows(3)
-        .map(|w| (w[2] - 2.0 * w[1] + w[0]).abs())
-        .collect();
+    let mut second: Vec<f64> = y.windows(3).map(|w| (w[2] - 2.0 * w[1] + w[0]).abs()).collect();
     if second.is_empty() {
         return 0.0;
     }
@@ -309,10 +283,7 @@ fn rough(y: &[f64]) -> f64 {
 
 /// The same by the mean square, which outliers add to: √(Σ(y₊ − 2y + y₋)²/6n).
 fn spikes(y: &[f64]) -> f64 {
-    let square: f64 = y
-        .windows(3)
-        .map(|w| (w[2] - 2.0 * w[1] + w[0]).powi(2))
-        .sum();
+    let square: f64 = y.windows(3).map(|w| (w[2] - 2.0 * w[1] + w[0]).powi(2)).sum();
     (square / (6.0 * y.len().saturating_sub(2).max(1) as f64)).sqrt()
 }
 

@@ -65,16 +65,8 @@ pub fn nuisances(replayer: &Replayer, base: &[Term], wet: bool) -> Vec<Nuisance>
         let mut values = effect.neutral(model, &place);
         values[parameter] = value;
         let mut variant = base.to_vec();
-        variant.push(Term {
-            effect,
-            place,
-            values,
-        });
-        Some(Nuisance {
-            variant,
-            share: (1.0 / tolerances) as f32,
-            per_joint,
-        })
+        variant.push(Term { effect, place, values });
+        Some(Nuisance { variant, share: (1.0 / tolerances) as f32, per_joint })
     };
     rows.into_iter().filter_map(nuisance).collect()
 }
@@ -103,30 +95,12 @@ fn of_joints(replayer: &Replayer, base: &[Term]) -> Vec<Row> {
     let damping = mean(&plant.lane.joint_damping_nms_per_rad);
     let ways: Vec<f32> = plant.lane.joints.iter().map(|j| j.presliding_rad).collect();
     let rotor_kgm2 = mean(&plant.lane.joint_armature_kgm2).max(1e-4);
-    let mut rows = vec![(
-        "coulomb_friction",
-        0,
-        3.0 * FRICTION_TOLERANCE * friction_nm,
-        3.0,
-        true,
-    )];
+    let mut rows = vec![("coulomb_friction", 0, 3.0 * FRICTION_TOLERANCE * friction_nm, 3.0, true)];
     if damping > 0.0 {
-        rows.push((
-            "viscous_friction",
-            0,
-            3.0 * FRICTION_TOLERANCE * damping,
-            3.0,
-            true,
-        ));
+        rows.push(("viscous_friction", 0, 3.0 * FRICTION_TOLERANCE * damping, 3.0, true));
     }
     rows.extend([
-        (
-            "pre_sliding",
-            0,
-            mean(&ways) * (1.0 + PRESLIDING_TOLERANCE),
-            1.0,
-            true,
-        ),
+        ("pre_sliding", 0, mean(&ways) * (1.0 + PRESLIDING_TOLERANCE), 1.0, true),
         ("kp_error", 0, 1.0 + 3.0 * GAINS_TOLERANCE, 3.0, true),
         ("servo_loop_delay", 0, 6.0 * LOOP_TOLERANCE_S, 6.0, true),
         ("armature", 0, ROTOR_TOLERANCE * rotor_kgm2, 1.0, true),

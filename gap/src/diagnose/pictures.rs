@@ -54,26 +54,17 @@ fn overlays(context: &Context, found: &Found, model: &State) -> Vec<Overlay> {
         }
         seen.push(key);
         let last = data.time_s[piece.range.start] + OVERLAY_S;
-        let range: Vec<usize> = piece
-            .range
-            .clone()
-            .filter(|&k| data.time_s[k] <= last)
-            .collect();
+        let range: Vec<usize> = piece.range.clone().filter(|&k| data.time_s[k] <= last).collect();
         let repeats: Vec<_> = (data.trials.iter())
             .filter(|t| t.group == trial.group)
             .filter_map(|t| {
-                t.channel(piece.kind, piece.index)
-                    .map(|c| (t.span_s.0 - trial.span_s.0, c))
+                t.channel(piece.kind, piece.index).map(|c| (t.span_s.0 - trial.span_s.0, c))
             })
             .collect();
         let band = |&k: &usize| {
             let (own, sigma) = (data.value[k], f64::from(judge.noise.sigma[k]));
-            let all = repeats
-                .iter()
-                .map(|(shift, c)| c.at(data.time_s[k] + shift));
-            all.fold((own - sigma, own + sigma), |(low, high), v| {
-                (low.min(v), high.max(v))
-            })
+            let all = repeats.iter().map(|(shift, c)| c.at(data.time_s[k] + shift));
+            all.fold((own - sigma, own + sigma), |(low, high), v| (low.min(v), high.max(v)))
         };
         let (low, high): (Vec<f64>, Vec<f64>) = range.iter().map(band).unzip();
         let of = |x: &dyn Fn(usize) -> f64| -> Vec<f64> { range.iter().map(|&k| x(k)).collect() };
@@ -108,9 +99,8 @@ fn horizons(context: &Context, found: &Found, model: &State) -> Vec<Horizon> {
     let mut by_kind: BTreeMap<Kind, Vec<[f64; 4]>> = BTreeMap::new();
     for segment in &data.segments {
         for piece in &segment.pieces {
-            let rows = by_kind
-                .entry(piece.kind)
-                .or_insert_with(|| vec![[0.0; 4]; HORIZONS_S.len() + 1]);
+            let rows =
+                by_kind.entry(piece.kind).or_insert_with(|| vec![[0.0; 4]; HORIZONS_S.len() + 1]);
             for k in piece.range.clone() {
                 let age = data.time_s[k] - segment.start_s;
                 let a = data.value[k] - f64::from(found.base.holdout.prediction[k]);
@@ -127,19 +117,12 @@ fn horizons(context: &Context, found: &Found, model: &State) -> Vec<Horizon> {
             }
         }
     }
-    let longest = data
-        .segments
-        .iter()
-        .map(|s| s.duration_s())
-        .fold(0.0, f64::max);
+    let longest = data.segments.iter().map(|s| s.duration_s()).fold(0.0, f64::max);
     by_kind
         .into_iter()
         .map(|(kind, rows)| {
-            let of = |i: usize| {
-                rows.iter()
-                    .map(|r| (r[i] / r[3].max(1.0)).sqrt())
-                    .collect::<Vec<_>>()
-            };
+            let of =
+                |i: usize| rows.iter().map(|r| (r[i] / r[3].max(1.0)).sqrt()).collect::<Vec<_>>();
             let mut horizon_s = HORIZONS_S.to_vec();
             horizon_s.push(longest.max(HORIZONS_S[HORIZONS_S.len() - 1]));
             Horizon {
@@ -159,10 +142,8 @@ fn horizons(context: &Context, found: &Found, model: &State) -> Vec<Horizon> {
 }
 
 fn waterfall(found: &Found, model: &State, named: &[Named]) -> Vec<WaterfallStep> {
-    let mut steps = vec![WaterfallStep {
-        label: "as given".to_owned(),
-        misfit: found.base.holdout.misfit,
-    }];
+    let mut steps =
+        vec![WaterfallStep { label: "as given".to_owned(), misfit: found.base.holdout.misfit }];
     let mut order: Vec<&Named> = named.iter().collect();
     order.sort_by(|a, b| b.worth.cross.total_cmp(&a.worth.cross));
     let total: f64 = order.iter().map(|n| n.worth.cross.max(0.0)).sum();
@@ -172,15 +153,9 @@ fn waterfall(found: &Found, model: &State, named: &[Named]) -> Vec<WaterfallStep
         let term = &found.best.terms[n.index];
         // shares of the whole fall, in proportion to what each is worth on top of the others
         at -= fall * n.worth.cross.max(0.0) / total.max(1e-9);
-        steps.push(WaterfallStep {
-            label: term.place.label(term.effect.id),
-            misfit: at,
-        });
+        steps.push(WaterfallStep { label: term.place.label(term.effect.id), misfit: at });
     }
-    steps.push(WaterfallStep {
-        label: "floor".to_owned(),
-        misfit: 1.0,
-    });
+    steps.push(WaterfallStep { label: "floor".to_owned(), misfit: 1.0 });
     steps
 }
 
@@ -212,35 +187,14 @@ fn hypotheses(context: &Context, found: &Found, named: &[Named]) -> Vec<Hypothes
         }
     };
     for n in named {
-        out.push(of(
-            &found.best,
-            n.index,
-            &n.without,
-            n.probability,
-            true,
-            true,
-        ));
+        out.push(of(&found.best, n.index, &n.without, n.probability, true, true));
         for r in &n.rivals {
-            out.push(of(
-                &r.state,
-                r.index,
-                &n.without,
-                r.probability,
-                false,
-                r.in_set,
-            ));
+            out.push(of(&r.state, r.index, &n.without, r.probability, false, r.in_set));
         }
     }
     if named.is_empty() {
         for (state, _) in &found.singles {
-            out.push(of(
-                state,
-                state.terms.len() - 1,
-                &found.base,
-                0.0,
-                false,
-                false,
-            ));
+            out.push(of(state, state.terms.len() - 1, &found.base, 0.0, false, false));
         }
     }
     out

@@ -42,11 +42,7 @@ pub fn add_own_misses(
         return Ok(());
     }
     let model = replayer.model();
-    let whole = SegmentOptions {
-        free_s: f64::INFINITY,
-        swimming_s: f64::INFINITY,
-        ..options
-    };
+    let whole = SegmentOptions { free_s: f64::INFINITY, swimming_s: f64::INFINITY, ..options };
     let long = Data::new(model, data.trials.clone(), whole);
     let own = replayer.predict(&long, &[Vec::new()])?.swap_remove(0);
     let mut trials = data.trials.clone();
@@ -75,9 +71,7 @@ pub fn add_own_misses(
             continue;
         }
         for piece in &segment.pieces {
-            let entry = sums
-                .entry((again.hold(s), piece.kind, piece.index))
-                .or_default();
+            let entry = sums.entry((again.hold(s), piece.kind, piece.index)).or_default();
             for k in piece.range.clone() {
                 let r = again.value[k] - f64::from(missed[k]);
                 if r.is_finite() {

@@ -14,11 +14,7 @@ pub fn dot(x: &[f32], y: &[f32]) -> f64 {
             sums[i] += f64::from(a[i]) * f64::from(b[i]);
         }
     }
-    let rest: f64 = xr
-        .iter()
-        .zip(yr)
-        .map(|(a, b)| f64::from(*a) * f64::from(*b))
-        .sum();
+    let rest: f64 = xr.iter().zip(yr).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum();
     sums.iter().sum::<f64>() + rest
 }
 

@@ -62,14 +62,7 @@ pub fn refine(
         .zip(first)
         .map(|(terms, prediction)| {
             let cost = judge.misfit(&judge.residual(&prediction));
-            Fit {
-                done: terms.is_empty(),
-                terms,
-                prediction,
-                cost,
-                damping: 0.1,
-                failures: 0,
-            }
+            Fit { done: terms.is_empty(), terms, prediction, cost, damping: 0.1, failures: 0 }
         })
         .collect();
     for k in 0..iterations.unwrap_or(ITERATIONS) {

@@ -96,16 +96,8 @@ pub struct Progress {
 
 impl Progress {
     pub(super) fn new(stage: Stage, round: usize, model: &str) -> Self {
-        let model = if model.is_empty() {
-            "robot as given"
-        } else {
-            model
-        };
-        Self {
-            stage,
-            round,
-            model: model.to_owned(),
-        }
+        let model = if model.is_empty() { "robot as given" } else { model };
+        Self { stage, round, model: model.to_owned() }
     }
 }
 

@@ -46,11 +46,7 @@ impl Scout {
         let windows = Data::new(
             replayer.model(),
             whole.data.trials.clone(),
-            SegmentOptions {
-                fixed_s: WINDOW_S,
-                lead_s: LEAD_S,
-                ..options
-            },
+            SegmentOptions { fixed_s: WINDOW_S, lead_s: LEAD_S, ..options },
         );
         let shown = shown(replayer, whole, &windows)?;
         let keep = chosen(&windows, &shown);
@@ -61,14 +57,7 @@ impl Scout {
         };
         let all = energy(&mut (0..shown.len())) / whole.data.len().max(1) as f64;
         let here = energy(&mut keep.iter().copied()) / judge.data.len().max(1) as f64;
-        Ok(Some(Self {
-            judge,
-            dilution: if here > 0.0 {
-                (all / here).min(1.0)
-            } else {
-                1.0
-            },
-        }))
+        Ok(Some(Self { judge, dilution: if here > 0.0 { (all / here).min(1.0) } else { 1.0 } }))
     }
 }
 
@@ -86,9 +75,8 @@ fn shown(replayer: &Replayer, whole: &Judge, windows: &Data) -> Result<Vec<Vec<f
             let group = group(joints, piece);
             for k in piece.range.clone() {
                 let t = whole.data.time_s[k];
-                let of = windows
-                    .segments
-                    .partition_point(|w| (w.trial, w.end_s) <= (segment.trial, t));
+                let of =
+                    windows.segments.partition_point(|w| (w.trial, w.end_s) <= (segment.trial, t));
                 let inside = windows
                     .segments
                     .get(of)
@@ -109,9 +97,8 @@ fn shown(replayer: &Replayer, whole: &Judge, windows: &Data) -> Result<Vec<Vec<f
         .iter()
         .zip(residuals)
         .map(|(of, residual)| {
-            let mut row: Vec<f64> = (features.iter())
-                .map(|f| of.get(f).copied().unwrap_or(0.0))
-                .collect();
+            let mut row: Vec<f64> =
+                (features.iter()).map(|f| of.get(f).copied().unwrap_or(0.0)).collect();
             row.extend(residual);
             row
         })
@@ -161,10 +148,7 @@ mod tests {
             start: Start::default(),
             again: None,
         });
-        Data {
-            segments: segments.collect(),
-            ..Data::default()
-        }
+        Data { segments: segments.collect(), ..Data::default() }
     }
 
     #[test]

@@ -75,11 +75,7 @@ pub fn screen(
         let look = |state: &&'_ State| Look {
             judge,
             residual: on(state).residual.clone(),
-            basis: if asks {
-                state.basis.clone()
-            } else {
-                Vec::new()
-            },
+            basis: if asks { state.basis.clone() } else { Vec::new() },
             dilution,
         };
         let looks: Vec<Look<'_>> = parents.iter().map(look).collect();
@@ -320,9 +316,7 @@ fn weigh(
         }
         start
     };
-    let known = out
-        .iter()
-        .position(|s| s.effect == effect && s.place == *place);
+    let known = out.iter().position(|s| s.effect == effect && s.place == *place);
     let entry = &mut match known {
         Some(k) => out[k..].first_mut(),
         None => {

@@ -90,11 +90,7 @@ pub fn search(
     found: &mut Found,
     progress: &mut dyn FnMut(Progress),
 ) -> Result<(), GapError> {
-    let mut search = Search {
-        beam: vec![found.base.clone()],
-        lines: Vec::new(),
-        found,
-    };
+    let mut search = Search { beam: vec![found.base.clone()], lines: Vec::new(), found };
     for depth in 1..=MOST_TERMS {
         if depth > 1 {
             if gates::worst(context, &search.found.best) < gates::quiet(context) {
@@ -104,11 +100,7 @@ pub fn search(
         }
         let children = search.children(context, depth, progress)?;
         if search.step(context, depth, children)? {
-            progress(Progress::new(
-                Stage::Accepted,
-                depth,
-                &search.found.best.label(),
-            ));
+            progress(Progress::new(Stage::Accepted, depth, &search.found.best.label()));
         } else if search.lines.is_empty() {
             break;
         }
@@ -136,12 +128,7 @@ pub fn search(
 /// As [`crate::replay::Replayer::predict`].
 pub fn settle(context: &mut Context, found: &mut Found) -> Result<(), GapError> {
     let terms = found.best.terms.clone();
-    let Found {
-        base,
-        best,
-        supported,
-        ..
-    } = found;
+    let Found { base, best, supported, .. } = found;
     rebase(context, &terms, &mut [base, best, supported])
 }
 
@@ -225,10 +212,7 @@ impl Search<'_> {
         for (k, line) in self.lines.drain(..).enumerate() {
             let mut own = children.iter().filter(|c| c.2 == firsts + k);
             if let Some((state, _, _)) = own.find(|c| good(c)) {
-                going_on.push(Line {
-                    state: state.clone(),
-                    ..line
-                });
+                going_on.push(Line { state: state.clone(), ..line });
             }
         }
         if gates::worst(context, &self.found.best) >= MUCH {
@@ -322,12 +306,7 @@ fn overtakes(
         return false;
     }
     let ahead = gates::worth(context, best, state, None);
-    let new = |t: &&Term| {
-        !best
-            .terms
-            .iter()
-            .any(|b| b.effect == t.effect && b.place == t.place)
-    };
+    let new = |t: &&Term| !best.terms.iter().any(|b| b.effect == t.effect && b.place == t.place);
     let mut added = state.terms.iter().filter(new);
     let mut whole = || {
         ahead.passed
@@ -407,11 +386,7 @@ fn expand(
         }
         for start in &s.starts {
             let mut terms = parent.terms.clone();
-            terms.push(Term {
-                effect: s.effect,
-                place: s.place.clone(),
-                values: start.clone(),
-            });
+            terms.push(Term { effect: s.effect, place: s.place.clone(), values: start.clone() });
             variants.push(terms);
             of.push(number);
         }
@@ -431,10 +406,7 @@ fn delete(context: &Context, base: &State, mut state: State) -> Result<State, Ga
             })
             .collect();
         let of: Vec<usize> = (0..variants.len()).collect();
-        let before = Before {
-            look: f64::INFINITY,
-            fit: f64::INFINITY,
-        };
+        let before = Before { look: f64::INFINITY, fit: f64::INFINITY };
         let without = best_fits(context, variants, &of, of.len(), before)?;
         // the one that is missed least
         let least = without

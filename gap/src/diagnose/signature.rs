@@ -39,21 +39,10 @@ pub fn signatures(context: &Context, found: &Found, named: &[Named]) -> Vec<Sign
                 ) => (Argument::Error, "command − position (rad)"),
                 _ => (Argument::Speed, "speed (rad/s)"),
             };
-            let kind = [Kind::Current, Kind::Torque, Kind::Position]
-                .into_iter()
-                .find(|k| {
-                    context
-                        .holdout
-                        .data
-                        .trials
-                        .iter()
-                        .any(|t| t.channel(*k, joint).is_some())
-                })?;
-            let kind = if term.effect.layer == Layer::Timing {
-                Kind::Position
-            } else {
-                kind
-            };
+            let kind = [Kind::Current, Kind::Torque, Kind::Position].into_iter().find(|k| {
+                context.holdout.data.trials.iter().any(|t| t.channel(*k, joint).is_some())
+            })?;
+            let kind = if term.effect.layer == Layer::Timing { Kind::Position } else { kind };
             map(context, found, joint, kind, argument).map(|series| Signature {
                 effect: term.effect.id.to_owned(),
                 joint: context
@@ -94,11 +83,7 @@ fn map(
         let Some(position) = trial.channel(Kind::Position, joint) else {
             continue;
         };
-        for piece in segment
-            .pieces
-            .iter()
-            .filter(|p| p.kind == kind && p.index == joint)
-        {
+        for piece in segment.pieces.iter().filter(|p| p.kind == kind && p.index == joint) {
             for k in piece.range.clone() {
                 let t = data.time_s[k];
                 let q = position.at(t);

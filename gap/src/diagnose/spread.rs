@@ -79,10 +79,7 @@ pub fn parameters(
 /// Friction and supply differ from run to run and hold for all of it, so that whole runs are taken for blocks
 /// too.
 pub fn spread(context: &Context, best: &State, derivatives: &Derivatives) -> Spread {
-    let none = Spread {
-        covariance: DMatrix::zeros(0, 0),
-        variance: Vec::new(),
-    };
+    let none = Spread { covariance: DMatrix::zeros(0, 0), variance: Vec::new() };
     if best.terms.is_empty() {
         return none;
     }
@@ -95,12 +92,8 @@ pub fn spread(context: &Context, best: &State, derivatives: &Derivatives) -> Spr
     };
     let residual = &best.fit.residual;
     let score = |c: &Vec<f32>, k: usize| f64::from(c[k]) * f64::from(residual[k]);
-    let by_block = columns
-        .iter()
-        .map(|c| context.fit.by_block(|k| score(c, k)));
-    let by_run = columns
-        .iter()
-        .map(|c| context.fit.by_trial(|k| score(c, k)));
+    let by_block = columns.iter().map(|c| context.fit.by_block(|k| score(c, k)));
+    let by_run = columns.iter().map(|c| context.fit.by_trial(|k| score(c, k)));
     let by_run: Vec<Vec<f64>> = by_run.collect();
     // bread·(Σ score·scoreᵀ)·bread, SI
     let scaled = |scores: &[Vec<f64>]| {
@@ -119,10 +112,7 @@ pub fn spread(context: &Context, best: &State, derivatives: &Derivatives) -> Spr
             *v = v.max(few * by_run[(i, i)]);
         }
     }
-    Spread {
-        covariance,
-        variance,
-    }
+    Spread { covariance, variance }
 }
 
 /// Variances of the parameters of term `index`, SI², if `rivals`, which explain the runs about as well in its
@@ -144,17 +134,8 @@ pub fn beside(
     let mut sizes = Vec::new();
     for rival in rivals {
         let neutral = rival.effect.neutral(model, &rival.place);
-        sizes.extend(
-            rival
-                .values
-                .iter()
-                .zip(&neutral)
-                .map(|(v, z)| (v - z).abs()),
-        );
-        terms.push(Term {
-            values: neutral,
-            ..(*rival).clone()
-        });
+        sizes.extend(rival.values.iter().zip(&neutral).map(|(v, z)| (v - z).abs()));
+        terms.push(Term { values: neutral, ..(*rival).clone() });
     }
     let (columns, steps) = context.jacobian(&context.fit, &terms)?;
     let mut gram = gram(&columns);
@@ -187,9 +168,7 @@ pub fn beside(
 /// A size is known no better than the names beside it: the intervals of `cause`, which is the term `own` of
 /// `best`, hold what it would be with another of its answer set in the place of each other cause.
 pub fn widen(cause: &mut Cause, own: &Term, best: &State, causes: &[&Named]) {
-    let rivals = causes
-        .iter()
-        .flat_map(|n| n.rivals.iter().map(move |r| (n, r)));
+    let rivals = causes.iter().flat_map(|n| n.rivals.iter().map(move |r| (n, r)));
     for (named, rival) in rivals.filter(|(_, r)| r.in_set) {
         let (instead, of) = (&rival.state.terms[rival.index], &best.terms[named.index]);
         let same = |t: &&Term| t.effect == own.effect && t.place == own.place;
@@ -214,10 +193,8 @@ pub fn widen(cause: &mut Cause, own: &Term, best: &State, causes: &[&Named]) {
                 unit.trim_end()
             ));
             let moved = value - p.value;
-            (p.ci_low, p.ci_high) = (
-                p.ci_low.min(p.ci_low + moved),
-                p.ci_high.max(p.ci_high + moved),
-            );
+            (p.ci_low, p.ci_high) =
+                (p.ci_low.min(p.ci_low + moved), p.ci_high.max(p.ci_high + moved));
         }
     }
 }
@@ -229,10 +206,7 @@ pub fn correlation(best: &State, spread: &Spread) -> Correlation {
         .iter()
         .flat_map(|t| {
             let label = t.place.label(t.effect.id);
-            t.effect
-                .parameters
-                .iter()
-                .map(move |p| format!("{label}.{}", p.name))
+            t.effect.parameters.iter().map(move |p| format!("{label}.{}", p.name))
         })
         .collect();
     let c = &spread.covariance;
@@ -247,8 +221,5 @@ pub fn correlation(best: &State, spread: &Spread) -> Correlation {
         }
     };
     let row = |i| (0..c.nrows()).map(|j| of(i, j)).collect();
-    Correlation {
-        names,
-        matrix: (0..c.nrows()).map(row).collect(),
-    }
+    Correlation { names, matrix: (0..c.nrows()).map(row).collect() }
 }

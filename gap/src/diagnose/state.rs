@@ -55,11 +55,7 @@ impl On {
     #[must_use]
     pub fn new(judge: &Judge, prediction: Vec<f32>) -> Self {
         let residual = judge.residual(&prediction);
-        Self {
-            misfit: judge.misfit(&residual),
-            residual,
-            prediction,
-        }
+        Self { misfit: judge.misfit(&residual), residual, prediction }
     }
 }
 
@@ -110,22 +106,15 @@ impl State {
     /// Its effects in words.
     #[must_use]
     pub fn label(&self) -> String {
-        let names: Vec<String> = self
-            .terms
-            .iter()
-            .map(|t| t.place.label(t.effect.id))
-            .collect();
+        let names: Vec<String> = self.terms.iter().map(|t| t.place.label(t.effect.id)).collect();
         names.join(" + ")
     }
 
     /// Effects and places, in an order that does not depend on that of discovery.
     #[must_use]
     pub fn key(&self) -> Vec<String> {
-        let mut names: Vec<String> = self
-            .terms
-            .iter()
-            .map(|t| t.place.label(t.effect.id))
-            .collect();
+        let mut names: Vec<String> =
+            self.terms.iter().map(|t| t.place.label(t.effect.id)).collect();
         names.sort();
         names
     }
@@ -159,11 +148,7 @@ impl Context {
             true => Vec::new(),
             false => self.jacobian(&self.holdout, terms)?.0,
         };
-        Ok(Derivatives {
-            fit,
-            holdout,
-            steps,
-        })
+        Ok(Derivatives { fit, holdout, steps })
     }
 
     /// Where candidates are looked at first: the scout, or the runs to fit to.
@@ -205,11 +190,8 @@ impl Context {
         for (state, (columns, steps)) in states.iter_mut().zip(jacobians) {
             let free = frees(&self.replayer, &state.terms, &steps);
             let residual = self.folds.left_out(&columns, &state.fit.residual, &free);
-            state.cross = On {
-                prediction: Vec::new(),
-                misfit: self.fit.misfit(&residual),
-                residual,
-            };
+            state.cross =
+                On { prediction: Vec::new(), misfit: self.fit.misfit(&residual), residual };
         }
         Ok(())
     }
@@ -243,12 +225,7 @@ impl Context {
             Ok(On::new(judge, prediction))
         };
         let fit = on(&self.fit)?;
-        Ok(State {
-            cross: fit.clone(),
-            fit,
-            holdout: on(&self.holdout)?,
-            ..State::default()
-        })
+        Ok(State { cross: fit.clone(), fit, holdout: on(&self.holdout)?, ..State::default() })
     }
 
     /// Fills in `state.basis` from derivatives by its parameters.
@@ -315,9 +292,7 @@ pub fn frees(replayer: &Replayer, terms: &[Term], steps: &[f64]) -> Vec<Free> {
         let neutral = t.effect.neutral(model, &t.place)[p];
         (t.values[p] - neutral, low - t.values[p], high - t.values[p])
     };
-    let all = terms
-        .iter()
-        .flat_map(|t| (0..t.values.len()).map(move |p| of(t, p)));
+    let all = terms.iter().flat_map(|t| (0..t.values.len()).map(move |p| of(t, p)));
     all.zip(steps)
         .map(|((off, down, up), step)| Free {
             from_neutral: off / step,
@@ -334,10 +309,7 @@ pub fn up_and_down(replayer: &Replayer, term: &Term, p: usize) -> (f64, f64) {
     let neutral = term.effect.neutral(model, &term.place)[p];
     let step = (0.3 * scale).max(0.02 * (term.values[p] - neutral).abs());
     let (low, high) = term.effect.bounds(model, &term.place, p);
-    (
-        (term.values[p] + step).min(high),
-        (term.values[p] - step).max(low),
-    )
+    ((term.values[p] + step).min(high), (term.values[p] - step).max(low))
 }
 
 /// Two candidates per parameter, up and down by a step, and half the distance between them, SI.

@@ -30,11 +30,7 @@ pub fn find_synonyms(
             if !has(&cause.alternatives) || has(&cause.synonyms) {
                 continue;
             }
-            let robots = [
-                without.clone(),
-                best.terms.clone(),
-                rival.state.terms.clone(),
-            ];
+            let robots = [without.clone(), best.terms.clone(), rival.state.terms.clone()];
             if one_robot(context, &robots)? {
                 cause.synonyms.push(id.to_owned());
             }

@@ -158,11 +158,7 @@ impl Tracking {
             for effect in standard.shared.iter().filter_map(|id| effects::find(id)) {
                 let place = effect.places(robot).swap_remove(0);
                 let values = effect.neutral(robot, &place);
-                model.shared.push(Term {
-                    effect,
-                    place,
-                    values,
-                });
+                model.shared.push(Term { effect, place, values });
             }
             let linear = angles.fit(&mut model, ROUNDS, None)?;
             let fitted = judged(&angles, standard.name, model, &linear);
@@ -300,21 +296,12 @@ impl Tracking {
 fn without_effect(context: &Context, effect: &'static Effect, a: usize) -> Term {
     let place = place_of(context, a);
     let values = effect.neutral(context.replayer.model(), &place);
-    Term {
-        effect,
-        place,
-        values,
-    }
+    Term { effect, place, values }
 }
 
 fn judged(angles: &Angles<'_>, name: &str, joints: Joints, linear: &Linear) -> Model {
     let (errors, deviations) = angles.cross(&joints, linear);
-    Model {
-        name: name.to_owned(),
-        joints,
-        cross_rad: angles.mean(|a| errors[a]),
-        deviations,
-    }
+    Model { name: name.to_owned(), joints, cross_rad: angles.mean(|a| errors[a]), deviations }
 }
 
 /// For each joint that is `open` the effects that its angle asks for, each with the size that promises most,
@@ -342,19 +329,14 @@ fn ranked(
     // each joint tries its own effects: joints hardly move each other
     let plan = |a: usize| -> Vec<(&'static Effect, usize)> {
         let own = of_joints().filter(|e| may(e, a));
-        own.flat_map(|e| (0..e.grid.len()).map(move |k| (e, k)))
-            .collect()
+        own.flat_map(|e| (0..e.grid.len()).map(move |k| (e, k))).collect()
     };
     let plans: Vec<_> = (0..joints).map(plan).collect();
     let most = plans.iter().map(Vec::len).max().unwrap_or(0);
     let at = |effect: &'static Effect, k: usize, a: usize| {
         let place = place_of(context, a);
         let values = effect.sizes(robot, &place, k);
-        Term {
-            effect,
-            place,
-            values,
-        }
+        Term { effect, place, values }
     };
     let tried = |n: usize| -> Variant {
         let mut with = model.clone();

@@ -24,10 +24,9 @@ const WEIGHINGS: usize = 4;
 /// that is not known.
 #[must_use]
 pub fn unexplained(trial: &Trial, kind: Kind, index: usize, time_s: &[f64], values: &[f64]) -> f64 {
-    let (Some(angle), Some(command)) = (
-        trial.channel(Kind::Position, index),
-        trial.commands.get(index),
-    ) else {
+    let (Some(angle), Some(command)) =
+        (trial.channel(Kind::Position, index), trial.commands.get(index))
+    else {
         return 0.0;
     };
     let speed = |t: f64| (angle.at(t + HALF_S) - angle.at(t - HALF_S)) / (2.0 * HALF_S);

@@ -33,9 +33,8 @@ use crate::report::{
 /// The report of a diagnosis that stops at its data.
 pub fn data_fault(request: &Request, model: &RobotModel, runs: Vec<RunUse>) -> Diagnosis {
     let first = request.data_faults.iter().find(|f| f.fatal);
-    let what = first.map_or_else(String::new, |f| {
-        format!("{} of {}: {}", f.kind, f.location, f.detail)
-    });
+    let what =
+        first.map_or_else(String::new, |f| format!("{} of {}: {}", f.kind, f.location, f.detail));
     Diagnosis {
         report: Report {
             verdict: Verdict::DataFault,
@@ -57,10 +56,7 @@ pub fn data_fault(request: &Request, model: &RobotModel, runs: Vec<RunUse>) -> D
             runs,
             compute: Compute::default(),
         },
-        extension: Extension {
-            base: model.hash_hex(),
-            ..Extension::default()
-        },
+        extension: Extension { base: model.hash_hex(), ..Extension::default() },
         plots: Plots::default(),
     }
 }
@@ -95,9 +91,7 @@ fn told_of<'a>(context: &Context, found: &'a Found, named: &[Named]) -> Result<T
     order.sort_by(|a, b| b.worth.cross.total_cmp(&a.worth.cross));
     let indices: Vec<usize> = order.iter().map(|n| n.index).collect();
     let doubts = Doubts::about(context, base, best, &derivatives, &indices);
-    let told = order
-        .iter()
-        .map(|n| cause(context, best, n, &spread, &doubts));
+    let told = order.iter().map(|n| cause(context, best, n, &spread, &doubts));
     let mut all = told.collect::<Result<Vec<_>, _>>()?;
     let are_leads = naming::leads(context, best, &order);
     let leads = indices.iter().zip(&are_leads).filter(|(_, lead)| **lead);
@@ -106,12 +100,7 @@ fn told_of<'a>(context: &Context, found: &'a Found, named: &[Named]) -> Result<T
     for (cause, own) in all.iter_mut().zip(&order) {
         widen(cause, &best.terms[own.index], best, &order);
     }
-    Ok(Told {
-        all,
-        are_leads,
-        doubts,
-        spread,
-    })
+    Ok(Told { all, are_leads, doubts, spread })
 }
 
 /// Draws the conclusion.
@@ -124,19 +113,13 @@ pub fn conclude(
 ) -> Result<Diagnosis, GapError> {
     let (found, named, carried) = (evidence.found, evidence.named, evidence.carried);
     let (base, best, model) = (&found.base, &found.best, &carried.state);
-    let Told {
-        all,
-        are_leads,
-        doubts,
-        spread,
-    } = told_of(context, found, named)?;
+    let Told { all, are_leads, doubts, spread } = told_of(context, found, named)?;
     let losses = (context.losses.as_ref()).map(|l| l.cause(context.calibration.surest));
     let entries = carried.entries(context, &all);
     let extension = extended(request, context, &model.terms, &entries, losses.as_ref());
     let mut are_leads = are_leads.into_iter();
-    let (leads, mut causes): (Vec<Cause>, Vec<Cause>) = all
-        .into_iter()
-        .partition(|_| are_leads.next() == Some(true));
+    let (leads, mut causes): (Vec<Cause>, Vec<Cause>) =
+        all.into_iter().partition(|_| are_leads.next() == Some(true));
     causes.splice(0..0, losses); // first what is measured: the rest is found with it
     let mut unexplained = leftover::leftover(context, found);
     let local = local_gaps(context, &model.fit, &model.holdout);
@@ -211,16 +194,8 @@ fn verdict(
             if !local.is_empty() {
                 return Verdict::Unexplained;
             }
-            let dark = context
-                .excitation
-                .joints
-                .iter()
-                .all(|j| j.fastest_radps < 0.02);
-            return if dark {
-                Verdict::InsufficientData
-            } else {
-                Verdict::NoGap
-            };
+            let dark = context.excitation.joints.iter().all(|j| j.fastest_radps < 0.02);
+            return if dark { Verdict::InsufficientData } else { Verdict::NoGap };
         }
         // something explains the runs it was fitted to, and held-out runs do not show it
         let unseen = found.refused.iter().any(|(s, w)| {
@@ -237,11 +212,7 @@ fn verdict(
     if doubts.any() {
         return Verdict::PartlyExplained;
     }
-    if causes.iter().any(Cause::is_open) {
-        Verdict::Ambiguous
-    } else {
-        Verdict::Explained
-    }
+    if causes.iter().any(Cause::is_open) { Verdict::Ambiguous } else { Verdict::Explained }
 }
 
 /// What the rivals of a cause come to.
@@ -261,10 +232,7 @@ struct Weighed<'a> {
 /// What the rivals of the cause in `named` come to, of which `synonyms` are one robot with it.
 fn weigh<'a>(best: &State, named: &'a Named, synonyms: &[String]) -> Weighed<'a> {
     let term = &best.terms[named.index];
-    let mut out = Weighed {
-        same_name: named.probability,
-        ..Weighed::default()
-    };
+    let mut out = Weighed { same_name: named.probability, ..Weighed::default() };
     for rival in &named.rivals {
         let other = &rival.state.terms[rival.index];
         if other.effect == term.effect {
@@ -311,8 +279,7 @@ fn weigh<'a>(best: &State, named: &'a Named, synonyms: &[String]) -> Weighed<'a>
             out.rejected.push(Rejected { effect: id, reason });
         }
     }
-    out.alternatives
-        .extend(named.untried.iter().map(|id| (*id).to_owned()));
+    out.alternatives.extend(named.untried.iter().map(|id| (*id).to_owned()));
     out
 }
 
@@ -394,11 +361,7 @@ fn distance(context: &Context, term: &Term, parameters: &BTreeMap<String, Parame
     let neutral = (term.effect).neutral(context.replayer.model(), &term.place);
     let of = |p: usize| {
         let of = &parameters[term.effect.parameters[p].name];
-        let end = if of.value < neutral[p] {
-            of.ci_high
-        } else {
-            of.ci_low
-        };
+        let end = if of.value < neutral[p] { of.ci_high } else { of.ci_low };
         (of.value - neutral[p]).abs() / (of.value - end).abs().max(f64::MIN_POSITIVE)
     };
     sizes(term.effect).map(of).fold(0.0, f64::max).min(1e3)
@@ -442,13 +405,7 @@ fn gain(context: &Context, base: &State, best: &State) -> BTreeMap<String, Gain>
         let (ci_low, ci_high) = ratio_interval(&a, &b, context.seed);
         out.insert(
             kind.name().to_owned(),
-            Gain {
-                before,
-                after,
-                ratio: after / before.max(1e-12),
-                ci_low,
-                ci_high,
-            },
+            Gain { before, after, ratio: after / before.max(1e-12), ci_low, ci_high },
         );
     }
     out

@@ -37,10 +37,7 @@ pub fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {
         let other = &rival.state.terms[rival.index];
         let label = other.place.label(other.effect.id);
         lines.push(match rival.short > 0.0 {
-            true => format!(
-                "{as_what} {label} leaves {:.0} % of it",
-                100.0 * rival.short
-            ),
+            true => format!("{as_what} {label} leaves {:.0} % of it", 100.0 * rival.short),
             false => format!("{as_what} {label} takes as much off, or more"),
         });
     };
@@ -69,11 +66,8 @@ pub fn summary(
     found: &Found,
 ) -> String {
     let mut text = headline(verdict, causes, doubts, unexplained, found);
-    let mut assumed: Vec<&str> = causes
-        .iter()
-        .flat_map(|c| &c.assumed)
-        .map(String::as_str)
-        .collect();
+    let mut assumed: Vec<&str> =
+        causes.iter().flat_map(|c| &c.assumed).map(String::as_str).collect();
     assumed.sort_unstable();
     assumed.dedup();
     if !assumed.is_empty() {
@@ -87,10 +81,7 @@ pub fn summary(
             [_] => "which takes less than it leaves: a lead and no finding",
             _ => "each of which takes less than it leaves: leads and no findings",
         };
-        text.push_str(&format!(
-            " The model carries {} as well, {which}.",
-            names(leads)
-        ));
+        text.push_str(&format!(" The model carries {} as well, {which}.", names(leads)));
     }
     if let Some((state, _)) = found.refused.first().filter(|(_, w)| w.why == NO_NEARER) {
         let (before, after) = (found.base.holdout.misfit, state.holdout.misfit);
@@ -157,11 +148,8 @@ const ASSUMED_TOLD: usize = 2;
 /// What the check says stands on an assumed figure of the robot file; nothing where there is no gap.
 pub fn assumed(verdict: Verdict, faults: &[DataFault]) -> String {
     let of = |f: &&DataFault| f.kind == ASSUMED && verdict != Verdict::NoGap;
-    let mut told: Vec<String> = faults
-        .iter()
-        .filter(of)
-        .map(|f| format!(" {} {}.", f.location, f.detail))
-        .collect();
+    let mut told: Vec<String> =
+        faults.iter().filter(of).map(|f| format!(" {} {}.", f.location, f.detail)).collect();
     let more = told.len().saturating_sub(ASSUMED_TOLD);
     told.truncate(ASSUMED_TOLD);
     if more > 0 {
@@ -247,22 +235,14 @@ fn headline(
         ),
         Verdict::Explained => format!("Explained by {}: {fall}.", names(causes)),
         Verdict::Ambiguous => {
-            let open: Vec<String> = causes
-                .iter()
-                .filter(|c| c.is_open())
-                .map(Cause::rivals)
-                .collect();
-            let another = causes
-                .iter()
-                .any(|c| c.has_open_name() || !c.elsewhere.is_empty());
+            let open: Vec<String> =
+                causes.iter().filter(|c| c.is_open()).map(Cause::rivals).collect();
+            let another = causes.iter().any(|c| c.has_open_name() || !c.elsewhere.is_empty());
             let what_tells = match another {
                 true => "The next experiment tells them apart.",
                 false => "They are one robot by different names: no trial tells them apart.",
             };
-            format!(
-                "The gap is real, its name is open: {}; {fall}. {what_tells}",
-                open.join("; ")
-            )
+            format!("The gap is real, its name is open: {}; {fall}. {what_tells}", open.join("; "))
         }
         Verdict::PartlyExplained => {
             let left = unexplained
@@ -288,14 +268,8 @@ fn headline(
         }
         Verdict::InsufficientData => {
             let close = found.refused.first().map_or(String::new(), |(s, w)| {
-                let name = s
-                    .terms
-                    .last()
-                    .map_or(String::new(), |t| t.place.label(t.effect.id));
-                format!(
-                    " {name} would explain the runs it was fitted to, but: {}.",
-                    w.why
-                )
+                let name = s.terms.last().map_or(String::new(), |t| t.place.label(t.effect.id));
+                format!(" {name} would explain the runs it was fitted to, but: {}.", w.why)
             });
             format!("These runs cannot decide it.{close} See the next experiment.")
         }

@@ -148,9 +148,7 @@ impl Effect {
         let mut out: Vec<String> = Vec::new();
         for figure in self.corrects.split_ascii_whitespace() {
             let by_path = model.assumed().iter().filter(|path| *path == figure);
-            let of_servos = joints
-                .iter()
-                .filter_map(|&a| model.assumed_of_servo(a, figure));
+            let of_servos = joints.iter().filter_map(|&a| model.assumed_of_servo(a, figure));
             out.extend(by_path.cloned().chain(of_servos.map(str::to_owned)));
         }
         out.sort();
@@ -269,15 +267,7 @@ pub(super) const fn parameter(
     scale: f64,
     reference: Reference,
 ) -> ParameterSpec {
-    ParameterSpec {
-        name,
-        unit,
-        low,
-        high,
-        neutral,
-        scale,
-        reference,
-    }
+    ParameterSpec { name, unit, low, high, neutral, scale, reference }
 }
 
 /// What a record says unless it says otherwise; a family's record builds on it.

@@ -4,23 +4,12 @@ use super::effect::Reference::{Damping, One, Speed, Torque};
 use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
 use crate::place::Domain;
 
-const OF_FRICTION: Effect = Effect {
-    layer: Layer::Transmission,
-    domain: Domain::Joints,
-    unseen: needs_motion,
-    ..PLAIN
-};
+const OF_FRICTION: Effect =
+    Effect { layer: Layer::Transmission, domain: Domain::Joints, unseen: needs_motion, ..PLAIN };
 
 pub static COULOMB_FRICTION: Effect = Effect {
     id: "coulomb_friction",
-    parameters: &[parameter(
-        "extra_nm",
-        "N·m",
-        0.0,
-        (-0.3, 0.5),
-        0.004,
-        Torque,
-    )],
+    parameters: &[parameter("extra_nm", "N·m", 0.0, (-0.3, 0.5), 0.004, Torque)],
     grid: &one(&[-0.02, -0.008, 0.008, 0.02, 0.05, 0.1, 0.2]),
     apply: |plant, place, v| {
         for &a in &place.items {
@@ -37,14 +26,7 @@ pub static COULOMB_FRICTION: Effect = Effect {
 
 pub static VISCOUS_FRICTION: Effect = Effect {
     id: "viscous_friction",
-    parameters: &[parameter(
-        "extra_nms_per_rad",
-        "N·m·s/rad",
-        0.0,
-        (-1.0, 4.0),
-        0.04,
-        Damping,
-    )],
+    parameters: &[parameter("extra_nms_per_rad", "N·m·s/rad", 0.0, (-1.0, 4.0), 0.04, Damping)],
     grid: &one(&[-0.1, 0.1, 0.3, 0.8, 2.0]),
     apply: |plant, place, v| {
         for &a in &place.items {
@@ -143,14 +125,7 @@ pub static DRIVE_ASYMMETRY: Effect = Effect {
         parameter("driving", "", 0.0, (0.0, 0.9), 0.02, One),
         parameter("driven", "", 0.0, (0.0, 0.9), 0.02, One),
     ],
-    grid: &[
-        &[0.1, 0.0],
-        &[0.3, 0.0],
-        &[0.0, 0.1],
-        &[0.0, 0.3],
-        &[0.1, 0.3],
-        &[0.3, 0.1],
-    ],
+    grid: &[&[0.1, 0.0], &[0.3, 0.0], &[0.0, 0.1], &[0.0, 0.3], &[0.1, 0.3], &[0.3, 0.1]],
     apply: |plant, place, v| {
         for &a in &place.items {
             let joint = &mut plant.lane.joints[a];
@@ -168,14 +143,7 @@ pub static DRIVE_ASYMMETRY: Effect = Effect {
 
 pub static DIRECTION_ASYMMETRY: Effect = Effect {
     id: "direction_asymmetry",
-    parameters: &[parameter(
-        "difference_nm",
-        "N·m",
-        0.0,
-        (-0.3, 0.3),
-        0.004,
-        Torque,
-    )],
+    parameters: &[parameter("difference_nm", "N·m", 0.0, (-0.3, 0.3), 0.004, Torque)],
     grid: &one(&[-0.06, -0.015, 0.015, 0.06]),
     apply: |plant, place, v| {
         for &a in &place.items {
@@ -195,14 +163,7 @@ pub static DIRECTION_ASYMMETRY: Effect = Effect {
 
 pub static PRE_SLIDING: Effect = Effect {
     id: "pre_sliding",
-    parameters: &[parameter(
-        "way_rad",
-        "rad",
-        0.002,
-        (0.0002, 0.2),
-        0.002,
-        One,
-    )],
+    parameters: &[parameter("way_rad", "rad", 0.002, (0.0002, 0.2), 0.002, One)],
     grid: &one(&[0.0006, 0.006, 0.012, 0.025, 0.05, 0.1]),
     apply: |plant, place, v| {
         place.each(|a| plant.lane.joints[a].presliding_rad = (v[0] as f32).clamp(1e-5, 1.0))

@@ -4,12 +4,8 @@ use super::effect::Reference::{One, Torque};
 use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter, rows};
 use crate::place::Domain;
 
-const OF_GEARS: Effect = Effect {
-    layer: Layer::Transmission,
-    domain: Domain::Joints,
-    unseen: needs_motion,
-    ..PLAIN
-};
+const OF_GEARS: Effect =
+    Effect { layer: Layer::Transmission, domain: Domain::Joints, unseen: needs_motion, ..PLAIN };
 
 pub static GEAR_BACKLASH: Effect = Effect {
     id: "gear_backlash",
@@ -33,14 +29,7 @@ pub static GEAR_BACKLASH: Effect = Effect {
 pub static GEAR_COMPLIANCE: Effect = Effect {
     id: "gear_compliance",
     parameters: &[
-        parameter(
-            "compliance_rad_per_nm",
-            "rad/(N·m)",
-            0.0,
-            (0.0005, 0.5),
-            0.002,
-            One,
-        ),
+        parameter("compliance_rad_per_nm", "rad/(N·m)", 0.0, (0.0005, 0.5), 0.002, One),
         // of the rotor on that spring, of critical
         parameter("damping_ratio", "", 0.3, (0.0, 3.0), 0.05, One),
     ],

@@ -7,18 +7,12 @@ use crate::place::{Domain, Place};
 use crate::trial::Kind;
 
 fn needs_imu(e: &Excitation, _: &Place) -> Option<&'static str> {
-    let any = [Kind::Gyro, Kind::Acceleration, Kind::Gravity]
-        .iter()
-        .any(|k| e.has(*k));
+    let any = [Kind::Gyro, Kind::Acceleration, Kind::Gravity].iter().any(|k| e.has(*k));
     (!any).then_some("no IMU was recorded")
 }
 
-const OF_THE_IMU: Effect = Effect {
-    layer: Layer::Sensing,
-    domain: Domain::Robot,
-    unseen: needs_imu,
-    ..PLAIN
-};
+const OF_THE_IMU: Effect =
+    Effect { layer: Layer::Sensing, domain: Domain::Robot, unseen: needs_imu, ..PLAIN };
 
 pub static IMU_TILT: Effect = Effect {
     id: "imu_tilt",
@@ -62,14 +56,7 @@ pub static IMU_DELAY: Effect = Effect {
         parameter("delay_s", "s", 0.0, (0.0, 0.1), 0.004, One),
         parameter("lag_s", "s", 0.0, (0.0, 0.1), 0.004, One),
     ],
-    grid: &[
-        &[0.005, 0.0],
-        &[0.01, 0.0],
-        &[0.02, 0.0],
-        &[0.04, 0.0],
-        &[0.0, 0.01],
-        &[0.0, 0.03],
-    ],
+    grid: &[&[0.005, 0.0], &[0.01, 0.0], &[0.02, 0.0], &[0.04, 0.0], &[0.0, 0.01], &[0.0, 0.03]],
     apply: |plant, _, v| {
         plant.sensing.imu_delay_s += v[0] as f32;
         plant.sensing.imu_lag_s += v[1] as f32;
@@ -87,12 +74,7 @@ pub static MOCAP_FRAME: Effect = Effect {
         parameter("yaw_rad", "rad", 0.0, (-0.5, 0.5), 0.01, One),
         parameter("z_m", "m", 0.0, (-0.1, 0.1), 0.002, One),
     ],
-    grid: &[
-        &[0.01, 0.0, 0.0],
-        &[0.03, 0.0, 0.0],
-        &[0.0, 0.05, 0.0],
-        &[0.0, 0.0, 0.01],
-    ],
+    grid: &[&[0.01, 0.0, 0.0], &[0.03, 0.0, 0.0], &[0.0, 0.05, 0.0], &[0.0, 0.0, 0.01]],
     apply: |plant, _, v| {
         plant.sensing.mocap_delay_s += v[0] as f32;
         plant.sensing.mocap_yaw_rad += v[1] as f32;

@@ -5,11 +5,7 @@ use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
 use crate::place::Domain;
 use crate::plant::{anchor_m, hang, lever};
 
-const OF_MASSES: Effect = Effect {
-    layer: Layer::Inertia,
-    domain: Domain::Links,
-    ..PLAIN
-};
+const OF_MASSES: Effect = Effect { layer: Layer::Inertia, domain: Domain::Links, ..PLAIN };
 
 pub static LINK_MASS: Effect = Effect {
     id: "link_mass",
@@ -90,14 +86,7 @@ pub static LINK_INERTIA: Effect = Effect {
 pub static ARMATURE: Effect = Effect {
     id: "armature",
     domain: Domain::Joints,
-    parameters: &[parameter(
-        "extra_kgm2",
-        "kg·m²",
-        0.0,
-        (-0.95, 20.0),
-        0.2,
-        Armature,
-    )],
+    parameters: &[parameter("extra_kgm2", "kg·m²", 0.0, (-0.95, 20.0), 0.2, Armature)],
     grid: &one(&[-0.5, 0.5, 1.5, 4.0, 8.0]),
     apply: |plant, place, v| {
         for &a in &place.items {

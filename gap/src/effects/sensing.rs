@@ -8,11 +8,7 @@ use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
 use crate::place::Domain;
 use crate::trial::Kind;
 
-const OF_SENSORS: Effect = Effect {
-    layer: Layer::Sensing,
-    domain: Domain::Joints,
-    ..PLAIN
-};
+const OF_SENSORS: Effect = Effect { layer: Layer::Sensing, domain: Domain::Joints, ..PLAIN };
 
 pub static ENCODER_OFFSET: Effect = Effect {
     id: "encoder_offset",

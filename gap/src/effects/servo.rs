@@ -4,11 +4,7 @@ use super::effect::Reference::{Damping, Gain, One, Torque};
 use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
 use crate::place::Domain;
 
-const OF_SERVOS: Effect = Effect {
-    layer: Layer::Actuation,
-    domain: Domain::Joints,
-    ..PLAIN
-};
+const OF_SERVOS: Effect = Effect { layer: Layer::Actuation, domain: Domain::Joints, ..PLAIN };
 
 pub static KP_ERROR: Effect = Effect {
     id: "kp_error",
@@ -24,14 +20,7 @@ pub static KP_ERROR: Effect = Effect {
 
 pub static KD_ERROR: Effect = Effect {
     id: "kd_error",
-    parameters: &[parameter(
-        "extra_nms_per_rad",
-        "N·m·s/rad",
-        0.0,
-        (-1.5, 6.0),
-        0.1,
-        Damping,
-    )],
+    parameters: &[parameter("extra_nms_per_rad", "N·m·s/rad", 0.0, (-1.5, 6.0), 0.1, Damping)],
     grid: &one(&[-0.5, -0.2, 0.2, 0.6, 1.5, 3.0]),
     apply: |plant, place, v| {
         for &a in &place.items {
@@ -52,14 +41,7 @@ pub static KD_ERROR: Effect = Effect {
 
 pub static INTEGRAL_ACTION: Effect = Effect {
     id: "integral_action",
-    parameters: &[parameter(
-        "ki_nm_per_rad_s",
-        "N·m/(rad·s)",
-        0.0,
-        (0.0, 10.0),
-        0.05,
-        Gain,
-    )],
+    parameters: &[parameter("ki_nm_per_rad_s", "N·m/(rad·s)", 0.0, (0.0, 10.0), 0.05, Gain)],
     grid: &one(&[0.1, 0.3, 1.0, 3.0]),
     apply: |plant, place, v| place.each(|a| plant.lane.joints[a].ki_nm_per_rad_s += v[0] as f32),
     look_alikes: "kp_error thermal_derating",

@@ -5,23 +5,12 @@ use super::effect::{Effect, Layer, PLAIN, one, parameter};
 use crate::place::Domain;
 use crate::trial::Kind;
 
-const OF_STRUCTURE: Effect = Effect {
-    layer: Layer::Structure,
-    domain: Domain::Joints,
-    ..PLAIN
-};
+const OF_STRUCTURE: Effect = Effect { layer: Layer::Structure, domain: Domain::Joints, ..PLAIN };
 
 pub static GIRDLE_PLAY: Effect = Effect {
     id: "girdle_play",
     domain: Domain::Play,
-    parameters: &[parameter(
-        "half_width_rad",
-        "rad",
-        f64::NAN,
-        (0.0, 0.25),
-        0.004,
-        One,
-    )],
+    parameters: &[parameter("half_width_rad", "rad", f64::NAN, (0.0, 0.25), 0.004, One)],
     grid: &one(&[0.0, 0.008, 0.017, 0.035, 0.052, 0.07, 0.09, 0.12, 0.16, 0.2]),
     hinge: true,
     apply: |plant, place, v| {
@@ -29,13 +18,7 @@ pub static GIRDLE_PLAY: Effect = Effect {
     },
     look_alikes: "imu_tilt contact_friction payload",
     unseen: |e, _| {
-        let sees = [
-            Kind::Gyro,
-            Kind::Acceleration,
-            Kind::Gravity,
-            Kind::Foot,
-            Kind::BaseAttitude,
-        ];
+        let sees = [Kind::Gyro, Kind::Acceleration, Kind::Gravity, Kind::Foot, Kind::BaseAttitude];
         (!sees.iter().any(|k| e.has(*k))).then_some(
             "play behind the joint encoders is invisible in joint signals; record the IMU, feet or motion capture",
         )
@@ -48,24 +31,10 @@ pub static GIRDLE_PLAY: Effect = Effect {
 pub static PARALLEL_SPRING: Effect = Effect {
     id: "parallel_spring",
     parameters: &[
-        parameter(
-            "stiffness_nm_per_rad",
-            "N·m/rad",
-            0.0,
-            (0.0, 3.0),
-            0.006,
-            Gain,
-        ),
+        parameter("stiffness_nm_per_rad", "N·m/rad", 0.0, (0.0, 3.0), 0.006, Gain),
         parameter("rest_rad", "rad", 0.0, (-2.0, 2.0), 0.03, One),
     ],
-    grid: &[
-        &[0.02, 0.0],
-        &[0.02, 0.6],
-        &[0.02, -0.6],
-        &[0.08, 0.0],
-        &[0.08, 0.6],
-        &[0.08, -0.6],
-    ],
+    grid: &[&[0.02, 0.0], &[0.02, 0.6], &[0.02, -0.6], &[0.08, 0.0], &[0.08, 0.6], &[0.08, -0.6]],
     apply: |plant, place, v| {
         for &a in &place.items {
             let joint = &mut plant.lane.joints[a];

@@ -5,12 +5,8 @@ use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
 use crate::place::Domain;
 use crate::plant::Plant;
 
-const OF_THE_SUPPLY: Effect = Effect {
-    layer: Layer::Actuation,
-    domain: Domain::Robot,
-    unseen: needs_motion,
-    ..PLAIN
-};
+const OF_THE_SUPPLY: Effect =
+    Effect { layer: Layer::Actuation, domain: Domain::Robot, unseen: needs_motion, ..PLAIN };
 
 pub static SUPPLY_SAG: Effect = Effect {
     id: "supply_sag",
@@ -46,10 +42,7 @@ pub static DUTY_SUPPLY: Effect = Effect {
         let share = v[0] as f32;
         supply(plant, share);
         let lane = &mut plant.lane;
-        let gains = lane
-            .kp_nm_per_rad
-            .iter_mut()
-            .chain(&mut lane.kd_nms_per_rad);
+        let gains = lane.kp_nm_per_rad.iter_mut().chain(&mut lane.kd_nms_per_rad);
         gains.for_each(|gain| *gain *= share);
     },
     look_alikes: "supply_level winding_resistance kp_error torque_constant",
@@ -77,13 +70,7 @@ pub static THERMAL_DERATING: Effect = Effect {
         parameter("rise_k_per_a2", "K/A²", 0.0, (0.0, 900.0), 5.0, One),
         parameter("time_s", "s", 100.0, (2.0, 1000.0), 10.0, One),
     ],
-    grid: &[
-        &[30.0, 20.0],
-        &[30.0, 100.0],
-        &[150.0, 20.0],
-        &[150.0, 100.0],
-        &[400.0, 60.0],
-    ],
+    grid: &[&[30.0, 20.0], &[30.0, 100.0], &[150.0, 20.0], &[150.0, 100.0], &[400.0, 60.0]],
     apply: |plant, place, v| {
         for &a in &place.items {
             plant.lane.joints[a].thermal_rise_k_per_a2 += v[0] as f32;

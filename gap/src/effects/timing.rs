@@ -11,12 +11,8 @@ fn needs_commands(e: &Excitation, _: &Place) -> Option<&'static str> {
     (e.fastest_command_radps < 0.2).then_some("commands hardly change in these runs")
 }
 
-const OF_TIMING: Effect = Effect {
-    layer: Layer::Timing,
-    domain: Domain::Robot,
-    unseen: needs_commands,
-    ..PLAIN
-};
+const OF_TIMING: Effect =
+    Effect { layer: Layer::Timing, domain: Domain::Robot, unseen: needs_commands, ..PLAIN };
 
 /// Delays that are tried, s.
 const DELAYS_S: [f64; 8] = [0.002, 0.004, 0.008, 0.014, 0.022, 0.035, 0.055, 0.08];
@@ -49,14 +45,7 @@ pub static MEASUREMENT_DELAY: Effect = Effect {
 
 pub static BUS_SKEW: Effect = Effect {
     id: "bus_skew",
-    parameters: &[parameter(
-        "per_joint_s",
-        "s",
-        0.0,
-        (0.0, 0.006),
-        0.0003,
-        One,
-    )],
+    parameters: &[parameter("per_joint_s", "s", 0.0, (0.0, 0.006), 0.0003, One)],
     grid: &one(&[0.0005, 0.001, 0.002, 0.004]),
     apply: |plant, _, v| {
         for (a, joint) in plant.lane.joints.iter_mut().enumerate() {
@@ -78,13 +67,7 @@ pub static DROPPED_FRAMES: Effect = Effect {
         parameter("share", "", 0.0, (0.0, 0.8), 0.03, One),
         parameter("burst", "", 1.0, (1.0, 30.0), 0.5, One),
     ],
-    grid: &[
-        &[0.05, 1.0],
-        &[0.15, 1.0],
-        &[0.3, 2.0],
-        &[0.15, 5.0],
-        &[0.3, 5.0],
-    ],
+    grid: &[&[0.05, 1.0], &[0.15, 1.0], &[0.3, 2.0], &[0.15, 5.0], &[0.3, 5.0]],
     hinge: true,
     apply: |plant, _, v| {
         plant.lane.command_loss.share = (v[0] as f32).clamp(0.0, 0.9);
@@ -129,14 +112,7 @@ pub static PROFILE_LIMIT: Effect = Effect {
     domain: Domain::Joints,
     parameters: &[
         parameter("speed_radps", "rad/s", 4.0, (0.03, 4.0), 0.03, Speed),
-        parameter(
-            "acceleration_radps2",
-            "rad/s²",
-            1000.0,
-            (0.2, 1000.0),
-            0.5,
-            Speed,
-        ),
+        parameter("acceleration_radps2", "rad/s²", 1000.0, (0.2, 1000.0), 0.5, Speed),
     ],
     grid: &[
         &[0.05, 1000.0],

@@ -9,12 +9,8 @@ fn needs_water(e: &Excitation, _: &Place) -> Option<&'static str> {
     (!e.in_water).then_some("the robot is never in the water in these runs")
 }
 
-const OF_WATER: Effect = Effect {
-    layer: Layer::Water,
-    domain: Domain::AllLinks,
-    unseen: needs_water,
-    ..PLAIN
-};
+const OF_WATER: Effect =
+    Effect { layer: Layer::Water, domain: Domain::AllLinks, unseen: needs_water, ..PLAIN };
 
 pub static LINEAR_DRAG: Effect = Effect {
     id: "linear_drag",
@@ -33,13 +29,7 @@ pub static QUADRATIC_DRAG: Effect = Effect {
         parameter("along", "", 1.0, (0.0, 30.0), 0.3, One),
         parameter("across", "", 1.0, (0.0, 8.0), 0.07, One),
     ],
-    grid: &[
-        &[4.0, 1.0],
-        &[12.0, 1.0],
-        &[1.0, 0.6],
-        &[1.0, 1.4],
-        &[1.0, 2.0],
-    ],
+    grid: &[&[4.0, 1.0], &[12.0, 1.0], &[1.0, 0.6], &[1.0, 1.4], &[1.0, 2.0]],
     apply: |plant, place, v| {
         for &l in &place.items {
             let water = &mut plant.lane.water[l];
@@ -107,14 +97,7 @@ pub static BUOYANCY_CENTRE: Effect = Effect {
 
 pub static HEAVE_DAMPING: Effect = Effect {
     id: "heave_damping",
-    parameters: &[parameter(
-        "extra_ns_per_m",
-        "N·s/m",
-        0.0,
-        (-1.0, 50.0),
-        0.2,
-        One,
-    )],
+    parameters: &[parameter("extra_ns_per_m", "N·s/m", 0.0, (-1.0, 50.0), 0.2, One)],
     grid: &one(&[-0.8, 1.0, 3.0, 10.0]),
     apply: |plant, place, v| {
         for &l in &place.items {

@@ -40,22 +40,11 @@ impl<'a> Body<'a> {
             .collect();
         let shared = |a: usize| carries.iter().filter(|c| c.contains(&a)).count() != 1;
         // with one foot nothing is shared, and with none there is no leg
-        let legs: Vec<Vec<usize>> = carries
-            .iter()
-            .map(|c| c.iter().copied().filter(|&a| !shared(a)).collect())
-            .collect();
-        let spine = (0..limits.len())
-            .filter(|a| !legs.iter().any(|l| l.contains(a)))
-            .collect();
+        let legs: Vec<Vec<usize>> =
+            carries.iter().map(|c| c.iter().copied().filter(|&a| !shared(a)).collect()).collect();
+        let spine = (0..limits.len()).filter(|a| !legs.iter().any(|l| l.contains(a))).collect();
         let nominal = robot.nominal_pos_rad().to_vec();
-        Self {
-            limits,
-            rate_hz,
-            legs,
-            spine,
-            rows: vec![nominal.clone()],
-            nominal,
-        }
+        Self { limits, rate_hz, legs, spine, rows: vec![nominal.clone()], nominal }
     }
 
     fn put(&mut self, mut row: Vec<f64>) {
@@ -103,10 +92,8 @@ impl<'a> Body<'a> {
             .collect();
         let n = columns.iter().map(Vec::len).max().unwrap_or(0);
         for k in 0..n {
-            let row = columns
-                .iter()
-                .map(|c| c.get(k).or(c.last()).copied().unwrap_or(0.0))
-                .collect();
+            let row =
+                columns.iter().map(|c| c.get(k).or(c.last()).copied().unwrap_or(0.0)).collect();
             self.put(row);
         }
     }
@@ -174,11 +161,7 @@ impl<'a> Body<'a> {
                 for (i, leg) in b.legs.iter().enumerate() {
                     // feet stand in the order front left, front right, hind left, hind right
                     let (left, front) = (i % 2 == 0, i < b.legs.len() / 2);
-                    let up = if if roll { left } else { front } {
-                        1.0
-                    } else {
-                        -1.0
-                    };
+                    let up = if if roll { left } else { front } { 1.0 } else { -1.0 };
                     if let Some(&knee) = leg.last() {
                         row[knee] +=
                             fade * up * b.limits[knee].sine_rad(0.3, hz) * (TAU * hz * t).sin();

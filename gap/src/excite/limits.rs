@@ -49,9 +49,7 @@ pub struct JointLimits {
 impl JointLimits {
     /// Limits of every actuated joint, policy order.
     pub fn all(robot: &RobotModel) -> Vec<Self> {
-        (0..robot.actuated().len())
-            .map(|a| Self::of(robot, a))
-            .collect()
+        (0..robot.actuated().len()).map(|a| Self::of(robot, a)).collect()
     }
 
     fn of(robot: &RobotModel, index: usize) -> Self {
@@ -148,9 +146,7 @@ impl JointLimits {
         let (inertia, damping) = (self.inertia_kgm2 * w * w, self.kd_nm_s_per_rad * w);
         let swing = (self.kp_nm_per_rad - inertia).hypot(damping).max(1e-9);
         let per_rad = self.kp_nm_per_rad * inertia.hypot(damping) / swing;
-        size_rad
-            .min(self.speed_radps / w)
-            .min(TORQUE_SHARE * self.tau_max_nm / per_rad.max(1e-9))
+        size_rad.min(self.speed_radps / w).min(TORQUE_SHARE * self.tau_max_nm / per_rad.max(1e-9))
     }
 
     /// Size of random jumps every `bit_s` that a sine of no frequency among theirs would exceed by more than
@@ -166,9 +162,8 @@ impl JointLimits {
 fn energy(robot: &RobotModel, index: usize, q_rad: f64) -> f64 {
     let mut pos = robot.nominal_pos_rad().to_vec();
     pos[index] = q_rad;
-    let Ok(kinematics) = robot
-        .full_pos_rad(&pos)
-        .and_then(|full| robot.kinematics(&Pose::IDENTITY, &full))
+    let Ok(kinematics) =
+        robot.full_pos_rad(&pos).and_then(|full| robot.kinematics(&Pose::IDENTITY, &full))
     else {
         return 0.0; // not reached: the lengths are the model's own
     };
@@ -202,20 +197,12 @@ fn inertia(robot: &RobotModel, index: usize) -> f64 {
             let r = [0, 1, 2].map(|k| com[k] - frame.anchor_m[k]);
             let across = {
                 let a = frame.axis;
-                [
-                    r[1] * a[2] - r[2] * a[1],
-                    r[2] * a[0] - r[0] * a[2],
-                    r[0] * a[1] - r[1] * a[0],
-                ]
+                [r[1] * a[2] - r[2] * a[1], r[2] * a[0] - r[0] * a[2], r[0] * a[1] - r[1] * a[0]]
             };
             // the axis in the link's own frame, in which its inertia is given
             let axis = pose.inverse().rotate(frame.axis);
             let turned: f64 = (0..3)
-                .map(|i| {
-                    (0..3)
-                        .map(|k| axis[i] * link.inertia_kgm2[i][k] * axis[k])
-                        .sum::<f64>()
-                })
+                .map(|i| (0..3).map(|k| axis[i] * link.inertia_kgm2[i][k] * axis[k]).sum::<f64>())
                 .sum();
             turned + link.mass_kg * across.iter().map(|x| x * x).sum::<f64>()
         })
@@ -227,10 +214,7 @@ mod tests {
     use super::*;
 
     fn rig() -> RobotModel {
-        let path = concat!(
-            env!("CARGO_MANIFEST_DIR"),
-            "/../robots/xl330_pendulum.robot.toml"
-        );
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/xl330_pendulum.robot.toml");
         RobotModel::load(path.as_ref()).unwrap()
     }
 
@@ -249,10 +233,6 @@ mod tests {
         assert!(share > 0.48 && share <= 0.5, "{q} {share}");
         // 2 Hz: I·ω² = 0.006978·157.9 = 1.102, d·ω = 0.0482·12.566 = 0.6057; 0.886·1.2575/|(−0.216, 0.6057)|
         // = 1.7327 N·m per rad; 0.4·0.77/1.7327 = 0.1778 rad, below 0.6·15.96/12.57 = 0.76 rad
-        assert!(
-            (j.sine_rad(1.0, 2.0) - 0.1778).abs() < 0.002,
-            "{}",
-            j.sine_rad(1.0, 2.0)
-        );
+        assert!((j.sine_rad(1.0, 2.0) - 0.1778).abs() < 0.002, "{}", j.sine_rad(1.0, 2.0));
     }
 }

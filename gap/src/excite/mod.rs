@@ -136,21 +136,15 @@ pub fn trial(
 ) -> Result<Trial, ExciteError> {
     let maker = Maker::new(robot, joint, rate_hz)?;
     let wanted = RECIPES.iter().find(|r| Some(r.name) == canonical(name));
-    wanted
-        .and_then(|r| maker.make(r))
-        .ok_or_else(|| ExciteError::Trial {
-            trial: name.to_owned(),
-            known: names(robot, joint).join(", "),
-        })
+    wanted.and_then(|r| maker.make(r)).ok_or_else(|| ExciteError::Trial {
+        trial: name.to_owned(),
+        known: names(robot, joint).join(", "),
+    })
 }
 
 /// Names of the trials that `robot` can do.
 pub fn names(robot: &RobotModel, joint: Option<&str>) -> Vec<&'static str> {
-    RECIPES
-        .iter()
-        .filter(|r| fits(r, robot, joint))
-        .map(|r| r.name)
-        .collect()
+    RECIPES.iter().filter(|r| fits(r, robot, joint)).map(|r| r.name).collect()
 }
 
 /// Other names of trials: kinds of experiment as the catalogue of effects speaks of them, and the trial of
@@ -227,11 +221,8 @@ pub fn next(robot: &RobotModel, separates: &[&str], joints: &[String]) -> Option
         .rev()
         .filter(|r| fits(r, robot, None) && worth(r) > 0.0)
         .max_by(|a, b| worth(a).total_cmp(&worth(b)))?;
-    let shown: Vec<String> = separates
-        .iter()
-        .filter(|e| best.excites.contains(e))
-        .map(|e| (*e).to_owned())
-        .collect();
+    let shown: Vec<String> =
+        separates.iter().filter(|e| best.excites.contains(e)).map(|e| (*e).to_owned()).collect();
     let on_one = matches!(best.make, Make::Joint(_)).then_some(one).flatten();
     let place = match best.place {
         Place::Stand => "on a stand",
@@ -283,20 +274,12 @@ impl<'a> Maker<'a> {
     ) -> Result<Self, ExciteError> {
         let known = robot.actuated_names();
         if let Some(joint) = joint.filter(|j| !known.contains(j)) {
-            return Err(ExciteError::Joint {
-                joint: joint.to_owned(),
-                known: known.join(", "),
-            });
+            return Err(ExciteError::Joint { joint: joint.to_owned(), known: known.join(", ") });
         }
         if !(10.0..=1000.0).contains(&rate_hz) {
             return Err(ExciteError::Rate(rate_hz));
         }
-        Ok(Self {
-            robot,
-            joint,
-            rate_hz,
-            limits: JointLimits::all(robot),
-        })
+        Ok(Self { robot, joint, rate_hz, limits: JointLimits::all(robot) })
     }
 
     fn make(&self, recipe: &Recipe) -> Option<Trial> {
@@ -331,10 +314,7 @@ impl<'a> Maker<'a> {
                 Place::Water => BaseHold::Water,
             },
             repeats: recipe.repeats,
-            joints: (0..columns.len())
-                .filter(|&a| moves(a))
-                .map(|a| columns[a].clone())
-                .collect(),
+            joints: (0..columns.len()).filter(|&a| moves(a)).map(|a| columns[a].clone()).collect(),
             excites: recipe.excites.iter().map(|e| (*e).to_owned()).collect(),
             duration_s: (commands_rad.len() - 1) as f64 / self.rate_hz,
             effort: self.effort(&commands_rad),
@@ -379,24 +359,13 @@ impl<'a> Maker<'a> {
             .collect();
         let n = columns.iter().map(|c| c.0.len()).max().unwrap_or(0);
         let row = |k: usize| {
-            columns
-                .iter()
-                .map(|c| c.0.get(k).or(c.0.last()).copied().unwrap_or(0.0))
-                .collect()
+            columns.iter().map(|c| c.0.get(k).or(c.0.last()).copied().unwrap_or(0.0)).collect()
         };
-        let powered = |k: usize| {
-            columns
-                .iter()
-                .map(|c| c.1.get(k).copied().unwrap_or(true))
-                .collect()
-        };
+        let powered =
+            |k: usize| columns.iter().map(|c| c.1.get(k).copied().unwrap_or(true)).collect();
         let commands = (0..n).map(row).collect();
         let dropped = columns.iter().any(|c| c.1.contains(&false));
-        let on = if dropped {
-            (0..n).map(powered).collect()
-        } else {
-            Vec::new()
-        };
+        let on = if dropped { (0..n).map(powered).collect() } else { Vec::new() };
         (commands, on)
     }
 

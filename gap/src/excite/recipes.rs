@@ -38,14 +38,7 @@ const fn joint(
     excites: &'static [&'static str],
     make: fn(&mut Wave<'_>),
 ) -> Recipe {
-    Recipe {
-        name,
-        purpose,
-        place: Place::Stand,
-        repeats: 3,
-        excites,
-        make: Make::Joint(make),
-    }
+    Recipe { name, purpose, place: Place::Stand, repeats: 3, excites, make: Make::Joint(make) }
 }
 
 const fn body(
@@ -55,14 +48,7 @@ const fn body(
     excites: &'static [&'static str],
     make: fn(&mut Body<'_>),
 ) -> Recipe {
-    Recipe {
-        name,
-        purpose,
-        place,
-        repeats: 3,
-        excites,
-        make: Make::Body(make),
-    }
+    Recipe { name, purpose, place, repeats: 3, excites, make: Make::Body(make) }
 }
 
 const fn once(mut recipe: Recipe) -> Recipe {

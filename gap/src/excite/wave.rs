@@ -59,11 +59,7 @@ impl<'a> Wave<'a> {
 
     fn between(&self, (low, high): (f64, f64), x: f64) -> f64 {
         let middle = self.limits.nominal_rad.clamp(low, high);
-        if x < 0.0 {
-            middle + x * (middle - low)
-        } else {
-            middle + x * (high - middle)
-        }
+        if x < 0.0 { middle + x * (middle - low) } else { middle + x * (high - middle) }
     }
 
     /// How far the command may swing about `centre_rad` on both sides, rad.
@@ -116,10 +112,8 @@ impl<'a> Wave<'a> {
         let size = (self.scale * size_rad).min(self.room(centre_rad));
         // turning round from −v to v takes 2v/a; the way there and back 2·size/v
         let turn = (0.3 * size * self.limits.acceleration_radps2).sqrt();
-        let speed = (speed_radps * self.pace * self.scale)
-            .min(self.limits.speed_radps)
-            .min(turn)
-            .max(1e-3);
+        let speed =
+            (speed_radps * self.pace * self.scale).min(self.limits.speed_radps).min(turn).max(1e-3);
         self.go(centre_rad);
         let n = self.rows(4.0 * size / speed * cycles);
         for k in 1..=n {
@@ -149,9 +143,7 @@ impl<'a> Wave<'a> {
     /// A sine of one frequency for whole periods of about `s` seconds.
     pub fn sine(&mut self, centre_rad: f64, size_rad: f64, hz: f64, s: f64) {
         let hz = hz * self.pace;
-        let size = self
-            .limits
-            .sine_rad((self.scale * size_rad).min(self.room(centre_rad)), hz);
+        let size = self.limits.sine_rad((self.scale * size_rad).min(self.room(centre_rad)), hz);
         self.go(centre_rad);
         let periods = (s * hz).round().max(1.0);
         let n = self.rows(periods / hz);
@@ -165,9 +157,7 @@ impl<'a> Wave<'a> {
     /// Jumps between two places after a fixed pseudo-random sequence (shift register of 7 bits, x⁷ + x⁶ + 1),
     /// `bit_s` each.
     pub fn prbs(&mut self, centre_rad: f64, size_rad: f64, bit_s: f64, bits: usize) {
-        let size = self
-            .limits
-            .jump_rad((self.scale * size_rad).min(self.room(centre_rad)), bit_s);
+        let size = self.limits.jump_rad((self.scale * size_rad).min(self.room(centre_rad)), bit_s);
         self.go(centre_rad);
         // a start of its own for each joint: sequences that are shifted against each other hardly go together
         let mut register: u8 = 1 + (self.limits.index as u8).wrapping_mul(37) % 126;

@@ -94,10 +94,7 @@ impl Bag {
         }
         if !self.topics.contains_key(message.topic) {
             let sheet = Numbers::new(message.topic);
-            let topic = Topic {
-                sheet,
-                ..Topic::default()
-            };
+            let topic = Topic { sheet, ..Topic::default() };
             self.topics.insert(message.topic.to_owned(), topic);
         }
         let Some(topic) = self.topics.get_mut(message.topic) else {
@@ -105,9 +102,7 @@ impl Bag {
         };
         self.values += topic.take(message)?;
         match self.values > MAX_VALUES {
-            true => Err(format!(
-                "more than {MAX_VALUES} values: split the recording"
-            )),
+            true => Err(format!("more than {MAX_VALUES} values: split the recording")),
             false => Ok(()),
         }
     }
@@ -120,18 +115,12 @@ impl Bag {
         notes: Vec<String>,
     ) -> Result<Recording, ImportError> {
         let file = path.display().to_string();
-        let wrong = |message| ImportError::Format {
-            file: file.clone(),
-            message,
-        };
+        let wrong = |message| ImportError::Format { file: file.clone(), message };
         let unread = self.others.iter();
-        let unread: Vec<String> = unread
-            .map(|(topic, (kind, n))| format!("{topic} ({kind}, {n} messages)"))
-            .collect();
+        let unread: Vec<String> =
+            unread.map(|(topic, (kind, n))| format!("{topic} ({kind}, {n} messages)")).collect();
         for topic in self.topics.values_mut() {
-            self.values += topic
-                .follow(MAX_VALUES.saturating_sub(self.values))
-                .map_err(wrong)?;
+            self.values += topic.follow(MAX_VALUES.saturating_sub(self.values)).map_err(wrong)?;
         }
         self.topics.retain(|_, topic| topic.sheet.rows() > 0);
         if self.topics.is_empty() {
@@ -149,16 +138,10 @@ impl Bag {
         let [stamp_ns, received_ns] = [first(|t| &t.stamp_ns), first(|t| &t.received_ns)];
         let sheets = self.topics.into_values().map(|mut topic| {
             let seconds = |all: &[i64], from: i64| {
-                all.iter()
-                    .map(|t| t.saturating_sub(from) as f64 * 1e-9)
-                    .collect()
+                all.iter().map(|t| t.saturating_sub(from) as f64 * 1e-9).collect()
             };
-            topic
-                .sheet
-                .put_first("received", seconds(&topic.received_ns, received_ns));
-            topic
-                .sheet
-                .put_first("stamp", seconds(&topic.stamp_ns, stamp_ns));
+            topic.sheet.put_first("received", seconds(&topic.received_ns, received_ns));
+            topic.sheet.put_first("stamp", seconds(&topic.stamp_ns, stamp_ns));
             Box::new(topic.sheet) as Box<dyn Sheet>
         });
         Ok(Recording {
@@ -181,23 +164,15 @@ impl Bag {
         late_ns.sort_unstable();
         let bare = self.topics.iter().filter(|(_, t)| !t.stamped);
         let bare: Vec<&str> = bare.map(|(name, _)| name.as_str()).collect();
-        let clock = |column: &str, remark| Clock {
-            column: column.to_owned(),
-            unit: "s",
-            remark,
-        };
+        let clock = |column: &str, remark| Clock { column: column.to_owned(), unit: "s", remark };
         let Some(late) = late_ns.get(late_ns.len() / 2).copied() else {
-            return clock(
-                "received",
-                "receipt: no message has a stamp of its own".to_owned(),
-            );
+            return clock("received", "receipt: no message has a stamp of its own".to_owned());
         };
         let late_ms = late as f64 * 1e-6;
         match (bare.is_empty(), late.saturating_abs() < SAME_CLOCK_NS) {
-            (true, _) => clock(
-                "stamp",
-                "the headers' stamps; `received` is when they arrived".to_owned(),
-            ),
+            (true, _) => {
+                clock("stamp", "the headers' stamps; `received` is when they arrived".to_owned())
+            }
             (false, true) => clock(
                 "stamp",
                 format!(
@@ -224,27 +199,16 @@ impl Topic {
             let trajectory = JointTrajectory::decode(&message.data).map_err(text)?;
             let stamp_ns = trajectory.header.stamp_ns;
             self.stamped |= stamp_ns != 0;
-            let stamp_ns = if stamp_ns == 0 {
-                message.received_ns
-            } else {
-                stamp_ns
-            };
+            let stamp_ns = if stamp_ns == 0 { message.received_ns } else { stamp_ns };
             let values = trajectory.points.iter().map(|p| p.position.len() + 1);
             let values = values.sum();
             let from_ns = [stamp_ns, message.received_ns];
-            self.asked.push(Asked {
-                from_ns,
-                trajectory,
-            });
+            self.asked.push(Asked { from_ns, trajectory });
             return Ok(values);
         }
         let (stamp_ns, row) = row(message).map_err(text)?;
         self.stamped |= stamp_ns != 0;
-        let stamp_ns = if stamp_ns == 0 {
-            message.received_ns
-        } else {
-            stamp_ns
-        };
+        let stamp_ns = if stamp_ns == 0 { message.received_ns } else { stamp_ns };
         self.push([stamp_ns, message.received_ns], row, message.kind)
     }
 
@@ -256,9 +220,7 @@ impl Topic {
     ) -> Result<usize, String> {
         let name = self.sheet.name().to_owned();
         let hint = |column: &str| hint(kind, &name, &column[name.len() + 1..], &row);
-        let values = row
-            .iter()
-            .map(|(column, x)| (format!("{name}/{column}"), *x));
+        let values = row.iter().map(|(column, x)| (format!("{name}/{column}"), *x));
         let added = self.sheet.push(values, &hint)?;
         self.stamp_ns.push(stamp_ns);
         self.received_ns.push(received_ns);
@@ -272,15 +234,10 @@ impl Topic {
         let (mut values, mut last) = (0usize, BTreeMap::new());
         for k in 0..asked.len() {
             let until_ns = asked.get(k + 1).map_or(i64::MAX, |next| next.from_ns[0]);
-            let Asked {
-                from_ns,
-                trajectory,
-            } = &asked[k];
+            let Asked { from_ns, trajectory } = &asked[k];
             let until_ns = until_ns.saturating_sub(from_ns[0]);
             if values.saturating_add(most_values(trajectory, until_ns)) > most {
-                return Err(format!(
-                    "more than {MAX_VALUES} values: split the recording"
-                ));
+                return Err(format!("more than {MAX_VALUES} values: split the recording"));
             }
             for (after_ns, row) in followed(trajectory, until_ns, &mut last) {
                 let at = from_ns.map(|from| from.saturating_add(after_ns));
@@ -357,18 +314,11 @@ fn hint(kind: &str, topic: &str, column: &str, row: &[(String, f64)]) -> Hint {
     let topic = topic.to_lowercase();
     let commands = COMMANDING.iter().any(|word| topic.contains(word));
     let whole = |signals: [&'static str; 3], unit: &'static str| Hint {
-        kind: AXES
-            .iter()
-            .position(|a| *a == of)
-            .map_or("", |k| signals[k]),
+        kind: AXES.iter().position(|a| *a == of).map_or("", |k| signals[k]),
         joint: None,
         unit: Some(unit),
     };
-    let among = || {
-        row.iter()
-            .filter(|(c, _)| c.starts_with(&format!("{part}[")))
-            .count()
-    };
+    let among = || row.iter().filter(|(c, _)| c.starts_with(&format!("{part}["))).count();
     let joint = match number {
         Some((_, k)) => Some(Joint::Numbered(k, among())),
         None => Some(Joint::Named(of.to_owned())),
@@ -394,21 +344,13 @@ fn hint(kind: &str, topic: &str, column: &str, row: &[(String, f64)]) -> Hint {
             return whole(["base.pos.x", "base.pos.y", "base.pos.z"], "m");
         }
         (Odometry::TYPE | PoseStamped::TYPE, "orientation") if of == "w" => {
-            return Hint {
-                kind: "base.quat.w",
-                joint: None,
-                unit: Some("1"),
-            };
+            return Hint { kind: "base.quat.w", joint: None, unit: Some("1") };
         }
         (Odometry::TYPE | PoseStamped::TYPE, "orientation") => {
             return whole(["base.quat.x", "base.quat.y", "base.quat.z"], "1");
         }
         (BatteryState::TYPE, _) => {
-            return Hint {
-                kind: "volt",
-                joint: None,
-                unit: Some("V"),
-            };
+            return Hint { kind: "volt", joint: None, unit: Some("V") };
         }
         _ => ("", None),
     };

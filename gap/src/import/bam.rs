@@ -59,11 +59,7 @@ struct Entry {
 impl Entry {
     /// PWM counts with their sign: the register is 16-bit two's complement.
     fn pwm_counts(&self) -> f64 {
-        if self.load >= 32_768.0 {
-            self.load - 65_536.0
-        } else {
-            self.load
-        }
+        if self.load >= 32_768.0 { self.load - 65_536.0 } else { self.load }
     }
 
     /// Its time, s, and its values in the order of the columns; what is wrong with it, if anything.
@@ -82,10 +78,7 @@ impl Entry {
         }
         let counts = self.pwm_counts();
         if counts.abs() > 1.01 * FULL_DUTY {
-            return Err(format!(
-                ": `load` is {}, beyond ±{FULL_DUTY} PWM counts",
-                self.load
-            ));
+            return Err(format!(": `load` is {}, beyond ±{FULL_DUTY} PWM counts", self.load));
         }
         let row = vec![
             self.torque_enable.then_some(self.goal_position),
@@ -158,10 +151,7 @@ pub fn parse(
     let mut signals: Vec<Signal> = columns.iter().map(|of| of(joint.to_owned())).collect();
     signals.push(Signal::Voltage);
     let rows = run.entries.iter().enumerate();
-    let rows = rows.map(|(i, e)| {
-        e.row()
-            .map_err(|what| wrong(file, format!("entry {i}{what}")))
-    });
+    let rows = rows.map(|(i, e)| e.row().map_err(|what| wrong(file, format!("entry {i}{what}"))));
     let rows: Vec<(f64, Vec<Option<f64>>)> = rows.collect::<Result<_, _>>()?;
     let mut notes = Vec::new();
     let meta = meta(file, stem, &run, robot, &mut notes);
@@ -172,14 +162,7 @@ pub fn parse(
             rows.len()
         ));
     }
-    Ok(Imported {
-        name: folder_name(&run, stem),
-        meta,
-        signals,
-        rows,
-        notes,
-        unused: Vec::new(),
-    })
+    Ok(Imported { name: folder_name(&run, stem), meta, signals, rows, notes, unused: Vec::new() })
 }
 
 /// A log as a recording of this form.
@@ -191,10 +174,7 @@ pub fn text(meta: &LogMeta, table: &Table) -> Result<String, String> {
     joints.sort_unstable();
     joints.dedup();
     let &[joint] = joints.as_slice() else {
-        return Err(format!(
-            "it has {} joints, and BAM is for one",
-            joints.len()
-        ));
+        return Err(format!("it has {} joints, and BAM is for one", joints.len()));
     };
     let number = |key: &str, what: &str| match meta.settings.get(key) {
         Some(Setting::Number(x)) if *x > 0.0 => Ok(*x),
@@ -215,16 +195,9 @@ pub fn text(meta: &LogMeta, table: &Table) -> Result<String, String> {
         table.column(&signal).ok_or_else(missing)
     };
     let of = |signal: fn(String) -> Signal| column(signal(joint.to_owned()));
-    let (cmd, pos, vel) = (
-        of(Signal::Command)?,
-        of(Signal::Position)?,
-        of(Signal::Velocity)?,
-    );
-    let (duty, temp, volt) = (
-        of(Signal::Duty)?,
-        of(Signal::Temperature)?,
-        column(Signal::Voltage)?,
-    );
+    let (cmd, pos, vel) = (of(Signal::Command)?, of(Signal::Position)?, of(Signal::Velocity)?);
+    let (duty, temp, volt) =
+        (of(Signal::Duty)?, of(Signal::Temperature)?, column(Signal::Voltage)?);
     let on = of(Signal::Enabled).ok();
     let mut entries: Vec<Entry> = Vec::with_capacity(table.len());
     for (k, &timestamp) in table.time_s().iter().enumerate() {
@@ -257,9 +230,7 @@ pub fn text(meta: &LogMeta, table: &Table) -> Result<String, String> {
         mass: number("load_mass_kg", "weight")?,
         length: number("load_length_m", "length of the arm")?,
         kp: number("kp_register", "gain register")?,
-        vin: meta
-            .supply_v
-            .ok_or("its circumstances name no supply (`supply_v`)")?,
+        vin: meta.supply_v.ok_or("its circumstances name no supply (`supply_v`)")?,
         motor,
         trajectory: word("trial"),
         entries,
@@ -268,10 +239,7 @@ pub fn text(meta: &LogMeta, table: &Table) -> Result<String, String> {
 }
 
 fn wrong(file: &str, message: String) -> ImportError {
-    ImportError::Format {
-        file: file.to_owned(),
-        message,
-    }
+    ImportError::Format { file: file.to_owned(), message }
 }
 
 /// The circumstances of a recording; what contradicts itself goes to `notes`.
@@ -313,22 +281,13 @@ fn meta(
 fn folder_name(run: &Recording, stem: &str) -> String {
     format!("{}_kp{}_{stem}", run.trajectory, run.kp)
         .chars()
-        .map(|c| {
-            if c.is_ascii_alphanumeric() || "_-".contains(c) {
-                c
-            } else {
-                '-'
-            }
-        })
+        .map(|c| if c.is_ascii_alphanumeric() || "_-".contains(c) { c } else { '-' })
         .collect()
 }
 
 /// Rows per second: the inverse of the median step.
 fn rate_hz(entries: &[Entry]) -> f64 {
-    let mut steps: Vec<f64> = entries
-        .windows(2)
-        .map(|w| w[1].timestamp - w[0].timestamp)
-        .collect();
+    let mut steps: Vec<f64> = entries.windows(2).map(|w| w[1].timestamp - w[0].timestamp).collect();
     steps.sort_unstable_by(f64::total_cmp);
     let median = steps[steps.len() / 2];
     if median > 0.0 {
@@ -358,10 +317,7 @@ mod tests {
     use super::*;
 
     fn rig() -> RobotModel {
-        let path = concat!(
-            env!("CARGO_MANIFEST_DIR"),
-            "/../robots/xl330_pendulum.robot.toml"
-        );
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/xl330_pendulum.robot.toml");
         RobotModel::load(path.as_ref()).unwrap()
     }
 
@@ -408,10 +364,7 @@ mod tests {
         assert_eq!(run.rows[0].1[3], Some(153.0 / 885.0));
         assert_eq!(run.rows[6].1[3], Some(-153.0 / 885.0));
         // the last row is let go: no command
-        assert_eq!(
-            (run.rows[10].1[0], run.rows[10].1[5]),
-            (Some(-0.2), Some(1.0))
-        );
+        assert_eq!((run.rows[10].1[0], run.rows[10].1[5]), (Some(-0.2), Some(1.0)));
         assert_eq!((run.rows[11].1[0], run.rows[11].1[5]), (None, Some(0.0)));
         assert_eq!(run.notes.len(), 1, "{:?}", run.notes);
     }
@@ -436,10 +389,7 @@ mod tests {
         check("", "a.json: EOF");
         check("[1, 2]", "a.json:");
         check(&recording([1000, 0], true), "entry 0: `load` is 1000");
-        check(
-            &recording([0, 0], true).replace("\"kp\": 200", "\"kp\": 0"),
-            "must be above zero",
-        );
+        check(&recording([0, 0], true).replace("\"kp\": 200", "\"kp\": 0"), "must be above zero");
         check(
             r#"{"mass":1,"length":1,"kp":1,"vin":7,"motor":"m","trajectory":"t","entries":[]}"#,
             "has 0 entries",
@@ -475,18 +425,12 @@ mod tests {
         };
         refused(&log.meta, &table("t,cmd.a,pos.b\n0,1,1\n"), "has 2 joints");
         refused(&log.meta, &table("t,volt\n0,7\n"), "has 0 joints");
-        refused(
-            &log.meta,
-            &table("t,cmd.a,pos.a,vel.a\n0,1,1,0\n"),
-            "no column `pwm.a`",
-        );
+        refused(&log.meta, &table("t,cmd.a,pos.a,vel.a\n0,1,1,0\n"), "no column `pwm.a`");
         let gap = table("t,cmd.a,pos.a,vel.a,pwm.a,temp.a,volt\n0,1,1,0,,30,7\n");
         refused(&log.meta, &gap, "a cell of its row 1 is empty");
-        for (key, why) in [
-            ("load_mass_kg", "no weight"),
-            ("kp_register", "no gain"),
-            ("motor", "of motor ``"),
-        ] {
+        for (key, why) in
+            [("load_mass_kg", "no weight"), ("kp_register", "no gain"), ("motor", "of motor ``")]
+        {
             let mut meta = log.meta.clone();
             meta.settings.remove(key);
             refused(&meta, &log.table, why);

@@ -19,10 +19,7 @@ pub fn open(path: &Path, named: &BTreeSet<&str>) -> Result<Recording, ImportErro
     };
     if files.is_empty() {
         let message = "has no .csv file".to_owned();
-        return Err(ImportError::Format {
-            file: path.display().to_string(),
-            message,
-        });
+        return Err(ImportError::Format { file: path.display().to_string(), message });
     }
     let sheets = files.iter().map(|file| {
         let text = bytes(file)?;
@@ -80,10 +77,7 @@ impl Table {
     }
 
     fn wrong(&self, message: String) -> ImportError {
-        ImportError::Format {
-            file: self.file.clone(),
-            message,
-        }
+        ImportError::Format { file: self.file.clone(), message }
     }
 }
 
@@ -100,10 +94,7 @@ impl Sheet for Table {
     fn values(&self, column: &str, item: Option<usize>) -> Result<Vec<Option<f64>>, ImportError> {
         let at = self.header.iter().position(|h| h.trim() == column.trim());
         let at = at.ok_or_else(|| {
-            self.wrong(format!(
-                "has no column `{column}`; it has {}",
-                self.header.join(", ")
-            ))
+            self.wrong(format!("has no column `{column}`; it has {}", self.header.join(", ")))
         })?;
         let value = |(line, row): &(usize, Vec<String>)| {
             let text = row.get(at).map_or("", |f| f.trim());
@@ -132,11 +123,7 @@ impl Sheet for Table {
 /// A number, or a date (`2026-03-04T09:15:00.123Z`, with a space, without a zone) as seconds since 1970.
 fn number(text: &str, decimal_comma: bool) -> Option<f64> {
     let text = text.trim();
-    let text = if decimal_comma {
-        text.replace(',', ".")
-    } else {
-        text.to_owned()
-    };
+    let text = if decimal_comma { text.replace(',', ".") } else { text.to_owned() };
     text.parse().ok().or_else(|| date_s(&text))
 }
 
@@ -150,9 +137,7 @@ fn date_s(text: &str) -> Option<f64> {
     let (clock, zone) = clock.split_at(zone_at);
     let seconds = |text: &str| {
         let parts = text.split(':').zip([3600.0, 60.0, 1.0]);
-        parts
-            .map(|(n, unit)| Some(unit * n.parse::<f64>().ok()?))
-            .sum::<Option<f64>>()
+        parts.map(|(n, unit)| Some(unit * n.parse::<f64>().ok()?)).sum::<Option<f64>>()
     };
     let zone_s = match zone.split_at_checked(1) {
         Some(("-", rest)) => -seconds(rest)?,
@@ -163,11 +148,7 @@ fn date_s(text: &str) -> Option<f64> {
         return None;
     }
     // days of the Gregorian calendar, with the year beginning in March
-    let (y, m) = if month > 2 {
-        (year, month - 3)
-    } else {
-        (year - 1, month + 9)
-    };
+    let (y, m) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
     let days = 365 * y + y / 4 - y / 100 + y / 400 + (153 * m + 2) / 5 + day - 719_469;
     Some(86_400.0 * days as f64 + seconds(clock)? - zone_s)
 }
@@ -217,10 +198,7 @@ mod tests {
         [[signal]]\nsignal = \"pos.swing\"\nfile = \"state.csv\"\ncolumn = \"ticks\"\nunit = \"counts/4096\"\nscale = -1\noffset = 1\n";
 
     fn robot() -> RobotModel {
-        let file = concat!(
-            env!("CARGO_MANIFEST_DIR"),
-            "/../robots/xl330_pendulum.robot.toml"
-        );
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/xl330_pendulum.robot.toml");
         RobotModel::load(file.as_ref()).unwrap()
     }
 
@@ -265,17 +243,9 @@ mod tests {
         }
         assert_eq!(number("2026-13-04T00:00:00", false), None);
         assert_eq!(number("2026-03-04Tnoon", false), None);
-        for text in [
-            "# bench 3\n#\nt,q\n0,1\n",
-            "# bench 3\n# t,q\n0,1\n",
-            "\u{feff}#t,q\n0,1\n",
-        ] {
+        for text in ["# bench 3\n#\nt,q\n0,1\n", "# bench 3\n# t,q\n0,1\n", "\u{feff}#t,q\n0,1\n"] {
             let table = Table::parse("remarks.csv", text).unwrap();
-            assert_eq!(
-                (table.header.join(","), table.rows.len()),
-                ("t,q".to_owned(), 1),
-                "{text}"
-            );
+            assert_eq!((table.header.join(","), table.rows.len()), ("t,q".to_owned(), 1), "{text}");
         }
         assert!(Table::parse("empty.csv", "# nothing\n").is_err());
     }
@@ -283,16 +253,10 @@ mod tests {
     #[test]
     fn what_is_wrong_is_said_in_one_line() {
         let says = |from: &str, to: &str, want: &str| {
-            let error = Map::parse("map.toml", &MAP.replace(from, to))
-                .unwrap_err()
-                .to_string();
+            let error = Map::parse("map.toml", &MAP.replace(from, to)).unwrap_err().to_string();
             assert!(error.contains(want) && !error.contains('\n'), "{error}");
         };
-        says(
-            "unit = \"deg\"",
-            "unit = \"grad\"",
-            "cmd.swing: unknown unit `grad`",
-        );
+        says("unit = \"deg\"", "unit = \"grad\"", "cmd.swing: unknown unit `grad`");
         says(
             "unit = \"deg\"",
             "unit = \"s\"",
@@ -310,9 +274,6 @@ mod tests {
         std::fs::write(dir.path().join("state.csv"), "stamp,ticks\n0,1\n").unwrap();
         let map = Map::parse("map.toml", MAP).unwrap();
         let error = read(dir.path(), &map, &robot()).unwrap_err().to_string();
-        assert!(
-            error.contains("has no column `goals`; it has stamp, goal"),
-            "{error}"
-        );
+        assert!(error.contains("has no column `goals`; it has stamp, goal"), "{error}");
     }
 }

@@ -97,11 +97,7 @@ pub fn map(recordings: &[Recording], robot: &RobotModel) -> Result<Drafted, Impo
             );
         }
     }
-    Ok(Drafted {
-        map: draft.out,
-        read: draft.read,
-        unread: draft.unread,
-    })
+    Ok(Drafted { map: draft.out, read: draft.read, unread: draft.unread })
 }
 
 /// Most rows by which a reading may come after its command.
@@ -125,11 +121,7 @@ fn by_numbers(
     // angles of each joint that nothing is known of, and its command and reading, if known
     let mut angles: BTreeMap<usize, Vec<&str>> = BTreeMap::new();
     let mut known: BTreeMap<(usize, &str), &str> = BTreeMap::new();
-    for column in sheet
-        .header()
-        .into_iter()
-        .filter(|c| *c != clock && sheet.hint(c).is_none())
-    {
+    for column in sheet.header().into_iter().filter(|c| *c != clock && sheet.hint(c).is_none()) {
         let words = Words::of(column);
         let Some(joint) = words.joint(robot) else {
             continue;
@@ -168,10 +160,7 @@ fn by_numbers(
             let left = follows(&sheet.values(a, None).ok()?, &sheet.values(b, None).ok()?)?;
             Some((left, a.to_owned(), b.to_owned()))
         };
-        let best = pairs
-            .into_iter()
-            .filter_map(follows)
-            .min_by(|a, b| a.0.total_cmp(&b.0));
+        let best = pairs.into_iter().filter_map(follows).min_by(|a, b| a.0.total_cmp(&b.0));
         if let Some((_, command, reading)) = best {
             for (column, kind) in [(command, "cmd"), (reading, "pos")] {
                 if Words::of(&column).kind().is_none() {
@@ -186,12 +175,8 @@ fn by_numbers(
 /// What `reading` differs from `command` by, moved to where they are most alike, as a share of its variance;
 /// `None` where they are not alike, or it does not come later.
 fn follows(command: &[Option<f64>], reading: &[Option<f64>]) -> Option<f64> {
-    let both: Vec<(f64, f64)> = command
-        .iter()
-        .zip(reading)
-        .filter_map(|(a, b)| a.zip(*b))
-        .take(ROWS_ASKED)
-        .collect();
+    let both: Vec<(f64, f64)> =
+        command.iter().zip(reading).filter_map(|(a, b)| a.zip(*b)).take(ROWS_ASKED).collect();
     if both.len() < FEWEST_ROWS {
         return None;
     }
@@ -204,9 +189,7 @@ fn follows(command: &[Option<f64>], reading: &[Option<f64>]) -> Option<f64> {
         square / (both.len() - lag) as f64
     };
     let lags = 0..=MOST_LAG.min(both.len() / 4);
-    let (lag, least) = lags
-        .map(|lag| (lag, apart(lag)))
-        .min_by(|a, b| a.1.total_cmp(&b.1))?;
+    let (lag, least) = lags.map(|lag| (lag, apart(lag))).min_by(|a, b| a.1.total_cmp(&b.1))?;
     (lag > 0 && variance > 0.0 && least < KEEPS_UP * variance).then(|| least / variance)
 }
 
@@ -300,10 +283,8 @@ impl Draft<'_> {
             Ok((name, joint, unit_name)) => {
                 if self.read.contains(&name) {
                     let header = quoted(column);
-                    let _ = writeln!(
-                        self.out,
-                        "\n# not read: {header}, as {name} is there already"
-                    );
+                    let _ =
+                        writeln!(self.out, "\n# not read: {header}, as {name} is there already");
                     return;
                 }
                 let _ = writeln!(self.out, "\n[[signal]]\nsignal = {}", quoted(&name));
@@ -318,11 +299,7 @@ impl Draft<'_> {
                 {
                     let _ = writeln!(self.out, "file = {}", quoted(&file.to_string_lossy()));
                 }
-                let _ = writeln!(
-                    self.out,
-                    "column = {}\nunit = \"{unit_name}\"",
-                    quoted(column)
-                );
+                let _ = writeln!(self.out, "column = {}\nunit = \"{unit_name}\"", quoted(column));
                 if let Some(word) = Words::of(column).strange_unit {
                     let _ = writeln!(
                         self.out,
@@ -378,10 +355,9 @@ impl Draft<'_> {
             None => Some(words.joint(self.robot)),
         };
         let (name, joint) = match joint {
-            Some(Some(joint)) => (
-                format!("{kind}.{}", self.robot.actuated_names()[joint]),
-                Some(joint),
-            ),
+            Some(Some(joint)) => {
+                (format!("{kind}.{}", self.robot.actuated_names()[joint]), Some(joint))
+            }
             Some(None) => return Err(", as none of the robot's joints is named in it".to_owned()),
             None => (kind.to_owned(), None),
         };
@@ -510,12 +486,7 @@ mod tests {
         let recordings = open(&file, Format::Csv, None).unwrap();
         let draft = map(&recordings, &robot).unwrap().map;
         assert!(draft.contains("# not read: \"Remark\""), "{draft}");
-        let run = apply(
-            &recordings[0],
-            &Map::parse("draft", &draft).unwrap(),
-            &robot,
-        )
-        .unwrap();
+        let run = apply(&recordings[0], &Map::parse("draft", &draft).unwrap(), &robot).unwrap();
         assert_eq!(run.unused, ["Remark"]);
         let names: Vec<String> = run.signals.iter().map(ToString::to_string).collect();
         assert_eq!(names, ["cmd.swing", "pos.swing", "cur.swing", "volt"]);
@@ -585,11 +556,6 @@ mod tests {
         let drafted = map(&recordings, &robot("xl330_pendulum")).unwrap();
         assert_eq!(drafted.unread, ["a", "b"]);
         assert!(drafted.map.contains("# signal = \"cmd.swing\""));
-        assert!(
-            Map::parse("draft", &drafted.map)
-                .unwrap_err()
-                .to_string()
-                .contains("is empty")
-        );
+        assert!(Map::parse("draft", &drafted.map).unwrap_err().to_string().contains("is empty"));
     }
 }

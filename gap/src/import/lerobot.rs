@@ -51,17 +51,12 @@ struct Feature {
 pub fn open(path: &Path) -> Result<Vec<Recording>, ImportError> {
     let info_file = path.join(INFO);
     let info = info_file.display().to_string();
-    let wrong = |message: String| ImportError::Format {
-        file: info.clone(),
-        message,
-    };
+    let wrong = |message: String| ImportError::Format { file: info.clone(), message };
     let json: Value = serde_json::from_slice(&bytes(&info_file)?)
         .map_err(|e| wrong(e.to_string().replace('\n', " ")))?;
     let version = json["codebase_version"].as_str().unwrap_or("?");
     if !version.starts_with("v2") && !version.starts_with("v3") {
-        return Err(wrong(format!(
-            "has codebase_version `{version}`; v2.x and v3.x are read"
-        )));
+        return Err(wrong(format!("has codebase_version `{version}`; v2.x and v3.x are read")));
     }
     let rate_hz = json["fps"].as_f64().filter(|f| *f > 0.0);
     let rate_hz = rate_hz.ok_or_else(|| wrong("has no `fps` above 0".to_owned()))?;
@@ -69,10 +64,8 @@ pub fn open(path: &Path) -> Result<Vec<Recording>, ImportError> {
     let mut episodes: BTreeMap<i64, Episode> = BTreeMap::new();
     let mut values = 0;
     for file in files_below(&path.join("data"), "parquet", 4)? {
-        let wrong = |message: String| ImportError::Format {
-            file: file.display().to_string(),
-            message,
-        };
+        let wrong =
+            |message: String| ImportError::Format { file: file.display().to_string(), message };
         let mut wanted = vec![EPISODE, FRAME, TIME];
         wanted.extend(features.iter().map(|f| f.name.as_str()));
         let left = MAX_VALUES.saturating_sub(values);
@@ -80,9 +73,7 @@ pub fn open(path: &Path) -> Result<Vec<Recording>, ImportError> {
         values += take(&columns, &features, rate_hz, &mut episodes).map_err(wrong)?;
     }
     if episodes.is_empty() {
-        return Err(wrong(
-            "its folder has no data/**/*.parquet with a row".to_owned(),
-        ));
+        return Err(wrong("its folder has no data/**/*.parquet with a row".to_owned()));
     }
     let stem = file_stem(path);
     let recordings = episodes.into_iter().map(|(number, episode)| {
@@ -128,23 +119,16 @@ fn features(info: &Value) -> Result<(Vec<Feature>, Vec<String>), String> {
             continue;
         }
         let kind = feature["dtype"].as_str().unwrap_or("?");
-        if !["float", "int", "uint", "bool"]
-            .iter()
-            .any(|k| kind.starts_with(k))
-        {
+        if !["float", "int", "uint", "bool"].iter().any(|k| kind.starts_with(k)) {
             unread.push(format!("{name} ({kind})"));
             continue;
         }
         let shape = feature["shape"].as_array().map_or(&[][..], Vec::as_slice);
-        let mut sizes = shape
-            .iter()
-            .map(|n| n.as_u64().and_then(|n| usize::try_from(n).ok()));
+        let mut sizes = shape.iter().map(|n| n.as_u64().and_then(|n| usize::try_from(n).ok()));
         let size = sizes.try_fold(1usize, |all, n| all.checked_mul(n?));
-        let size = size
-            .filter(|n| (1..=MAX_COLUMNS).contains(n))
-            .ok_or_else(|| {
-                format!("`{name}` has a shape of none or of more than {MAX_COLUMNS} values")
-            })?;
+        let size = size.filter(|n| (1..=MAX_COLUMNS).contains(n)).ok_or_else(|| {
+            format!("`{name}` has a shape of none or of more than {MAX_COLUMNS} values")
+        })?;
         let mut names = Vec::new();
         flattened(&feature["names"], &mut names);
         let named = names.len() == size && size > 1 || name.contains('.') && names.len() == size;
@@ -184,10 +168,7 @@ fn hint(name: &str, joint: Joint) -> Hint {
     let (of, ending) = match &joint {
         Joint::Named(of) => {
             let ending = ENDINGS.iter().find(|(ending, _)| of.ends_with(ending));
-            (
-                of.trim_end_matches(ending.map_or("", |e| e.0)),
-                ending.map(|e| e.1),
-            )
+            (of.trim_end_matches(ending.map_or("", |e| e.0)), ending.map(|e| e.1))
         }
         Joint::Numbered(..) => ("", None),
     };
@@ -202,11 +183,7 @@ fn hint(name: &str, joint: Joint) -> Hint {
         Joint::Named(_) => Joint::Named(of.to_owned()),
         numbered => numbered,
     };
-    Hint {
-        kind,
-        joint: Some(joint),
-        unit: Some(UNKNOWN),
-    }
+    Hint { kind, joint: Some(joint), unit: Some(UNKNOWN) }
 }
 
 /// Adds the rows of a file to their episodes; how many values they take.
@@ -253,11 +230,7 @@ fn take(
                 let place = f.columns.iter().position(|c| c == column)?;
                 Some(f.hints[place].clone())
             });
-            of.unwrap_or(Hint {
-                kind: "",
-                joint: None,
-                unit: None,
-            })
+            of.unwrap_or(Hint { kind: "", joint: None, unit: None })
         };
         values += episode.sheet.push(found.into_iter(), &hint)? + 1;
     }

@@ -97,11 +97,7 @@ const UNITS: &[(&str, f64, &str)] = &[
     ("rev/s", std::f64::consts::TAU, "speed"),
     ("rev/min", std::f64::consts::TAU / 60.0, "speed"),
     ("rad/s2", 1.0, "angular acceleration"),
-    (
-        "deg/s2",
-        std::f64::consts::PI / 180.0,
-        "angular acceleration",
-    ),
+    ("deg/s2", std::f64::consts::PI / 180.0, "angular acceleration"),
     ("A", 1.0, "current"),
     ("mA", 1e-3, "current"),
     ("uA", 1e-6, "current"),
@@ -128,11 +124,8 @@ const UNITS: &[(&str, f64, &str)] = &[
 ];
 
 /// Units that are a share of a joint's range: what stands at its lower and at its upper end.
-const SHARE_UNITS: &[(&str, [f64; 2])] = &[
-    ("-100..100", [-100.0, 100.0]),
-    ("0..100", [0.0, 100.0]),
-    ("0..1", [0.0, 1.0]),
-];
+const SHARE_UNITS: &[(&str, [f64; 2])] =
+    &[("-100..100", [-100.0, 100.0]), ("0..100", [0.0, 100.0]), ("0..1", [0.0, 1.0])];
 /// Unit that a draft writes where it cannot tell.
 pub(super) const UNKNOWN: &str = "?";
 
@@ -166,9 +159,7 @@ pub(super) fn unit(text: &str) -> Result<(f64, &'static str), String> {
             Some(n) => (n, "speed"),
             None => (n, "angle"),
         };
-        let n: f64 = n
-            .parse()
-            .map_err(|_| format!("unit `{text}`: `{n}` is no number"))?;
+        let n: f64 = n.parse().map_err(|_| format!("unit `{text}`: `{n}` is no number"))?;
         return match n > 0.0 {
             true => Ok((std::f64::consts::TAU / n, of)),
             false => Err(format!("unit `{text}`: a turn has more than no counts")),
@@ -225,14 +216,10 @@ impl Map {
     /// # Errors
     /// [`ImportError::Format`] with line and reason.
     pub fn parse(file: &str, text: &str) -> Result<Self, ImportError> {
-        let wrong = |message: String| ImportError::Format {
-            file: file.to_owned(),
-            message,
-        };
+        let wrong = |message: String| ImportError::Format { file: file.to_owned(), message };
         let map: Self = toml::from_str(text).map_err(|e| {
-            let line = e.span().map_or(1, |s| {
-                1 + text[..s.start.min(text.len())].matches('\n').count()
-            });
+            let line =
+                e.span().map_or(1, |s| 1 + text[..s.start.min(text.len())].matches('\n').count());
             wrong(format!("line {line}: {}", e.message().replace('\n', " ")))
         })?;
         if map.signal.is_empty() {
@@ -251,18 +238,14 @@ impl Map {
             }
         }
         for s in &map.signal {
-            s.factors()
-                .map_err(|e| wrong(format!("{}: {e}", s.signal)))?;
+            s.factors().map_err(|e| wrong(format!("{}: {e}", s.signal)))?;
         }
         Ok(map)
     }
 
     /// The files that it names, of a folder of CSV files.
     pub(super) fn files(&self) -> BTreeSet<&str> {
-        self.signal
-            .iter()
-            .filter_map(|s| s.file.as_deref())
-            .collect()
+        self.signal.iter().filter_map(|s| s.file.as_deref()).collect()
     }
 }
 
@@ -275,10 +258,7 @@ pub fn apply(
     map: &Map,
     robot: &RobotModel,
 ) -> Result<Imported, ImportError> {
-    let wrong = |message: String| ImportError::Format {
-        file: recording.file.clone(),
-        message,
-    };
+    let wrong = |message: String| ImportError::Format { file: recording.file.clone(), message };
     let mut signals: Vec<Signal> = Vec::new();
     let mut samples: Vec<(f64, usize, f64)> = Vec::new();
     let mut used: BTreeSet<(&str, &str)> = BTreeSet::new();
@@ -297,10 +277,7 @@ pub fn apply(
             }
         }
         if samples.len() == before {
-            return Err(wrong(format!(
-                "`{}` has no value with a stamp",
-                column.column
-            )));
+            return Err(wrong(format!("`{}` has no value with a stamp", column.column)));
         }
         most = most.max(samples.len() - before);
         let signal = column.signal.parse();
@@ -340,9 +317,7 @@ fn sheet_of<'a>(recording: &'a Recording, column: &SignalColumn) -> Result<&'a d
     let mut sheets = recording.sheets.iter().map(AsRef::as_ref);
     if let Some(file) = &column.file {
         let ends = |s: &&dyn Sheet| std::path::Path::new(s.name()).ends_with(file);
-        return sheets
-            .find(ends)
-            .ok_or_else(|| format!("has no file `{file}`"));
+        return sheets.find(ends).ok_or_else(|| format!("has no file `{file}`"));
     }
     sheets.find(|s| has(*s)).ok_or_else(|| {
         let all: Vec<&str> = recording.sheets.iter().flat_map(|s| s.header()).collect();
@@ -369,20 +344,14 @@ fn unused(recording: &Recording, map: &Map, used: &BTreeSet<(&str, &str)>) -> Ve
         let columns = header.iter().map(|h| h.trim());
         let clocks = ["stamp", "received", map.time.column.trim()];
         let columns: Vec<&str> = columns.filter(|c| !clocks.contains(c)).collect();
-        let part = |c: &str| {
-            c.rsplit_once('/')
-                .map_or(String::new(), |(part, _)| part.to_owned())
-        };
+        let part = |c: &str| c.rsplit_once('/').map_or(String::new(), |(part, _)| part.to_owned());
         let is_used = |c: &str| used.contains(&(sheet.name(), c));
         if !columns.iter().any(|c| is_used(c)) {
             out.push(sheet.name().to_owned());
             continue;
         }
-        let touched: BTreeSet<String> = columns
-            .iter()
-            .filter(|c| is_used(c))
-            .map(|c| part(c))
-            .collect();
+        let touched: BTreeSet<String> =
+            columns.iter().filter(|c| is_used(c)).map(|c| part(c)).collect();
         let mut shown = BTreeSet::new();
         for column in columns.into_iter().filter(|c| !is_used(c)) {
             let part = part(column);

@@ -36,22 +36,17 @@ impl Format {
             message: message.to_owned(),
         };
         let about = std::fs::metadata(path);
-        let about = about.map_err(|source| ImportError::Io {
-            path: path.to_owned(),
-            source,
-        })?;
+        let about = about.map_err(|source| ImportError::Io { path: path.to_owned(), source })?;
         if !about.is_dir() {
             let extension = path.extension().map(|x| x.to_ascii_lowercase());
             return match extension.as_ref().and_then(|x| x.to_str()) {
                 _ if is_recording(path) => Ok(Self::Rosbag),
                 Some("json") => Ok(Self::Bam),
                 Some("csv" | "tsv" | "txt") => Ok(Self::Csv),
-                Some("parquet") => Err(wrong(
-                    "give the folder of the dataset, which has meta/info.json",
-                )),
-                _ => Err(wrong(
-                    "its form is not known: .mcap, .db3, .csv, .json, or say --format",
-                )),
+                Some("parquet") => {
+                    Err(wrong("give the folder of the dataset, which has meta/info.json"))
+                }
+                _ => Err(wrong("its form is not known: .mcap, .db3, .csv, .json, or say --format")),
             };
         }
         let bag = path.join("metadata.yaml").is_file();

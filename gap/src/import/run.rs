@@ -90,19 +90,13 @@ pub(super) fn files_below(
     extension: &str,
     depth: usize,
 ) -> Result<Vec<PathBuf>, ImportError> {
-    let failed = |source| ImportError::Io {
-        path: folder.to_owned(),
-        source,
-    };
+    let failed = |source| ImportError::Io { path: folder.to_owned(), source };
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(failed)? {
         let path = entry.map_err(failed)?.path();
         if path.is_dir() && depth > 1 {
             found.extend(files_below(&path, extension, depth - 1)?);
-        } else if path
-            .extension()
-            .is_some_and(|x| x.eq_ignore_ascii_case(extension))
-        {
+        } else if path.extension().is_some_and(|x| x.eq_ignore_ascii_case(extension)) {
             found.push(path);
         }
     }
@@ -112,15 +106,11 @@ pub(super) fn files_below(
 
 /// The bytes of a recording, not more than [`MAX_FILE_BYTES`].
 pub(super) fn bytes(path: &Path) -> Result<Vec<u8>, ImportError> {
-    let failed = |source| ImportError::Io {
-        path: path.to_owned(),
-        source,
-    };
+    let failed = |source| ImportError::Io { path: path.to_owned(), source };
     caudata_durable::read_at_most(path, MAX_FILE_BYTES).map_err(|error| match error.kind() {
-        std::io::ErrorKind::FileTooLarge => ImportError::Format {
-            file: path.display().to_string(),
-            message: error.to_string(),
-        },
+        std::io::ErrorKind::FileTooLarge => {
+            ImportError::Format { file: path.display().to_string(), message: error.to_string() }
+        }
         _ => failed(error),
     })
 }

@@ -93,10 +93,7 @@ impl Numbers {
     /// Without rows.
     pub fn new(name: impl Into<String>) -> Self {
         let name = name.into();
-        Self {
-            name,
-            ..Self::default()
-        }
+        Self { name, ..Self::default() }
     }
 
     /// How many rows there are.
@@ -123,8 +120,7 @@ impl Numbers {
                 }
                 None => {
                     let place = self.columns.len();
-                    self.columns
-                        .push((column.clone(), hint(&column), Vec::new()));
+                    self.columns.push((column.clone(), hint(&column), Vec::new()));
                     self.places.insert(column, place);
                     added += NEW_COLUMN;
                     place
@@ -142,16 +138,10 @@ impl Numbers {
 
     /// A column of as many values as there are rows, in front of the others.
     pub fn put_first(&mut self, column: &str, values: Vec<f64>) {
-        let hint = Hint {
-            kind: "",
-            joint: None,
-            unit: None,
-        };
+        let hint = Hint { kind: "", joint: None, unit: None };
         self.columns.insert(0, (column.to_owned(), hint, values));
         let names = self.columns.iter().enumerate();
-        self.places = names
-            .map(|(place, (name, ..))| (name.clone(), place))
-            .collect();
+        self.places = names.map(|(place, (name, ..))| (name.clone(), place)).collect();
     }
 }
 
@@ -165,23 +155,15 @@ impl Sheet for Numbers {
     }
 
     fn values(&self, column: &str, item: Option<usize>) -> Result<Vec<Option<f64>>, ImportError> {
-        let wrong = |message| ImportError::Format {
-            file: self.name.clone(),
-            message,
-        };
+        let wrong = |message| ImportError::Format { file: self.name.clone(), message };
         let Some(place) = self.places.get(column) else {
             let has = self.header().join(", ");
             return Err(wrong(format!("has no column `{column}`; it has {has}")));
         };
         if item.is_some() {
-            return Err(wrong(format!(
-                "`{column}` holds no lists: leave `item` out"
-            )));
+            return Err(wrong(format!("`{column}` holds no lists: leave `item` out")));
         }
-        let values = self.columns[*place]
-            .2
-            .iter()
-            .map(|x| x.is_finite().then_some(*x));
+        let values = self.columns[*place].2.iter().map(|x| x.is_finite().then_some(*x));
         let missing = std::iter::repeat(None);
         Ok(values.chain(missing).take(self.rows).collect())
     }

@@ -26,10 +26,7 @@ pub fn followed(
     let mut points: Vec<(i64, &TrajectoryPoint)> =
         trajectory.points.iter().map(|p| (after_ns(p), p)).collect();
     points.sort_by_key(|p| p.0);
-    let Some(end_ns) = points
-        .last()
-        .map(|p| p.0.min(until_ns.saturating_sub(1)).max(0))
-    else {
+    let Some(end_ns) = points.last().map(|p| p.0.min(until_ns.saturating_sub(1)).max(0)) else {
         return Vec::new();
     };
     let steps = end_ns / TRAJECTORY_STEP_NS;
@@ -81,9 +78,7 @@ fn between(
 ) -> Option<f64> {
     let b = to.position.get(j).copied()?;
     let (from_ns, from) = before.map_or((0, None), |(ns, p)| (ns, Some(p)));
-    let a = from
-        .map_or(start, |p| p.position.get(j).copied())
-        .unwrap_or(b);
+    let a = from.map_or(start, |p| p.position.get(j).copied()).unwrap_or(b);
     let span_s = (to_ns - from_ns) as f64 * 1e-9;
     if span_s <= 0.0 || t_ns >= to_ns {
         return Some(b);

@@ -8,40 +8,10 @@ use super::units::unit_word;
 /// Words that tell a kind of signal, the first that fits; a command is one of the words in [`COMMANDS`] with any
 /// of them or none.
 const KIND_WORDS: &[(&str, &[&str])] = &[
-    (
-        "vel",
-        &[
-            "vel",
-            "velocity",
-            "speed",
-            "qd",
-            "dq",
-            "omega",
-            "drehzahl",
-            "vitesse",
-            "velocidad",
-        ],
-    ),
-    (
-        "cur",
-        &[
-            "cur",
-            "current",
-            "currents",
-            "amps",
-            "i",
-            "strom",
-            "courant",
-            "corriente",
-        ],
-    ),
+    ("vel", &["vel", "velocity", "speed", "qd", "dq", "omega", "drehzahl", "vitesse", "velocidad"]),
+    ("cur", &["cur", "current", "currents", "amps", "i", "strom", "courant", "corriente"]),
     ("tau", &["tau", "torque", "torques", "effort", "drehmoment"]),
-    (
-        "volt",
-        &[
-            "volt", "volts", "voltage", "supply", "vbat", "vin", "spannung",
-        ],
-    ),
+    ("volt", &["volt", "volts", "voltage", "supply", "vbat", "vin", "spannung"]),
     ("temp", &["temp", "temperature"]),
     ("pwm", &["pwm", "duty"]),
     (
@@ -97,11 +67,7 @@ pub(super) const CLOCKS: &[&str] = &[
 /// The actuated joint that is called so, or else the one with the longest name that is part of it.
 pub(super) fn joint_called(robot: &RobotModel, text: &str) -> Option<usize> {
     let text = text.to_lowercase();
-    let names: Vec<String> = robot
-        .actuated_names()
-        .iter()
-        .map(|n| n.to_lowercase())
-        .collect();
+    let names: Vec<String> = robot.actuated_names().iter().map(|n| n.to_lowercase()).collect();
     let part = || {
         let named = (0..names.len()).filter(|&j| text.contains(&names[j]));
         named.max_by_key(|&j| names[j].len())
@@ -149,12 +115,7 @@ impl Words {
         let strange =
             in_brackets.filter(|(_, word)| said.is_none() && word.parse::<usize>().is_err());
         let strange_unit = strange.map(|(_, word)| word.to_owned());
-        let mut out = Self {
-            words,
-            unit,
-            strange_unit,
-            whole,
-        };
+        let mut out = Self { words, unit, strange_unit, whole };
         // `vel_counts_ms`: its last word is a unit, and not of this
         if let Some(other) = out.unit.filter(|unit| !out.may_be_in(unit)) {
             out.strange_unit.get_or_insert(other.to_owned());
@@ -196,10 +157,7 @@ impl Words {
     }
 
     pub(super) fn kind(&self) -> Option<&'static str> {
-        let kind = KIND_WORDS
-            .iter()
-            .find(|(_, words)| self.has(words))
-            .map(|k| k.0);
+        let kind = KIND_WORDS.iter().find(|(_, words)| self.has(words)).map(|k| k.0);
         match (self.has(COMMANDS), kind) {
             (true, None | Some("pos")) => Some("cmd"),
             // a commanded speed or torque is nothing that a log has

@@ -12,9 +12,7 @@ impl Drawing {
     pub fn new((w, h): (f64, f64), most_px: f64, title: &str, about: &str) -> Self {
         let (title, about) = (escape(title), escape(about));
         let head = format!(r#"<svg viewBox="0 0 {w:.0} {h:.0}" style="max-width:{most_px:.0}px""#);
-        Self(format!(
-            r#"{head} role="img" aria-label="{about}"><title>{title}</title>"#
-        ))
+        Self(format!(r#"{head} role="img" aria-label="{about}"><title>{title}</title>"#))
     }
 
     /// A text whose `anchor` (start, middle, end) is at a place; `look`: its class, and more.

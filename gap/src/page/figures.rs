@@ -34,15 +34,9 @@ pub fn key(extended: bool) -> String {
 
 /// Measured band against old and new simulation, one cell each.
 pub fn overlay(o: &Overlay) -> String {
-    let (measured, low, high) = (
-        known(&o.measured),
-        known(&o.measured_low),
-        known(&o.measured_high),
-    );
-    let y = [&measured, &low, &high, &o.before, &o.after]
-        .into_iter()
-        .flatten()
-        .copied();
+    let (measured, low, high) =
+        (known(&o.measured), known(&o.measured_low), known(&o.measured_high));
+    let y = [&measured, &low, &high, &o.before, &o.after].into_iter().flatten().copied();
     // A command far away (a weak servo) must not flatten what is compared.
     let y = Axis::over(y);
     let title = format!("{} {}", o.joint, o.signal);
@@ -51,34 +45,19 @@ pub fn overlay(o: &Overlay) -> String {
         o.run,
         number(o.time_s.last().unwrap_or(&0.0) - o.time_s.first().unwrap_or(&0.0))
     );
-    let mut c = Chart::new(
-        WIDE,
-        Axis::exact(o.time_s.iter().copied()),
-        y,
-        &title,
-        &about,
-    );
+    let mut c = Chart::new(WIDE, Axis::exact(o.time_s.iter().copied()), y, &title, &about);
     c.band("band", &o.time_s, &low, &high);
     let command: Vec<f64> = o
         .command
         .iter()
-        .map(|u| {
-            if (-0.02..=1.02).contains(&y.place(*u)) {
-                *u
-            } else {
-                f64::NAN
-            }
-        })
+        .map(|u| if (-0.02..=1.02).contains(&y.place(*u)) { *u } else { f64::NAN })
         .collect();
     c.line("command", &o.time_s, &command);
     c.line("measured", &o.time_s, &measured);
     c.line("before", &o.time_s, &o.before);
     c.line("after", &o.time_s, &o.after);
     c.labels("time, s", &format!("{}, {}", o.signal, o.unit));
-    figure(
-        &format!("<b>{}</b> in {}", escape(&title), escape(&o.run)),
-        &c.finish(),
-    )
+    figure(&format!("<b>{}</b> in {}", escape(&title), escape(&o.run)), &c.finish())
 }
 
 /// A cause's own mark.
@@ -88,18 +67,12 @@ pub fn signature(s: &Signature) -> String {
         || {
             s.series.iter().flat_map(|r| {
                 let spread = |i: usize| r.spread.get(i).copied().unwrap_or(0.0);
-                r.y.iter()
-                    .enumerate()
-                    .flat_map(move |(i, y)| [y - spread(i), y + spread(i)])
+                r.y.iter().enumerate().flat_map(move |(i, y)| [y - spread(i), y + spread(i)])
             })
         },
     );
     let octaves = s.x_label.contains("Hz") && xs().all(|x| x > 0.0);
-    let x = if octaves {
-        Axis::log_over(xs())
-    } else {
-        Axis::over(xs())
-    };
+    let x = if octaves { Axis::log_over(xs()) } else { Axis::over(xs()) };
     let about = format!("{}: {} against {}", s.title, s.y_label, s.x_label);
     let mut c = Chart::new(WIDE, x, Axis::over(ys()), &s.title, &about);
     for r in &s.series {
@@ -109,10 +82,7 @@ pub fn signature(s: &Signature) -> String {
         };
         if !r.spread.is_empty() {
             let edge = |sign: f64| -> Vec<f64> {
-                r.y.iter()
-                    .zip(&r.spread)
-                    .map(|(y, d)| y + sign * d)
-                    .collect()
+                r.y.iter().zip(&r.spread).map(|(y, d)| y + sign * d).collect()
             };
             c.band(&format!("b-{class}"), &r.x, &edge(-1.0), &edge(1.0));
         }
@@ -129,15 +99,9 @@ pub fn signature(s: &Signature) -> String {
         .filter(|r| !["measured", "before", "after", "command"].contains(&r.label.as_str()))
         .map(|r| escape(&r.label))
         .collect();
-    let more = if others.is_empty() {
-        String::new()
-    } else {
-        format!(" · green: {}", others.join(", "))
-    };
-    figure(
-        &format!("<b>{}</b> {}{more}", escape(&s.title), escape(&s.joint)),
-        &c.finish(),
-    )
+    let more =
+        if others.is_empty() { String::new() } else { format!(" · green: {}", others.join(", ")) };
+    figure(&format!("<b>{}</b> {}{more}", escape(&s.title), escape(&s.joint)), &c.finish())
 }
 
 /// Error against how far ahead is predicted.
@@ -207,9 +171,7 @@ pub fn hypotheses(all: &[Hypothesis]) -> String {
     let shown = &all[..all.len().min(MOST)];
     let (left, row, width) = (290.0, 24.0, 860.0);
     let height = row * shown.len() as f64 + 30.0;
-    let shares = shown
-        .iter()
-        .flat_map(|h| [h.ci_low, h.ci_high, h.share_holdout]);
+    let shares = shown.iter().flat_map(|h| [h.ci_low, h.ci_high, h.share_holdout]);
     let shares = shares.filter(|x| x.is_finite()).map(|x| x.clamp(-1.0, 1.0));
     let (low, high) = shares.fold((0.0f64, 0.1f64), |(l, h), x| (l.min(x), h.max(x)));
     let right = width - 120.0;
@@ -230,29 +192,19 @@ pub fn hypotheses(all: &[Hypothesis]) -> String {
             true => (r#"class="n" style="font-weight:650""#, " ✓"),
             false => (NAME, ""),
         };
-        out.text(
-            name,
-            "end",
-            (left - 8.0, y + 16.0),
-            &format!("{}{place}", h.effect),
-        );
+        out.text(name, "end", (left - 8.0, y + 16.0), &format!("{}{place}", h.effect));
         let (zero, end) = (px(0.0), px(h.share_holdout));
         let size = ((end - zero).abs().max(1.0), row - 10.0);
         out.bar(look, (zero.min(end), y + 5.0), size);
         let (from, to, middle, top) = (px(h.ci_low), px(h.ci_high), y + 12.0, y + 8.0);
         let ends = format!("M{from:.1} {top:.1}v8M{to:.1} {top:.1}v8");
-        out.push(&format!(
-            r#"<path class="whisk" d="M{from:.1} {middle:.1}H{to:.1}{ends}"/>"#
-        ));
+        out.push(&format!(r#"<path class="whisk" d="M{from:.1} {middle:.1}H{to:.1}{ends}"/>"#));
         let probability = format!("{} %{tick}", number(100.0 * h.probability));
         out.text(VALUE, "start", (right + 8.0, y + 16.0), &probability);
     }
     out.rule(px(0.0), height - 26.0);
     out.text(TICK, "middle", (px(0.0), height - 10.0), "0");
-    let most = format!(
-        "{} of the excess error explained on held-out runs",
-        number(high)
-    );
+    let most = format!("{} of the excess error explained on held-out runs", number(high));
     out.text(TICK, "end", (right, height - 10.0), &most);
     let more = match all.len() - shown.len() {
         0 => String::new(),
@@ -286,12 +238,7 @@ pub fn correlation(c: &Correlation) -> String {
     let mut out = Drawing::new((w, h), 1.3 * w, title, "correlation of fitted parameters");
     for (i, name) in c.names.iter().enumerate() {
         let y = 6.0 + cell * i as f64;
-        out.text(
-            NAME,
-            "end",
-            (left - 6.0, y + 17.0),
-            &format!("{name} {}", i + 1),
-        );
+        out.text(NAME, "end", (left - 6.0, y + 17.0), &format!("{name} {}", i + 1));
         let below = (left + cell * (i as f64 + 0.5), h - 8.0);
         out.text(TICK, "middle", below, &(i + 1).to_string());
         for (k, r) in c.matrix.get(i).into_iter().flatten().enumerate() {
@@ -323,22 +270,9 @@ pub fn gains(report: &Report) -> String {
         let most = g.before.max(g.after).max(1e-300);
         let [before, after] = [g.before, g.after].map(|x| (x / most * (right - left)).max(1.0));
         out.text(NAME, "end", (left - 8.0, y + 24.0), signal);
-        out.bar(
-            r#"class="bar-before" rx="2""#,
-            (left, y + 5.0),
-            (before, 14.0),
-        );
-        out.bar(
-            r#"class="bar-after" rx="2""#,
-            (left, y + 21.0),
-            (after, 14.0),
-        );
-        out.text(
-            VALUE,
-            "start",
-            (left + before + 6.0, y + 16.5),
-            &number(g.before),
-        );
+        out.bar(r#"class="bar-before" rx="2""#, (left, y + 5.0), (before, 14.0));
+        out.bar(r#"class="bar-after" rx="2""#, (left, y + 21.0), (after, 14.0));
+        out.text(VALUE, "start", (left + before + 6.0, y + 16.5), &number(g.before));
         let [after_is, ratio, low, high] = [g.after, g.ratio, g.ci_low, g.ci_high].map(number);
         let said = format!("{after_is} · × {ratio} ({low} to {high})");
         out.text(VALUE, "start", (left + after + 6.0, y + 32.5), &said);

@@ -36,9 +36,7 @@ pub fn maps(report: &Report) -> String {
 }
 
 fn cells(all: &[Divergence]) -> Cells<'_> {
-    all.iter()
-        .map(|d| ((d.joint.as_str(), d.signal.as_str(), d.regime.as_str()), d))
-        .collect()
+    all.iter().map(|d| ((d.joint.as_str(), d.signal.as_str(), d.regime.as_str()), d)).collect()
 }
 
 /// Names in the order in which they first come up, worst first, but `all` before its parts.
@@ -62,9 +60,7 @@ fn map(cells: &Cells<'_>, frame: &Cells<'_>, title: &str) -> String {
     }
     let signals = order(frame.keys().map(|k| k.1));
     let regimes = |s: &str| order(frame.keys().filter(|k| k.1 == s).map(|k| k.2));
-    let columns = signals
-        .iter()
-        .flat_map(|s| regimes(s).into_iter().map(|r| (*s, r)));
+    let columns = signals.iter().flat_map(|s| regimes(s).into_iter().map(|r| (*s, r)));
     let columns: Vec<(&str, &str)> = columns.collect();
     let longest = rows.iter().map(|r| r.chars().count().max(5)).max();
     let left = 12.0 + 7.2 * longest.unwrap_or(5) as f64;

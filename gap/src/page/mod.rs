@@ -43,20 +43,13 @@ pub fn render(robot: &str, report: &Report, plots: Option<&Plots>) -> String {
     found(&mut body, report, plots);
     body.push_str(&sections::next(report));
     if report.verdict != Verdict::DataFault || !report.divergence.is_empty() {
-        section(
-            &mut body,
-            "map",
-            "Where simulation and measurement part",
-            "",
-        );
+        section(&mut body, "map", "Where simulation and measurement part", "");
         body.push_str(&heat::maps(report));
         body.push_str(&sections::cells(report));
     }
     if let Some(p) = plots.filter(|p| !p.overlays.is_empty()) {
         section(&mut body, "worst", "The worst cells", "");
-        body.push_str(&figures::key(
-            p.overlays.iter().any(|o| !o.after.is_empty()),
-        ));
+        body.push_str(&figures::key(p.overlays.iter().any(|o| !o.after.is_empty())));
         grid(&mut body, p.overlays.iter().map(figures::overlay));
     }
     gain(&mut body, report, plots);
@@ -129,12 +122,7 @@ pub fn curves(title: &str, lead: &str, overlays: &[Overlay], chapters: &[Chapter
         grid(&mut body, overlays.iter().map(figures::overlay));
     }
     for (i, chapter) in chapters.iter().enumerate() {
-        section(
-            &mut body,
-            &format!("chapter{}", i + 1),
-            &escape(&chapter.title),
-            "",
-        );
+        section(&mut body, &format!("chapter{}", i + 1), &escape(&chapter.title), "");
         body.push_str(&chapter.lead);
         grid(&mut body, chapter.figures.iter().map(figures::signature));
     }
@@ -168,12 +156,7 @@ fn gain(body: &mut String, report: &Report, plots: Option<&Plots>) {
     if report.gain.is_empty() && waterfall.len() < 2 && horizons.is_empty() {
         return;
     }
-    section(
-        body,
-        "gain",
-        "What it is worth on runs that were not used",
-        "",
-    );
+    section(body, "gain", "What it is worth on runs that were not used", "");
     if !report.gain.is_empty() {
         body.push_str(&figures::gains(report));
     }

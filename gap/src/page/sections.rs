@@ -26,10 +26,8 @@ pub fn verdict(v: Verdict) -> (&'static str, &'static str) {
 /// `coulomb_friction` → `Coulomb friction`.
 pub fn effect_name(effect: &str) -> String {
     let text = effect.replace('_', " ");
-    let text = text
-        .replace("coulomb", "Coulomb")
-        .replace("stribeck", "Stribeck")
-        .replace("imu", "IMU");
+    let text =
+        text.replace("coulomb", "Coulomb").replace("stribeck", "Stribeck").replace("imu", "IMU");
     let mut letters = text.chars();
     match letters.next() {
         Some(first) => first.to_uppercase().collect::<String>() + letters.as_str(),
@@ -70,10 +68,7 @@ pub fn tiles(report: &Report) -> String {
             ),
         ));
     }
-    if let Some((signal, best)) = report
-        .gain
-        .iter()
-        .min_by(|a, b| a.1.ratio.total_cmp(&b.1.ratio))
+    if let Some((signal, best)) = report.gain.iter().min_by(|a, b| a.1.ratio.total_cmp(&b.1.ratio))
     {
         tiles.push((
             format!("{} %", number(100.0 * (1.0 - best.ratio))),
@@ -92,11 +87,7 @@ pub fn tiles(report: &Report) -> String {
         "runs fitted and held out".to_owned(),
     ));
     let c = &report.compute;
-    let time = if c.seconds > 0.0 {
-        format!(" in {} s", number(c.seconds))
-    } else {
-        String::new()
-    };
+    let time = if c.seconds > 0.0 { format!(" in {} s", number(c.seconds)) } else { String::new() };
     tiles.push((
         c.rollouts.to_string(),
         format!("simulated runs of {} hypotheses{time}", c.candidates),
@@ -127,22 +118,14 @@ fn place(location: &[String]) -> String {
     if location.is_empty() {
         return "the whole robot".to_owned();
     }
-    location
-        .iter()
-        .map(|l| escape(l))
-        .collect::<Vec<_>>()
-        .join(", ")
+    location.iter().map(|l| escape(l)).collect::<Vec<_>>().join(", ")
 }
 
 /// One card per cause, with its signature.
 pub fn causes(report: &Report, plots: Option<&Plots>) -> String {
     let mut out = String::new();
     for (i, cause) in report.causes.iter().enumerate() {
-        let class = if cause.is_open() {
-            "cause amb"
-        } else {
-            "cause"
-        };
+        let class = if cause.is_open() { "cause amb" } else { "cause" };
         let _ = write!(
             out,
             "<div class=\"card {class}\"><h3>{}. {} <span class=\"soft\">at {}</span></h3><p class=\"small soft\">{} · <code>{}</code> · confidence <span class=\"conf\" role=\"img\" aria-label=\"{:.0} percent\"><i style=\"width:{:.0}%\"></i></span>{:.0} %</p>",
@@ -164,11 +147,8 @@ pub fn causes(report: &Report, plots: Option<&Plots>) -> String {
             );
         }
         if !cause.alternatives.is_empty() {
-            let names: Vec<String> = cause
-                .alternatives
-                .iter()
-                .map(|a| escape(&effect_name(a)))
-                .collect();
+            let names: Vec<String> =
+                cause.alternatives.iter().map(|a| escape(&effect_name(a))).collect();
             let _ = write!(
                 out,
                 "<p class=\"warn\">As good an explanation in these runs: {}.</p>",
@@ -206,10 +186,7 @@ pub fn causes(report: &Report, plots: Option<&Plots>) -> String {
 fn evidence(cause: &Cause) -> String {
     let mut out = String::new();
     if !cause.evidence.is_empty() {
-        let items = cause
-            .evidence
-            .iter()
-            .map(|e| format!("<li>{}</li>", escape(e)));
+        let items = cause.evidence.iter().map(|e| format!("<li>{}</li>", escape(e)));
         let _ = write!(out, "<ul>{}</ul>", items.collect::<String>());
     }
     if !cause.rejected.is_empty() {
@@ -249,10 +226,7 @@ pub fn leads(report: &Report) -> String {
 pub fn unnamed(report: &Report) -> String {
     let mut out = String::new();
     for c in report.model.iter().filter(|c| !c.named) {
-        let values = c
-            .parameters
-            .iter()
-            .map(|(name, v)| format!("{name} = {}", number(*v)));
+        let values = c.parameters.iter().map(|(name, v)| format!("{name} = {}", number(*v)));
         let _ = write!(
             out,
             "<tr><td>{}</td><td>{}</td><td>{}</td></tr>",
@@ -336,11 +310,7 @@ pub fn next(report: &Report) -> String {
         } else {
             format!(" --joint {}", escape(&n.joints[0]))
         };
-        let separates: Vec<String> = n
-            .separates
-            .iter()
-            .map(|e| escape(&effect_name(e)))
-            .collect();
+        let separates: Vec<String> = n.separates.iter().map(|e| escape(&effect_name(e))).collect();
         let tells = if separates.is_empty() {
             String::new()
         } else {
@@ -366,19 +336,10 @@ pub fn floors(report: &Report) -> String {
         let (effect, joint) = id.split_once('@').unwrap_or((id, ""));
         let (value, unit) = match f.excited {
             true => (number(f.value), escape(&f.unit)),
-            false => (
-                "<span class=\"soft\">not excited</span>".to_owned(),
-                String::new(),
-            ),
+            false => ("<span class=\"soft\">not excited</span>".to_owned(), String::new()),
         };
         let parameter = escape(&f.parameter.replace('_', " "));
-        vec![
-            escape(&effect_name(effect)),
-            escape(joint),
-            parameter,
-            value,
-            unit,
-        ]
+        vec![escape(&effect_name(effect)), escape(joint), parameter, value, unit]
     };
     let all = &report.detection_floor;
     let open = if all.len() <= 14 { " open" } else { "" };
@@ -451,9 +412,7 @@ pub fn position_errors(report: &Report) -> String {
 fn table(head: &str, rows: impl Iterator<Item = Vec<String>>) -> String {
     let names: Vec<&str> = head.split('|').collect();
     let cells = |tag: &str, cells: Vec<String>| {
-        let cells = cells
-            .into_iter()
-            .zip(names.iter().chain(std::iter::repeat(&"")));
+        let cells = cells.into_iter().zip(names.iter().chain(std::iter::repeat(&"")));
         let cells = cells.map(|(cell, name)| match name.starts_with('>') {
             true => format!("<{tag} class=\"r\">{cell}</{tag}>"),
             false => format!("<{tag}>{cell}</{tag}>"),

@@ -40,8 +40,7 @@ impl<'a> Readers<'a> {
     /// Takes over what the readers have heard.
     fn look_ahead(&mut self) {
         self.heard_rad.clear();
-        self.heard_rad
-            .extend(self.joints.iter().map(|j| j.heard_rad));
+        self.heard_rad.extend(self.joints.iter().map(|j| j.heard_rad));
         let next = self.joints.iter().map(Reader::next_s);
         self.next_s = next.fold(f64::INFINITY, f64::min);
     }
@@ -103,10 +102,7 @@ impl<'a> Reader<'a> {
     }
 
     fn next_s(&self) -> f64 {
-        self.steps
-            .time_s
-            .get(self.at)
-            .map_or(f64::INFINITY, |t| t + self.delay_s)
+        self.steps.time_s.get(self.at).map_or(f64::INFINITY, |t| t + self.delay_s)
     }
 
     /// Mean over `[from_s, to_s]`, which follows the last one; as an angle of the joint for which the encoder
@@ -121,11 +117,7 @@ impl<'a> Reader<'a> {
             self.advance(t);
         }
         sum += self.heard_rad * (to_s - since);
-        let command = if to_s > from_s {
-            sum / (to_s - from_s)
-        } else {
-            self.heard_rad
-        };
+        let command = if to_s > from_s { sum / (to_s - from_s) } else { self.heard_rad };
         true_angle(&self.encoder, command)
     }
 }
@@ -182,10 +174,7 @@ fn heard_on_average(steps: &Steps, loss: &CommandLoss, window_s: (f64, f64)) -> 
     let burst = f64::from(loss.burst).max(f64::max(1.0, share / (1.0 - share)));
     // chance that a frame is lost after one that was
     let stay = 1.0 - 1.0 / burst;
-    let mut heard = Steps {
-        frame_s: steps.frame_s,
-        ..Steps::default()
-    };
+    let mut heard = Steps { frame_s: steps.frame_s, ..Steps::default() };
     // what those hear who lost the last frame, on average
     let first = (steps.time_s).partition_point(|&t| t <= window_s.0 - BEFORE_S);
     let first = first.saturating_sub(1);
@@ -224,18 +213,9 @@ mod tests {
 
     #[test]
     fn a_step_within_an_interval_counts_by_its_share() {
-        let steps = Steps {
-            time_s: vec![0.0, 1.0],
-            value: vec![0.0, 4.0],
-            ..Steps::default()
-        };
-        let mut r = Reader::new(
-            &steps,
-            0.25,
-            EncoderErrors::default(),
-            &CommandLoss::default(),
-            WHOLE_S,
-        );
+        let steps = Steps { time_s: vec![0.0, 1.0], value: vec![0.0, 4.0], ..Steps::default() };
+        let mut r =
+            Reader::new(&steps, 0.25, EncoderErrors::default(), &CommandLoss::default(), WHOLE_S);
         // arrives at 1.25: half of [1.0, 1.5]
         assert_eq!(r.mean(0.0, 1.0), 0.0);
         assert_eq!(r.mean(1.0, 1.5), 2.0);
@@ -247,16 +227,8 @@ mod tests {
         // a third is lost, two in a row on average: one that was lost is followed by another with 1/2. Of a
         // jump from 0 to 3 two thirds hear at once; of the others half hear with the next frame, which says
         // the same, and so on: 3 − 1, 3 − 1/2 …
-        let loss = CommandLoss {
-            share: 1.0 / 3.0,
-            burst: 2.0,
-            ..CommandLoss::default()
-        };
-        let steps = Steps {
-            time_s: vec![0.0, 1.0],
-            value: vec![0.0, 3.0],
-            frame_s: 0.25,
-        };
+        let loss = CommandLoss { share: 1.0 / 3.0, burst: 2.0, ..CommandLoss::default() };
+        let steps = Steps { time_s: vec![0.0, 1.0], value: vec![0.0, 3.0], frame_s: 0.25 };
         let heard = heard_on_average(&steps, &loss, WHOLE_S);
         assert_eq!(heard.time_s[..4], [0.0, 1.0, 1.25, 1.5]);
         for (value, expected) in heard.value.iter().zip([0.0, 2.0, 2.5, 2.75]) {
@@ -266,11 +238,7 @@ mod tests {
         assert!(heard.value.len() < 30);
         // lost one at a time: who did not hear a frame heard the one before, and hears the next. 1, 4, 9 are
         // heard as 1 − 1/4, 4 − 3/4, 9 − 5/4
-        let loss = CommandLoss {
-            share: 0.25,
-            burst: 1.0,
-            ..CommandLoss::default()
-        };
+        let loss = CommandLoss { share: 0.25, burst: 1.0, ..CommandLoss::default() };
         let steps = Steps {
             time_s: vec![0.0, 1.0, 2.0, 3.0],
             value: vec![0.0, 1.0, 4.0, 9.0],
@@ -297,11 +265,7 @@ mod tests {
         }
         // 9 of 10 lost one at a time is not possible; a command that stands is heard all the same
         let most = CommandLoss { share: 0.9, ..loss };
-        let still = Steps {
-            time_s: vec![0.0],
-            value: vec![0.3],
-            frame_s: 1.0,
-        };
+        let still = Steps { time_s: vec![0.0], value: vec![0.3], frame_s: 1.0 };
         assert_eq!(heard_on_average(&still, &most, WHOLE_S).value, [0.3]);
     }
 
@@ -343,10 +307,7 @@ mod tests {
         let q = true_angle(&e, 1.0);
         assert!((shown_angle(&e, q) - 1.0).abs() < 1e-9);
         // without eccentricity (1 − 0.5)/1.25 = 0.4
-        let e = EncoderErrors {
-            eccentricity_rad: 0.0,
-            ..e
-        };
+        let e = EncoderErrors { eccentricity_rad: 0.0, ..e };
         assert!((true_angle(&e, 1.0) - 0.4).abs() < 1e-12);
     }
 }

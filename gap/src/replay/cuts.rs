@@ -104,11 +104,7 @@ pub(super) fn held_cuts(trial: &Trial, options: SegmentOptions) -> Vec<Cut> {
             true => Servos::Switched { at_s: span.0 },
             false => Servos::WereLoose,
         };
-        let length_s = if loose {
-            options.loose_s
-        } else {
-            options.fixed_s
-        };
+        let length_s = if loose { options.loose_s } else { options.fixed_s };
         cuts.extend(parts(span, length_s).map(|(from_s, end_s)| {
             // what was let go remembers nothing that matters
             let lead_s = if loose { 0.0 } else { options.lead_s };

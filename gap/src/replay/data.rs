@@ -76,11 +76,7 @@ pub struct Data {
 impl Data {
     /// Cuts `trials` into stretches and samples.
     pub fn new(model: &RobotModel, trials: Vec<Trial>, options: SegmentOptions) -> Self {
-        let total: usize = trials
-            .iter()
-            .flat_map(|t| &t.channels)
-            .map(|c| c.value.len())
-            .sum();
+        let total: usize = trials.iter().flat_map(|t| &t.channels).map(|c| c.value.len()).sum();
         let stride = total.div_ceil(MOST_SAMPLES).max(1);
         let mut data = Self::default();
         for (number, trial) in trials.iter().enumerate() {
@@ -98,23 +94,14 @@ impl Data {
     }
 
     fn push(&mut self, model: &RobotModel, number: usize, trial: &Trial, cut: Cut, stride: usize) {
-        let Cut {
-            start_s,
-            from_s,
-            end_s,
-            ..
-        } = cut;
+        let Cut { start_s, from_s, end_s, .. } = cut;
         let begin = self.value.len();
         let first_block = self.blocks;
         let blocks = ((end_s - from_s) / BLOCK_S).floor().max(1.0);
         let block_s = (end_s - from_s) / blocks;
         let free = trial.base != BaseHold::Fixed;
         let settle_s = if free { 0.04 } else { SETTLE_S };
-        let counts_s = if free {
-            from_s + settle_s
-        } else {
-            from_s.max(start_s + settle_s)
-        };
+        let counts_s = if free { from_s + settle_s } else { from_s.max(start_s + settle_s) };
         let mut pieces = Vec::new();
         for (index, channel) in trial.channels.iter().enumerate() {
             let from = self.value.len();
@@ -159,10 +146,7 @@ impl Data {
 
     /// The same runs with these stretches alone, in this order.
     pub fn only(&self, keep: &[usize]) -> Self {
-        let mut out = Self {
-            trials: self.trials.clone(),
-            ..Self::default()
-        };
+        let mut out = Self { trials: self.trials.clone(), ..Self::default() };
         for &s in keep {
             let segment = &self.segments[s];
             let (from, to) = (segment.range.start, out.value.len());
@@ -170,17 +154,12 @@ impl Data {
             let blocks = &self.block[segment.range.clone()];
             let first = blocks.iter().min().copied().unwrap_or(0);
             let last = blocks.iter().max().copied().unwrap_or(0);
-            out.block
-                .extend(blocks.iter().map(|b| b - first + out.blocks as u32));
+            out.block.extend(blocks.iter().map(|b| b - first + out.blocks as u32));
             out.blocks += (last - first) as usize + 1;
-            out.time_s
-                .extend_from_slice(&self.time_s[segment.range.clone()]);
-            out.value
-                .extend_from_slice(&self.value[segment.range.clone()]);
-            let pieces = segment.pieces.iter().map(|p| Piece {
-                range: moved(&p.range),
-                ..p.clone()
-            });
+            out.time_s.extend_from_slice(&self.time_s[segment.range.clone()]);
+            out.value.extend_from_slice(&self.value[segment.range.clone()]);
+            let pieces =
+                segment.pieces.iter().map(|p| Piece { range: moved(&p.range), ..p.clone() });
             out.segments.push(Segment {
                 range: moved(&segment.range),
                 pieces: pieces.collect(),
@@ -257,10 +236,7 @@ mod tests {
         let neck = neck.unwrap();
         run.channels = vec![channel(Kind::Velocity, neck, 0.8)];
         let ramp = like.time_s.iter().map(|t| 0.3 + 0.8 * (t - 5.0));
-        run.channels.push(Channel {
-            value: ramp.collect(),
-            ..channel(Kind::Position, neck, 0.0)
-        });
+        run.channels.push(Channel { value: ramp.collect(), ..channel(Kind::Position, neck, 0.0) });
         // the joint turns the IMU's link by 0.8 rad/s about the base's z, one way or the other
         let mut turning = Start {
             pos_rad: vec![0.0; model.actuated().len()],
@@ -287,17 +263,8 @@ mod tests {
         let time_s: Vec<f64> = (0..=1000).map(|k| f64::from(k) * 0.01).collect();
         let value = time_s.iter().map(|t| 0.5 + 3.0 * (t - 4.0).max(0.0));
         let value: Vec<f64> = value.collect();
-        let position = Channel {
-            kind: Kind::Position,
-            index: 0,
-            name: "a".into(),
-            time_s,
-            value,
-        };
-        Trial {
-            enabled: vec![Some(enabled)],
-            ..Trial::bare(BaseHold::Fixed, 10.0, vec![position])
-        }
+        let position = Channel { kind: Kind::Position, index: 0, name: "a".into(), time_s, value };
+        Trial { enabled: vec![Some(enabled)], ..Trial::bare(BaseHold::Fixed, 10.0, vec![position]) }
     }
 
     #[test]
@@ -309,11 +276,7 @@ mod tests {
         };
         // gravity in the body is (sin p, −cos p·sin r, −cos p·cos r)
         for (roll, pitch) in [(0.3_f64, -0.2_f64), (1.5, 0.1), (1.7, 0.1), (3.0, 0.4)] {
-            let [x, y, z] = [
-                pitch.sin(),
-                -pitch.cos() * roll.sin(),
-                -pitch.cos() * roll.cos(),
-            ];
+            let [x, y, z] = [pitch.sin(), -pitch.cos() * roll.sin(), -pitch.cos() * roll.cos()];
             near(roll_pitch(x, y, z), [roll, pitch]);
         }
     }
@@ -326,11 +289,8 @@ mod tests {
         // the second
         let names = model.actuated_names();
         let at = |name: &str| names.iter().position(|n| *n == name).unwrap();
-        let mut start = Start {
-            pos_rad: vec![0.0; joints],
-            vel_radps: vec![0.0; joints],
-            ..Start::default()
-        };
+        let mut start =
+            Start { pos_rad: vec![0.0; joints], vel_radps: vec![0.0; joints], ..Start::default() };
         start.pos_rad[at("spine_1")] = 0.5;
         start.vel_radps[at("spine_1")] = 2.0;
         start.vel_radps[at("spine_2")] = 3.0;
@@ -354,10 +314,7 @@ mod tests {
             value: vec![1.0, 0.0, 1.0, 0.0, 1.0],
             ..Steps::default()
         });
-        let options = SegmentOptions {
-            loose_s: 1.0,
-            ..SegmentOptions::default()
-        };
+        let options = SegmentOptions { loose_s: 1.0, ..SegmentOptions::default() };
         let cuts = |run, options| -> Vec<(f64, f64, Servos)> {
             let round = |x: f64| (x * 1e3).round() / 1e3;
             (held_cuts(run, options).into_iter())
@@ -375,16 +332,10 @@ mod tests {
                 (6.4, 10.0, switched(6.4))
             ]
         );
-        let whole = SegmentOptions {
-            loose_s: f64::INFINITY,
-            ..options
-        };
+        let whole = SegmentOptions { loose_s: f64::INFINITY, ..options };
         assert_eq!(cuts(&run, whole), [(0.0, 10.0, Servos::Hold)]);
-        let loose = run_of(Steps {
-            time_s: vec![0.0, 1.0],
-            value: vec![0.0, 1.0],
-            ..Steps::default()
-        });
+        let loose =
+            run_of(Steps { time_s: vec![0.0, 1.0], value: vec![0.0, 1.0], ..Steps::default() });
         assert_eq!(
             cuts(&loose, options),
             [(0.0, 1.0, Servos::WereLoose), (1.0, 10.0, switched(1.0))]
@@ -393,10 +344,7 @@ mod tests {
 
     #[test]
     fn a_swing_begins_with_the_speed_of_its_positions() {
-        let path = concat!(
-            env!("CARGO_MANIFEST_DIR"),
-            "/../robots/xl330_pendulum.robot.toml"
-        );
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/xl330_pendulum.robot.toml");
         let model = RobotModel::load(path.as_ref()).unwrap();
         let run = run_of(Steps::default());
         // at the very moment of letting go nothing moves yet, though the line through both sides has a slope

@@ -159,11 +159,7 @@ fn stands_before(plant: &Plant, data: &Data, segment: usize) -> bool {
     let trial = &data.trials[s.trial];
     data.hold(segment) == 0
         && s.start_s <= replay_span(trial).0
-        && trial
-            .enabled
-            .iter()
-            .flatten()
-            .all(|on| on.at(s.start_s) > 0.5)
+        && trial.enabled.iter().flatten().all(|on| on.at(s.start_s) > 0.5)
         && plant.lane.joints.iter().any(|j| j.ki_nm_per_rad_s > 0.0)
 }
 
@@ -171,12 +167,7 @@ fn stands_before(plant: &Plant, data: &Data, segment: usize) -> bool {
 fn start(engine: &mut BatchEngine, number: usize, lane: &Lane, data: &Data) -> bool {
     let own = &data.segments[lane.segment];
     let nominal = InitialState::nominal(&lane.plant.model);
-    let init = placed(
-        &lane.plant,
-        &own.start,
-        data.hold(lane.segment) != 0,
-        nominal,
-    );
+    let init = placed(&lane.plant, &own.start, data.hold(lane.segment) != 0, nominal);
     let params = lane.switches.apply(&lane.plant, own.start_s);
     let good = engine.set_params(number, &params).is_ok();
     good && engine.reset(number, &init).is_ok()
@@ -278,11 +269,7 @@ impl Switches {
         events.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
         Self {
             origin_s: trial.span_s.0,
-            refresh_s: if changes {
-                from_s + REFRESH_S
-            } else {
-                f64::INFINITY
-            },
+            refresh_s: if changes { from_s + REFRESH_S } else { f64::INFINITY },
             events,
             next: 0,
             on,

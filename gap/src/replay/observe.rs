@@ -29,21 +29,11 @@ pub(super) fn predict(plant: &Plant, trace: &Trace, data: &Data, segment: usize)
     let s = &data.segments[segment];
     let trial = &data.trials[s.trial];
     let mut out = Vec::with_capacity(s.range.len());
-    let mut seen = Seen {
-        plant,
-        trace,
-        origin_s: trial.span_s.0,
-        stamps: Vec::new(),
-        together: Vec::new(),
-    };
+    let mut seen =
+        Seen { plant, trace, origin_s: trial.span_s.0, stamps: Vec::new(), together: Vec::new() };
     for piece in &s.pieces {
         let from = out.len();
-        channel(
-            &mut seen,
-            piece,
-            &data.time_s[piece.range.clone()],
-            &mut out,
-        );
+        channel(&mut seen, piece, &data.time_s[piece.range.clone()], &mut out);
         if (piece.kind, piece.index) == (Kind::BaseAttitude, YAW) {
             // as many turns as the robot has made
             for (yaw, &measured) in out[from..].iter_mut().zip(&data.value[piece.range.clone()]) {
@@ -288,11 +278,7 @@ fn voltage(plant: &Plant, trace: &Trace) -> Vec<f32> {
         return vec![open_v as f32; trace.last_row() + 1];
     }
     let lag_s = f64::from(lane.supply_lag_s);
-    let share = if lag_s > 0.0 {
-        -(-trace.period_s / lag_s).exp_m1()
-    } else {
-        1.0
-    };
+    let share = if lag_s > 0.0 { -(-trace.period_s / lag_s).exp_m1() } else { 1.0 };
     let mut volt = open_v;
     (0..=trace.last_row())
         .map(|k| {

@@ -241,8 +241,7 @@ impl Replayer {
         lock(&self.engines[hold]).push(engine);
         let total: f64 = jobs.iter().map(|j| data.segments[j.1].duration_s()).sum();
         self.rollouts.fetch_add(jobs.len(), Ordering::Relaxed);
-        self.simulated_ms
-            .fetch_add((total * 1e3) as usize, Ordering::Relaxed);
+        self.simulated_ms.fetch_add((total * 1e3) as usize, Ordering::Relaxed);
         outcome
     }
 
@@ -261,19 +260,11 @@ impl Replayer {
             ground.water_level_m = self.water_level_m;
         }
         let terrain = Terrain::generate(&ground, 1)?;
-        Ok(BatchEngine::new(
-            Arc::clone(&self.model),
-            LANES,
-            config,
-            Arc::new(terrain),
-            1,
-        )?)
+        Ok(BatchEngine::new(Arc::clone(&self.model), LANES, config, Arc::new(terrain), 1)?)
     }
 }
 
 /// A mutex whose holder died is still a mutex: what it guards is replaced whole.
 fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
-    mutex
-        .lock()
-        .unwrap_or_else(std::sync::PoisonError::into_inner)
+    mutex.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
 }

@@ -44,10 +44,7 @@ pub(super) fn start(model: &RobotModel, trial: &Trial, t_s: f64) -> Start {
             start.vel_radps[a] = slope;
         }
         if let Some(c) = trial.channel(Kind::Velocity, a) {
-            let near = c
-                .time_s
-                .partition_point(|&t| t < t_s)
-                .min(c.value.len() - 1);
+            let near = c.time_s.partition_point(|&t| t < t_s).min(c.value.len() - 1);
             // a reported speed is less noisy than a difference of counts, and later: take the smaller
             let reported = c.value[near];
             let slope = start.vel_radps[a];
@@ -109,9 +106,8 @@ impl ImuPlace {
             vel_radps[j] = start.vel_radps[a];
         }
         let places = model.kinematics(&Pose::IDENTITY, &pos_rad).ok()?;
-        let (link, link_from_imu) = model
-            .imu_site()
-            .map_or((0, Pose::IDENTITY), |s| (s.link, s.link_from_site));
+        let (link, link_from_imu) =
+            model.imu_site().map_or((0, Pose::IDENTITY), |s| (s.link, s.link_from_site));
         let links = model.links();
         let carrying: Vec<usize> =
             std::iter::successors(Some(link), |&l| links[l].parent).collect();
@@ -123,10 +119,7 @@ impl ImuPlace {
                 }
             }
         }
-        Some(Self {
-            base_from_imu: places.links[link].compose(&link_from_imu),
-            angvel_radps,
-        })
+        Some(Self { base_from_imu: places.links[link].compose(&link_from_imu), angvel_radps })
     }
 }
 
@@ -138,11 +131,7 @@ pub(super) fn swinging(model: &RobotModel, trial: &Trial, t_s: f64, servos: Serv
     let from_before = servos.just_switched(t_s);
     for a in 0..swinging.pos_rad.len() {
         if let Some(c) = trial.channel(Kind::Position, a) {
-            let at_s = if from_before {
-                t_s - SPEED_WINDOW_S
-            } else {
-                t_s
-            };
+            let at_s = if from_before { t_s - SPEED_WINDOW_S } else { t_s };
             swinging.pos_rad[a] = c.at(t_s);
             swinging.vel_radps[a] = line(c, at_s).1;
         }

@@ -46,11 +46,7 @@ impl Trace {
         periods: usize,
     ) -> Self {
         let joints = plant.model.actuated().len();
-        let feet = if readout.feet {
-            plant.model.feet().len()
-        } else {
-            0
-        };
+        let feet = if readout.feet { plant.model.feet().len() } else { 0 };
         let mut trace = Self {
             start_s,
             period_s,
@@ -104,11 +100,7 @@ impl Trace {
         // what the next command does to it, nobody has read yet
         let torques = &state.motor_torque_nm[row(self.joints)];
         for (last, now) in self.last.iter_mut().zip(targets_rad.iter().zip(torques)) {
-            let goes_on = if last.0 == *now.0 {
-                now.1 - last.1
-            } else {
-                0.0
-            };
+            let goes_on = if last.0 == *now.0 { now.1 - last.1 } else { 0.0 };
             values.push(now.1 + goes_on);
             *last = (*now.0, *now.1);
         }

@@ -11,10 +11,7 @@ use proptest::prelude::*;
 fn logs(robot: &RobotModel, trial: &str, seeds: &[u64]) -> Vec<RunLog> {
     let trial = excite::trial(robot, trial, None, 100.0).unwrap();
     let runs = simulate(robot, &trial, seeds, None);
-    runs.iter()
-        .zip(seeds)
-        .map(|(r, s)| record(robot, &trial, r, *s))
-        .collect()
+    runs.iter().zip(seeds).map(|(r, s)| record(robot, &trial, r, *s)).collect()
 }
 
 fn one(robot: &RobotModel, log: &RunLog) -> Checked {
@@ -28,10 +25,7 @@ fn all(robot: &RobotModel, logs: &[RunLog]) -> Checked {
 }
 
 fn found(checked: &Checked, kind: &str, at: &str) {
-    let hit = checked
-        .faults
-        .iter()
-        .any(|f| f.kind == kind && f.location.ends_with(at));
+    let hit = checked.faults.iter().any(|f| f.kind == kind && f.location.ends_with(at));
     assert!(hit, "no `{kind}` at `{at}` in {:#?}", checked.faults);
     assert!(checked.faults.iter().all(|f| !f.detail.contains('\n')));
 }
@@ -46,25 +40,12 @@ fn nothing_is_said_of_clean_logs() {
             }
             let seeds: Vec<u64> = (0..4).collect();
             let runs = simulate(&robot, &trial, &seeds, None);
-            let logs: Vec<RunLog> = runs
-                .iter()
-                .zip(&seeds)
-                .map(|(r, s)| record(&robot, &trial, r, *s))
-                .collect();
+            let logs: Vec<RunLog> =
+                runs.iter().zip(&seeds).map(|(r, s)| record(&robot, &trial, r, *s)).collect();
             let checked = all(&robot, &logs);
-            assert!(
-                checked.faults.is_empty(),
-                "{name} {}: {:#?}",
-                trial.name,
-                checked.faults
-            );
+            assert!(checked.faults.is_empty(), "{name} {}: {:#?}", trial.name, checked.faults);
             assert_eq!(checked.verdict, CheckVerdict::Ok);
-            assert_eq!(
-                checked.repeats.len(),
-                1,
-                "{}: repeats are recognised",
-                trial.name
-            );
+            assert_eq!(checked.repeats.len(), 1, "{}: repeats are recognised", trial.name);
         }
     }
 }
@@ -108,11 +89,7 @@ fn an_error_within_a_count_says_nothing_of_a_current() {
         })
     };
     let within = one(&robot, &resting(0.0015));
-    assert!(
-        !within.faults.iter().any(|f| f.location.contains("cur.")),
-        "{:#?}",
-        within.faults
-    );
+    assert!(!within.faults.iter().any(|f| f.location.contains("cur.")), "{:#?}", within.faults);
     found(&one(&robot, &resting(0.02)), "sign", "cur.FL_hip");
 }
 
@@ -123,13 +100,7 @@ fn other_units_are_found() {
         let log = &logs(&robot, trial, &[5])[0];
         let scaled = |at: &str, by: f64| {
             let at: Signal = at.parse().unwrap();
-            one(
-                &robot,
-                &changed(
-                    log,
-                    |s, _, _, v| if *s == at { v.map(|x| x * by) } else { v },
-                ),
-            )
+            one(&robot, &changed(log, |s, _, _, v| if *s == at { v.map(|x| x * by) } else { v }))
         };
         found(&scaled("pos.FL_knee", 57.29578), "unit", "pos.FL_knee");
         found(&scaled("cmd.FL_knee", 57.29578), "unit", "cmd.FL_knee");
@@ -137,19 +108,12 @@ fn other_units_are_found() {
         found(&scaled("vel.FL_knee", 9.549_297), "unit", "vel.FL_knee");
         found(&scaled("cur.FL_knee", 1000.0), "unit", "cur.FL_knee");
         let both = changed(log, |s, _, _, v| {
-            let angle = matches!(
-                s,
-                Signal::Command(_) | Signal::Position(_) | Signal::Velocity(_)
-            );
+            let angle = matches!(s, Signal::Command(_) | Signal::Position(_) | Signal::Velocity(_));
             if angle { v.map(|x| x * 57.29578) } else { v }
         });
         found(&one(&robot, &both), "unit", "pos.FL_knee");
         let in_g = changed(log, |s, _, _, v| {
-            if matches!(s, Signal::Acceleration(_)) {
-                v.map(|x| x / 9.81)
-            } else {
-                v
-            }
+            if matches!(s, Signal::Acceleration(_)) { v.map(|x| x / 9.81) } else { v }
         });
         found(&one(&robot, &in_g), "unit", "imu.acc");
     }
@@ -162,11 +126,7 @@ fn an_angle_past_the_end_stop_is_noted() {
     let log = &logs(&robot, "chirp_medium", &[5])[0];
     let knee: Signal = "pos.FL_knee".parse().unwrap();
     let past = |s: &Signal, k: usize, _, v| {
-        if *s == knee && (200..220).contains(&k) {
-            Some(-1.6)
-        } else {
-            v
-        }
+        if *s == knee && (200..220).contains(&k) { Some(-1.6) } else { v }
     };
     let checked = one(&robot, &changed(log, past));
     found(&checked, "range", "pos.FL_knee");
@@ -215,9 +175,7 @@ fn exchanged_joints_are_found() {
         }
         let doubled = changed(log, |s, k, _, v| {
             if *s == Signal::Position("FR_hip".to_owned()) {
-                log.table
-                    .column(&Signal::Position("FL_hip".to_owned()))
-                    .unwrap()[k]
+                log.table.column(&Signal::Position("FL_hip".to_owned())).unwrap()[k]
             } else {
                 v
             }
@@ -262,13 +220,13 @@ fn stuck_channels_are_found() {
     let robot = robot("polymander");
     let log = &logs(&robot, "steps_large", &[7])[0];
     let at = Signal::Position("FL_hip".to_owned());
-    let stuck = changed(log, |s, k, _, v| {
-        if *s == at && k > 100 {
-            log.table.column(&at).unwrap()[100]
-        } else {
-            v
-        }
-    });
+    let stuck =
+        changed(
+            log,
+            |s, k, _, v| {
+                if *s == at && k > 100 { log.table.column(&at).unwrap()[100] } else { v }
+            },
+        );
     found(&one(&robot, &stuck), "stuck", "pos.FL_hip");
     let at = Signal::Velocity("FL_hip".to_owned());
     let stuck = changed(log, |s, _, _, v| if *s == at { Some(0.0) } else { v });
@@ -306,9 +264,7 @@ fn a_misspelt_key_is_found_and_one_that_nobody_reads_is_named() {
     for (key, fault) in [("Kp", true), ("suply_v", true), ("kp_register", false)] {
         let mut log = logs(&robot, "holds", &[3]).remove(0);
         log.meta_name = "hold.toml".to_owned();
-        log.meta
-            .settings
-            .insert(key.to_owned(), Setting::Number(1.0));
+        log.meta.settings.insert(key.to_owned(), Setting::Number(1.0));
         let checked = one(&robot, &log);
         assert_eq!(checked.verdict == CheckVerdict::DataFault, fault, "{key}");
         if fault {
@@ -322,8 +278,7 @@ fn a_misspelt_key_is_found_and_one_that_nobody_reads_is_named() {
 fn thinned(log: &RunLog, keep: impl Fn(usize) -> bool) -> RunLog {
     let mut csv = TableWriter::new(Vec::new(), log.table.signals(), f64::INFINITY).unwrap();
     for k in (0..log.table.len()).filter(|k| keep(*k)) {
-        csv.row(log.table.time_s()[k], &log.table.row(k).unwrap())
-            .unwrap();
+        csv.row(log.table.time_s()[k], &log.table.row(k).unwrap()).unwrap();
     }
     RunLog::new(
         log.meta.clone(),
@@ -373,25 +328,18 @@ fn wrong_stamps_are_found() {
         let signals = log.table.signals().to_vec();
         let row = |k: usize| log.table.row(k).unwrap();
         // milliseconds for seconds
-        found(
-            &one(&robot, &rebuilt(log, &signals, |k, t| (1000.0 * t, row(k)))),
-            "unit",
-            "t",
-        );
+        found(&one(&robot, &rebuilt(log, &signals, |k, t| (1000.0 * t, row(k)))), "unit", "t");
         // a clock that runs twice too fast, with its rate claimed accordingly
         let mut fast = rebuilt(log, &signals, |k, t| (0.5 * t, row(k)));
         fast.meta.rate_hz = 200.0;
         found(&one(&robot, &fast), "stamps", "t");
         // rows written in batches of ten
-        let batched = rebuilt(log, &signals, |k, _| {
-            (0.1 * (k / 10) as f64 + 2e-4 * (k % 10) as f64, row(k))
-        });
+        let batched =
+            rebuilt(log, &signals, |k, _| (0.1 * (k / 10) as f64 + 2e-4 * (k % 10) as f64, row(k)));
         found(&one(&robot, &batched), "stamps", "t");
         // the clock is set ahead by 0.3 s in the middle; a second and a half are missing
         // (at rest the one looks like the other)
-        let set = rebuilt(log, &signals, |k, t| {
-            (if t > 5.03 { t + 0.3 } else { t }, row(k))
-        });
+        let set = rebuilt(log, &signals, |k, t| (if t > 5.03 { t + 0.3 } else { t }, row(k)));
         if trial == "chirp_medium" {
             found(&one(&robot, &set), "stamps", "t");
         }
@@ -400,11 +348,8 @@ fn wrong_stamps_are_found() {
         assert_eq!(checked.verdict, CheckVerdict::Ok, "{:#?}", checked.faults);
         // readings 150 ms too early for their commands
         let at = |k: usize, s: &Signal| {
-            let k = if matches!(s, Signal::Command(_)) {
-                k
-            } else {
-                (k + 15).min(log.table.len() - 1)
-            };
+            let k =
+                if matches!(s, Signal::Command(_)) { k } else { (k + 15).min(log.table.len() - 1) };
             log.table.column(s).unwrap()[k]
         };
         let early = changed(log, |s, k, _, _| at(k, s));
@@ -428,21 +373,9 @@ fn a_wrong_imu_is_found() {
         )
     };
     found(&imu(Signal::Gyro, [0, 1, 2], [-1.0; 3]), "sign", "imu.gyro");
-    found(
-        &imu(Signal::Gyro, [1, 0, 2], [1.0, 1.0, 1.0]),
-        "order",
-        "imu.gyro",
-    );
-    found(
-        &imu(Signal::Acceleration, [0, 1, 2], [-1.0; 3]),
-        "sign",
-        "imu.acc",
-    );
-    found(
-        &imu(Signal::Acceleration, [0, 2, 1], [1.0; 3]),
-        "order",
-        "imu.acc",
-    );
+    found(&imu(Signal::Gyro, [1, 0, 2], [1.0, 1.0, 1.0]), "order", "imu.gyro");
+    found(&imu(Signal::Acceleration, [0, 1, 2], [-1.0; 3]), "sign", "imu.acc");
+    found(&imu(Signal::Acceleration, [0, 2, 1], [1.0; 3]), "order", "imu.acc");
     found(&imu(Signal::Gyro, [0, 1, 2], [57.3; 3]), "unit", "imu.gyro");
 }
 
@@ -452,25 +385,12 @@ fn a_touch_shows_between_repeats() {
     for name in ["triangle_medium", "chirp_medium", "holds"] {
         let trial = excite::trial(&robot, name, None, 100.0).unwrap();
         let seeds = [11, 12, 13];
-        let touch = Touch {
-            from_s: 4.0,
-            to_s: 5.0,
-            force_n: [3.0, 0.0, 0.0],
-            run: 1,
-        };
+        let touch = Touch { from_s: 4.0, to_s: 5.0, force_n: [3.0, 0.0, 0.0], run: 1 };
         let runs = simulate(&robot, &trial, &seeds, Some(touch));
-        let logs: Vec<RunLog> = runs
-            .iter()
-            .zip(seeds)
-            .map(|(r, s)| record(&robot, &trial, r, s))
-            .collect();
+        let logs: Vec<RunLog> =
+            runs.iter().zip(seeds).map(|(r, s)| record(&robot, &trial, r, s)).collect();
         let checked = all(&robot, &logs);
-        assert_eq!(
-            checked.odd_spans.len(),
-            1,
-            "{name}: {:?}",
-            checked.odd_spans
-        );
+        assert_eq!(checked.odd_spans.len(), 1, "{name}: {:?}", checked.odd_spans);
         let span = &checked.odd_spans[0];
         assert!(
             span.run == "run_1"
@@ -491,57 +411,34 @@ fn bad_logs_get_a_clear_line() {
     let robot = robot("polymander");
     let log = logs(&robot, "steps_small", &[1]).remove(0);
     let says = |csv: &str, want: &str| {
-        let log = RunLog::new(
-            log.meta.clone(),
-            Table::parse("log.csv", csv.as_bytes()).unwrap(),
-        );
+        let log = RunLog::new(log.meta.clone(), Table::parse("log.csv", csv.as_bytes()).unwrap());
         let checked = one(&robot, &log);
         assert_eq!(checked.verdict, CheckVerdict::DataFault);
         assert!(
-            checked
-                .faults
-                .iter()
-                .any(|f| f.fatal && f.detail.contains(want)),
+            checked.faults.iter().any(|f| f.fatal && f.detail.contains(want)),
             "{want}: {:#?}",
             checked.faults
         );
     };
     let rows = |header: &str, cells: &str, n: usize| -> String {
-        let body: String = (0..n)
-            .map(|k| format!("{:.2},{cells}\n", 0.01 * k as f64))
-            .collect();
+        let body: String = (0..n).map(|k| format!("{:.2},{cells}\n", 0.01 * k as f64)).collect();
         format!("{header}\n{body}")
     };
-    says(
-        &rows("t,cmd.FL_hip,pos.FL_hip", "0,0", 101),
-        "is 1.00 s long",
-    );
-    says(
-        &rows("t,cmd.wing,pos.wing", "0,0", 501),
-        "a log of another robot",
-    );
+    says(&rows("t,cmd.FL_hip,pos.FL_hip", "0,0", 101), "is 1.00 s long");
+    says(&rows("t,cmd.wing,pos.wing", "0,0", 501), "a log of another robot");
     says(
         &rows("t,cmd.FL_hip,pos.FL_hip,pos.wing", "0,0,0", 501),
         "has wing and `polymander` has no such joint",
     );
-    says(
-        &rows("t,cmd.FL_hip", "0", 501),
-        "has no column `pos.<joint>`",
-    );
-    says(
-        &rows("t,pos.FL_hip", "0", 501),
-        "has no column `cmd.<joint>`",
-    );
+    says(&rows("t,cmd.FL_hip", "0", 501), "has no column `pos.<joint>`");
+    says(&rows("t,pos.FL_hip", "0", 501), "has no column `cmd.<joint>`");
     says(&rows("t,volt", "14", 501), "has no joint column");
     says("t,cmd.FL_hip,pos.FL_hip\n", "0 rows");
     // an empty column is worth a note only
     let log = RunLog::new(
         log.meta.clone(),
-        Table::parse(
-            "log.csv",
-            rows("t,cmd.FL_hip,pos.FL_hip,vel.FL_hip", "0,0,", 501).as_bytes(),
-        )
-        .unwrap(),
+        Table::parse("log.csv", rows("t,cmd.FL_hip,pos.FL_hip,vel.FL_hip", "0,0,", 501).as_bytes())
+            .unwrap(),
     );
     let checked = one(&robot, &log);
     assert_eq!(checked.verdict, CheckVerdict::Ok);
@@ -552,13 +449,8 @@ fn bad_logs_get_a_clear_line() {
 fn what_cannot_be_told_is_listed_with_what_would_tell_it() {
     let robot = robot("polymander");
     let gait = all(&robot, &logs(&robot, "gait_slow", &[1]));
-    for effect in [
-        "pre_sliding",
-        "hard_stop",
-        "thermal_derating",
-        "quadratic_drag",
-        "clock_drift",
-    ] {
+    for effect in ["pre_sliding", "hard_stop", "thermal_derating", "quadratic_drag", "clock_drift"]
+    {
         let blind = gait
             .cannot_tell
             .get(effect)
@@ -572,10 +464,8 @@ fn what_cannot_be_told_is_listed_with_what_would_tell_it() {
     // an IMU was there: play between the girdles can show
     assert!(!gait.cannot_tell.contains_key("girdle_play"));
     let rig = crate::common::robot("xl330_pendulum");
-    let both: Vec<RunLog> = ["chirp_small", "holds"]
-        .iter()
-        .flat_map(|t| logs(&rig, t, &[1]))
-        .collect();
+    let both: Vec<RunLog> =
+        ["chirp_small", "holds"].iter().flat_map(|t| logs(&rig, t, &[1])).collect();
     let checked = all(&rig, &both);
     for effect in ["command_delay", "kp_error"] {
         assert!(

@@ -10,9 +10,7 @@ use caudata_model::RobotModel;
 use caudata_runlog::{RunLog, Table};
 
 fn robot(name: &str) -> Arc<RobotModel> {
-    let path: PathBuf = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../robots")
-        .join(name);
+    let path: PathBuf = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robots").join(name);
     Arc::new(RobotModel::load(&path).unwrap())
 }
 
@@ -56,10 +54,7 @@ fn run(model: &RobotModel, base: &str, body: bool, seconds: f64) -> Run {
         }
         text.push('\n');
     }
-    let meta = format!(
-        "robot = \"{}\"\nbase = \"{base}\"\nrate_hz = 100\n",
-        model.name()
-    );
+    let meta = format!("robot = \"{}\"\nbase = \"{base}\"\nrate_hz = 100\n", model.name());
     Run {
         name: base.to_owned(),
         log: RunLog::new(
@@ -79,11 +74,7 @@ fn data(model: &RobotModel, base: &str, body: bool, seconds: f64) -> Data {
 
 fn term(model: &RobotModel, effect: &'static Effect, place: &Place, values: Vec<f64>) -> Vec<Term> {
     let _ = model;
-    vec![Term {
-        effect,
-        place: place.clone(),
-        values,
-    }]
+    vec![Term { effect, place: place.clone(), values }]
 }
 
 /// Checks one effect on data in which it can show: neutral values give the same bits, at least one grid size
@@ -110,21 +101,14 @@ fn check(replayer: &Replayer, data: &Data, effect: &'static Effect) {
     ];
     if !far.contains(&effect.id) {
         assert!(
-            predictions[0]
-                .iter()
-                .zip(&predictions[1])
-                .all(|(a, b)| a.to_bits() == b.to_bits()),
+            predictions[0].iter().zip(&predictions[1]).all(|(a, b)| a.to_bits() == b.to_bits()),
             "{}: at nothing something changes",
             effect.id
         );
     }
     let mut changed = false;
     for (k, with) in predictions[2..].iter().enumerate() {
-        assert!(
-            with.iter().all(|x| x.is_finite()),
-            "{} size {k} breaks down",
-            effect.id
-        );
+        assert!(with.iter().all(|x| x.is_finite()), "{} size {k} breaks down", effect.id);
         for piece in data.segments.iter().flat_map(|s| &s.pieces) {
             let mut samples = piece.range.clone();
             changed |= samples.any(|i| (with[i] - predictions[0][i]).abs() > 1e-4);
@@ -188,10 +172,7 @@ fn effects_of_water_show_in_water() {
     let model = robot("polymander.robot.toml");
     let replayer = Replayer::new(Arc::clone(&model), 2).unwrap();
     let data = data(&model, "water", true, 3.0);
-    for effect in effects::ALL
-        .iter()
-        .filter(|e| e.layer == effects::Layer::Water)
-    {
+    for effect in effects::ALL.iter().filter(|e| e.layer == effects::Layer::Water) {
         check(&replayer, &data, effect);
     }
 }
@@ -202,14 +183,10 @@ fn predictions_do_not_depend_on_threads() {
     let data = data(&model, "fixed", false, 3.0);
     let effect = effects::find("kp_error").unwrap();
     let place = effect.places(&model).remove(0);
-    let variants: Vec<_> = (0..40)
-        .map(|k| term(&model, effect, &place, vec![0.5 + 0.02 * f64::from(k)]))
-        .collect();
+    let variants: Vec<_> =
+        (0..40).map(|k| term(&model, effect, &place, vec![0.5 + 0.02 * f64::from(k)])).collect();
     let of = |threads: usize| {
-        Replayer::new(Arc::clone(&model), threads)
-            .unwrap()
-            .predict(&data, &variants)
-            .unwrap()
+        Replayer::new(Arc::clone(&model), threads).unwrap().predict(&data, &variants).unwrap()
     };
     assert_eq!(of(1), of(2));
 }
@@ -218,22 +195,14 @@ fn predictions_do_not_depend_on_threads() {
 fn the_catalogue_is_whole() {
     assert!(effects::ALL.len() >= 40, "{}", effects::ALL.len());
     for (i, e) in effects::ALL.iter().enumerate() {
-        assert!(
-            effects::ALL[..i].iter().all(|o| o.id != e.id),
-            "{} stands twice",
-            e.id
-        );
+        assert!(effects::ALL[..i].iter().all(|o| o.id != e.id), "{} stands twice", e.id);
         assert!(
             !e.grid.is_empty() && e.grid.iter().all(|g| g.len() == e.parameters.len()),
             "{}",
             e.id
         );
         for other in e.look_alikes() {
-            assert!(
-                effects::find(other).is_some(),
-                "{}: look-alike {other} does not exist",
-                e.id
-            );
+            assert!(effects::find(other).is_some(), "{}: look-alike {other} does not exist", e.id);
         }
         for (i, p) in e.parameters.iter().enumerate() {
             assert!(p.low < p.high && p.scale > 0.0, "{}.{}", e.id, p.name);

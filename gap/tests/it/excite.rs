@@ -15,11 +15,7 @@ fn commands_hold(robot: &RobotModel) -> usize {
             trial.duration_s
         );
         assert!(!trial.excites.is_empty());
-        let share = if trial.name == "hot_hold" {
-            HOT_SHARE
-        } else {
-            HOLD_SHARE
-        };
+        let share = if trial.name == "hot_hold" { HOT_SHARE } else { HOLD_SHARE };
         assert!(
             trial.effort <= share + 0.01,
             "{} asks for {:.2} of the torque",
@@ -53,12 +49,7 @@ fn commands_hold(robot: &RobotModel) -> usize {
         // the first and last command are the nominal pose: trials can be strung together
         for row in [&trial.commands_rad[0], trial.commands_rad.last().unwrap()] {
             for (q, l) in row.iter().zip(&limits) {
-                assert!(
-                    (q - l.nominal_rad).abs() < 1e-9,
-                    "{}: {}",
-                    trial.name,
-                    l.name
-                );
+                assert!((q - l.nominal_rad).abs() < 1e-9, "{}: {}", trial.name, l.name);
             }
         }
     }
@@ -88,11 +79,7 @@ fn robot_holds(name: &str) {
                 .iter()
                 .map(|q| (q[a] - high).max(low - q[a]))
                 .fold(f64::NEG_INFINITY, f64::max);
-            assert!(
-                most < 0.02,
-                "{}: {joint} is {most:.3} rad beyond its range",
-                trial.name
-            );
+            assert!(most < 0.02, "{}: {joint} is {most:.3} rad beyond its range", trial.name);
             let fastest = run.vel_radps.iter().map(|v| v[a].abs()).fold(0.0, f64::max);
             // where the falling part of the envelope comes to nothing: at `qd_max` there may be torque left
             let (span, fall) = (
@@ -101,11 +88,7 @@ fn robot_holds(name: &str) {
             );
             let without_torque = servo.qd_max_radps + servo.tau_qd_max_nm * span / fall;
             let no_load = without_torque * robot.supply_v() / servo.reference_supply_v;
-            assert!(
-                fastest < 1.1 * no_load,
-                "{}: {joint} reaches {fastest:.1} rad/s",
-                trial.name
-            );
+            assert!(fastest < 1.1 * no_load, "{}: {joint} reaches {fastest:.1} rad/s", trial.name);
             let square: f64 = run.torque_nm.iter().map(|t| t[a] * t[a]).sum();
             let share = (square / run.torque_nm.len() as f64).sqrt() / servo.tau_max_nm;
             assert!(
@@ -184,11 +167,7 @@ fn every_effect_of_the_catalogue_has_a_trial() {
     for effect in caudata_gap::effects::ALL.iter() {
         let name = excite::canonical(effect.trial)
             .unwrap_or_else(|| panic!("{}: no trial `{}`", effect.id, effect.trial));
-        assert!(
-            excite::names(&robot, None).contains(&name),
-            "{}: {name}",
-            effect.id
-        );
+        assert!(excite::names(&robot, None).contains(&name), "{}: {name}", effect.id);
     }
 }
 

@@ -31,11 +31,7 @@ fn soft_knee(model: &Arc<RobotModel>) -> Extension {
     let effect = effects::find("kp_error").unwrap();
     let names = vec!["FL_knee".to_owned()];
     let place = Place::named(model, effect.domain, &names).unwrap();
-    let term = Term {
-        effect,
-        place,
-        values: vec![0.8],
-    };
+    let term = Term { effect, place, values: vec![0.8] };
     let value = ExtensionParameter {
         value: 0.8,
         unit: String::new(),
@@ -66,10 +62,7 @@ fn written_and_read_back() {
     let plain = load(&toml).unwrap();
     let written = soft_knee(&plain);
     // 15 N·m/rad at 80 %
-    assert_eq!(
-        written.lane,
-        BTreeMap::from([("kp_nm_per_rad.FL_knee".to_owned(), 12.0)])
-    );
+    assert_eq!(written.lane, BTreeMap::from([("kp_nm_per_rad.FL_knee".to_owned(), 12.0)]));
     let text = extension::append(&written, &toml).unwrap();
     assert_eq!(extension::read(&text).unwrap(), Some(written.clone()));
     let extended = load(&text).unwrap();
@@ -96,12 +89,7 @@ fn what_does_not_fit_is_refused() {
     assert!(message.contains("`gremlins`"), "{message}");
     let mut nowhere = good.clone();
     nowhere.effect[0].location = vec!["wing".to_owned()];
-    assert!(
-        extension::terms(&nowhere, &plain)
-            .unwrap_err()
-            .to_string()
-            .contains("wing")
-    );
+    assert!(extension::terms(&nowhere, &plain).unwrap_err().to_string().contains("wing"));
     let text = extension::append(&good, &toml).unwrap();
     let message = load(&text.replace("[extension]", "[extension]\nsurprise = 1")).unwrap_err();
     assert!(message.contains("surprise"), "{message}");

@@ -164,10 +164,7 @@ fn sample() -> (Report, Plots) {
 fn plots() -> Plots {
     let time_s: Vec<f64> = (0..1400).map(|i| 0.01 * f64::from(i)).collect();
     let wave = |lag: f64, size: f64| -> Vec<f64> {
-        time_s
-            .iter()
-            .map(|t| size * ((t - lag) * (1.0 + 0.4 * t)).sin())
-            .collect()
+        time_s.iter().map(|t| size * ((t - lag) * (1.0 + 0.4 * t)).sin()).collect()
     };
     let measured = wave(0.05, 0.19);
     let around = |d: f64| {
@@ -191,22 +188,13 @@ fn plots() -> Plots {
         after: wave(0.049, 0.19),
     };
     let speeds: Vec<f64> = (-30..=30).map(|i| 0.1 * f64::from(i)).collect();
-    let map = |c: f64| {
-        speeds
-            .iter()
-            .map(|v| c * v.signum() + 0.006 * v)
-            .collect::<Vec<_>>()
-    };
+    let map = |c: f64| speeds.iter().map(|v| c * v.signum() + 0.006 * v).collect::<Vec<_>>();
     let hz: Vec<f64> = (0..12).map(|i| 0.5 * 1.3f64.powi(i)).collect();
     let series = |label: &str, scatter: bool, x: &[f64], y: Vec<f64>, spread: f64| Series {
         label: label.to_owned(),
         scatter,
         x: x.to_vec(),
-        spread: if spread > 0.0 {
-            vec![spread; y.len()]
-        } else {
-            vec![]
-        },
+        spread: if spread > 0.0 { vec![spread; y.len()] } else { vec![] },
         y,
     };
     Plots {
@@ -266,10 +254,7 @@ fn plots() -> Plots {
             ("command_delay", 1.3),
             ("floor", 1.0),
         ]
-        .map(|(l, m)| WaterfallStep {
-            label: l.to_owned(),
-            misfit: m,
-        })
+        .map(|(l, m)| WaterfallStep { label: l.to_owned(), misfit: m })
         .to_vec(),
         hypotheses: [
             ("coulomb_friction", 0.71, 0.93, true),
@@ -314,18 +299,9 @@ fn well_formed(html: &str) {
         let j = i + rest[i..].find('>').expect("a tag ends");
         let tag = &rest[i + 1..j];
         rest = &rest[j + 1..];
-        let name = tag
-            .trim_start_matches('/')
-            .split([' ', '/'])
-            .next()
-            .unwrap();
+        let name = tag.trim_start_matches('/').split([' ', '/']).next().unwrap();
         if tag.starts_with('/') {
-            assert_eq!(
-                open.pop(),
-                Some(name),
-                "in {:?}",
-                &rest[..rest.len().min(80)]
-            );
+            assert_eq!(open.pop(), Some(name), "in {:?}", &rest[..rest.len().min(80)]);
         } else if !tag.ends_with('/') && !["meta", "br"].contains(&name) {
             assert_eq!(tag.matches('"').count() % 2, 0, "{tag}");
             open.push(name);
@@ -419,10 +395,7 @@ fn a_page_of_little_is_still_a_page() {
         odd.1.signatures[0].series.clear();
         let page = render("rig", &odd.0, Some(&odd.1));
         well_formed(&page);
-        assert!(
-            !page.contains("NaN") && !page.contains("inf\""),
-            "{verdict:?}"
-        );
+        assert!(!page.contains("NaN") && !page.contains("inf\""), "{verdict:?}");
     }
 }
 

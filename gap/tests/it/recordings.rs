@@ -13,9 +13,7 @@ use caudata_runlog::{RunLog, Signal};
 use mcap::records::MessageHeader;
 
 fn fixture(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("tests/fixtures")
-        .join(name)
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures").join(name)
 }
 
 fn robot(name: &str) -> RobotModel {
@@ -25,9 +23,7 @@ fn robot(name: &str) -> RobotModel {
 
 fn drafted(path: &Path, robot: &RobotModel) -> String {
     let format = Format::guess(path).unwrap();
-    draft::map(&open(path, format, None).unwrap(), robot)
-        .unwrap()
-        .map
+    draft::map(&open(path, format, None).unwrap(), robot).unwrap().map
 }
 
 fn imported(path: &Path, map: &str, robot: &RobotModel) -> Result<Vec<Imported>, String> {
@@ -84,16 +80,10 @@ fn a_bag_becomes_a_log_by_its_draft() {
         ],
     );
     let runs = imported(&path, &draft, &robot).unwrap();
-    let [run] = runs.as_slice() else {
-        panic!("{} runs", runs.len())
-    };
+    let [run] = runs.as_slice() else { panic!("{} runs", runs.len()) };
     // eight states, and 2 ms behind each a command
     assert_eq!((run.name.as_str(), run.rows.len()), ("bag", 16));
-    assert!(
-        (run.meta.rate_hz - 8.0 / 0.142).abs() < 1e-6,
-        "{}",
-        run.meta.rate_hz
-    );
+    assert!((run.meta.rate_hz - 8.0 / 0.142).abs() < 1e-6, "{}", run.meta.rate_hz);
     assert!((run.rows[3].0 - 0.022).abs() < 1e-6);
     assert!((value(run, 2, "pos.swing") - 0.01).abs() < 1e-12);
     assert!((value(run, 3, "cmd.swing") - 0.11).abs() < 1e-12);
@@ -128,27 +118,14 @@ fn a_dataset_becomes_a_log_of_each_episode() {
         ],
     );
     let runs = imported(&path, &draft, &robot).unwrap();
-    let names: Vec<(&str, usize)> = runs
-        .iter()
-        .map(|r| (r.name.as_str(), r.rows.len()))
-        .collect();
-    assert_eq!(
-        names,
-        [
-            ("lerobot_episode_000000", 12),
-            ("lerobot_episode_000001", 8)
-        ]
-    );
+    let names: Vec<(&str, usize)> = runs.iter().map(|r| (r.name.as_str(), r.rows.len())).collect();
+    assert_eq!(names, [("lerobot_episode_000000", 12), ("lerobot_episode_000001", 8)]);
     assert!((value(&runs[1], 7, "pos.swing") - 0.07).abs() < 1e-6);
     assert!((value(&runs[1], 7, "cmd.swing") - 0.17).abs() < 1e-6);
     assert!((runs[1].rows[7].0 - 0.14).abs() < 1e-6);
     has(
         &runs[0].unused.join(" "),
-        &[
-            "observation.images.front",
-            "next.done",
-            "action/gripper.pos",
-        ],
+        &["observation.images.front", "next.done", "action/gripper.pos"],
     );
 }
 
@@ -162,28 +139,16 @@ fn shares_of_a_range_need_its_ends() {
     let draft = drafted(&path, &robot);
     let share = draft.replace("unit = \"deg\"", "unit = \"-100..100\"");
     let error = imported(&path, &share, &robot).unwrap_err();
-    has(
-        &error,
-        &[
-            "cmd.swing: unit `-100..100` is a share",
-            "`range = [low, high]`",
-        ],
-    );
+    has(&error, &["cmd.swing: unit `-100..100` is a share", "`range = [low, high]`"]);
     let open = draft.replace("unit = \"deg\"", "unit = \"?\"");
-    has(
-        &imported(&path, &open, &robot).unwrap_err(),
-        &["its unit is not known"],
-    );
+    has(&imported(&path, &open, &robot).unwrap_err(), &["its unit is not known"]);
     // -100 is -1 rad and 100 is 3 rad: a share of x is 1 + 0.02 x
     let ends = share.replace("\"-100..100\"", "\"-100..100\"\nrange = [-1.0, 3.0]");
     let runs = imported(&path, &ends, &robot).unwrap();
     let want = 1.0 + 0.02 * 0.07f64.to_degrees();
     assert!((value(&runs[0], 7, "pos.swing") - want).abs() < 1e-6);
     let ends = draft.replace("\"deg\"", "\"deg\"\nrange = [-1.0, 3.0]");
-    has(
-        &imported(&path, &ends, &robot).unwrap_err(),
-        &["`range` is for the units"],
-    );
+    has(&imported(&path, &ends, &robot).unwrap_err(), &["`range` is for the units"]);
 }
 
 /// Angles up to 100 may be degrees as well as shares: the draft does not decide, and says what it would take.
@@ -212,19 +177,13 @@ fn a_draft_does_not_decide_what_the_numbers_leave_open() {
             "import sys, pyarrow as pa, pyarrow.parquet as pq; v = [{scale} * k for k in range(5)]; \
              pq.write_table(pa.table({columns}), sys.argv[1])"
         );
-        assert!(python(
-            &script,
-            &[folder.join("data/a.parquet").as_os_str()]
-        ));
+        assert!(python(&script, &[folder.join("data/a.parquet").as_os_str()]));
     };
     let robot = robot("xl330_pendulum");
     write(20.0);
     let draft = drafted(&folder, &robot);
     has(&draft, &["unit = \"?\"", "fits degrees as well as shares"]);
-    has(
-        &imported(&folder, &draft, &robot).unwrap_err(),
-        &["its unit is not known"],
-    );
+    has(&imported(&folder, &draft, &robot).unwrap_err(), &["its unit is not known"]);
     write(0.2);
     let draft = drafted(&folder, &robot);
     has(&draft, &["unit = \"rad\"", "taken for radians"]);
@@ -239,16 +198,9 @@ fn bag(dir: &Path, messages: &[(&str, &str, u64, Vec<u8>)]) -> PathBuf {
     let mut w = mcap::Writer::new(std::io::Cursor::new(Vec::new())).unwrap();
     for (topic, kind, log_time, data) in messages {
         let schema = w.add_schema(kind, "ros2msg", b"").unwrap();
-        let channel_id = w
-            .add_channel(schema, topic, "cdr", &Default::default())
-            .unwrap();
+        let channel_id = w.add_channel(schema, topic, "cdr", &Default::default()).unwrap();
         let (log_time, publish_time) = (*log_time, *log_time);
-        let header = MessageHeader {
-            channel_id,
-            sequence: 0,
-            log_time,
-            publish_time,
-        };
+        let header = MessageHeader { channel_id, sequence: 0, log_time, publish_time };
         w.write_to_known_channel(&header, data).unwrap();
     }
     w.finish().unwrap();
@@ -258,21 +210,12 @@ fn bag(dir: &Path, messages: &[(&str, &str, u64, Vec<u8>)]) -> PathBuf {
 }
 
 fn header(stamp_ns: i64) -> Header {
-    Header {
-        stamp_ns,
-        frame: String::new(),
-    }
+    Header { stamp_ns, frame: String::new() }
 }
 
 fn state(stamp_ns: i64, name: &[&str], position: Vec<f64>) -> Vec<u8> {
     let name = name.iter().map(|n| (*n).to_owned()).collect();
-    JointState {
-        header: header(stamp_ns),
-        name,
-        position,
-        ..JointState::default()
-    }
-    .encode()
+    JointState { header: header(stamp_ns), name, position, ..JointState::default() }.encode()
 }
 
 const JOINTS: &str = "sensor_msgs/msg/JointState";
@@ -289,58 +232,23 @@ fn a_trajectory_is_followed_until_the_next() {
             ..TrajectoryPoint::default()
         };
         let first = 2 - to.len();
-        let points = to
-            .iter()
-            .enumerate()
-            .map(|(k, x)| point((k + first, x)))
-            .collect();
-        JointTrajectory {
-            header: header(stamp_ns),
-            name: vec!["swing".to_owned()],
-            points,
-        }
-        .encode()
+        let points = to.iter().enumerate().map(|(k, x)| point((k + first, x))).collect();
+        JointTrajectory { header: header(stamp_ns), name: vec!["swing".to_owned()], points }
+            .encode()
     };
     let topic = "/arm_controller/joint_trajectory";
     let s = 1_000_000_000;
     let messages = [
-        (
-            topic,
-            JointTrajectory::TYPE,
-            9 * s as u64,
-            go(s, &[0.0, 1.0]),
-        ),
-        (
-            topic,
-            JointTrajectory::TYPE,
-            9 * s as u64,
-            go(s + 50_000_000, &[0.0]),
-        ),
-        (
-            "/joint_states",
-            JOINTS,
-            9 * s as u64,
-            state(s, &["swing"], vec![0.2]),
-        ),
+        (topic, JointTrajectory::TYPE, 9 * s as u64, go(s, &[0.0, 1.0])),
+        (topic, JointTrajectory::TYPE, 9 * s as u64, go(s + 50_000_000, &[0.0])),
+        ("/joint_states", JOINTS, 9 * s as u64, state(s, &["swing"], vec![0.2])),
     ];
     let (path, robot) = (bag(dir.path(), &messages), robot("xl330_pendulum"));
     let run = &imported(&path, &drafted(&path, &robot), &robot).unwrap()[0];
-    let place = run
-        .signals
-        .iter()
-        .position(|x| *x == Signal::Command("swing".to_owned()))
-        .unwrap();
-    let asked: Vec<(f64, f64)> = run
-        .rows
-        .iter()
-        .filter_map(|r| Some((r.0, r.1[place]?)))
-        .collect();
+    let place = run.signals.iter().position(|x| *x == Signal::Command("swing".to_owned())).unwrap();
+    let asked: Vec<(f64, f64)> = run.rows.iter().filter_map(|r| Some((r.0, r.1[place]?))).collect();
     for (t, want) in [(0.0, 0.0), (0.04, 0.4), (0.1, 0.25), (0.15, 0.0)] {
-        let got = asked
-            .iter()
-            .find(|(at, _)| (at - t).abs() < 1e-6)
-            .unwrap()
-            .1;
+        let got = asked.iter().find(|(at, _)| (at - t).abs() < 1e-6).unwrap().1;
         assert!((got - want).abs() < 0.051, "{t}: {got}, not {want}");
     }
     assert!(asked.iter().all(|(t, _)| *t < 0.1501), "{asked:?}");
@@ -356,10 +264,7 @@ fn a_free_robot_has_its_other_sensors() {
         gyro_radps: [0.1, 0.2, 0.3],
         acc_mps2: [0.0, 0.0, 9.8],
     };
-    let battery = BatteryState {
-        header: header(5),
-        voltage_v: 12.5,
-    };
+    let battery = BatteryState { header: header(5), voltage_v: 12.5 };
     let odometry = Odometry {
         header: header(5),
         position_m: [1.0, 2.0, 3.0],
@@ -371,19 +276,11 @@ fn a_free_robot_has_its_other_sensors() {
         ("/battery", BatteryState::TYPE, 7, battery.encode()),
         ("/odom", Odometry::TYPE, 7, odometry.encode()),
         ("/joint_states", JOINTS, 7, state(5, &["FL_hip"], vec![0.1])),
-        (
-            "/joint_states",
-            JOINTS,
-            9,
-            state(8, &["HR_calf"], vec![-1.0]),
-        ),
+        ("/joint_states", JOINTS, 9, state(8, &["HR_calf"], vec![-1.0])),
     ];
     let (path, robot) = (bag(dir.path(), &messages), robot("quadruped"));
     let draft = drafted(&path, &robot);
-    has(
-        &draft,
-        &["base = \"free\"", "Nothing was taken for commands"],
-    );
+    has(&draft, &["base = \"free\"", "Nothing was taken for commands"]);
     let run = &imported(&path, &draft, &robot).unwrap()[0];
     for (signal, want) in [
         ("imu.gyro.y", 0.2),
@@ -402,30 +299,15 @@ fn a_free_robot_has_its_other_sensors() {
 fn a_stranger_is_told_what_is_wrong() {
     let dir = tempfile::tempdir().unwrap();
     let guess = |path: &Path| Format::guess(path).map_err(|e| e.to_string());
-    has(
-        &guess(dir.path()).unwrap_err(),
-        &["is no recording", "meta/info.json"],
-    );
-    has(
-        &guess(&dir.path().join("nothing")).unwrap_err(),
-        &["No such file"],
-    );
+    has(&guess(dir.path()).unwrap_err(), &["is no recording", "meta/info.json"]);
+    has(&guess(&dir.path().join("nothing")).unwrap_err(), &["No such file"]);
     std::fs::write(dir.path().join("log.toml"), "").unwrap();
-    has(
-        &guess(dir.path()).unwrap_err(),
-        &["is a log folder already"],
-    );
-    let opened = |path: &Path| {
-        open(path, Format::Rosbag, None)
-            .map(|_| ())
-            .map_err(|e| e.to_string())
-    };
+    has(&guess(dir.path()).unwrap_err(), &["is a log folder already"]);
+    let opened =
+        |path: &Path| open(path, Format::Rosbag, None).map(|_| ()).map_err(|e| e.to_string());
     let path = bag(dir.path(), &[]);
     has(&opened(&path).unwrap_err(), &["run.mcap: has no message"]);
-    let path = bag(
-        dir.path(),
-        &[("/image", "sensor_msgs/msg/Image", 1, vec![0])],
-    );
+    let path = bag(dir.path(), &[("/image", "sensor_msgs/msg/Image", 1, vec![0])]);
     has(
         &opened(&path).unwrap_err(),
         &["has no topic that is read; it has /image (sensor_msgs/msg/Image, 1 messages)"],
@@ -434,36 +316,21 @@ fn a_stranger_is_told_what_is_wrong() {
     let twenty = state(5, &[], vec![0.0; 20]);
     let path = bag(dir.path(), &[("/joint_states", JOINTS, 6, twenty)]);
     let draft = drafted(&path, &robot("quadruped"));
-    has(
-        &draft,
-        &["as which joints its 20 numbers are is not said, and the robot has 12"],
-    );
+    has(&draft, &["as which joints its 20 numbers are is not said, and the robot has 12"]);
     has(
         &imported(&path, &draft, &robot("quadruped")).unwrap_err(),
         &["says of no column what it is"],
     );
     // stamps of a simulation's clock, and a topic without
-    let mut messages = vec![(
-        "/joint_states",
-        JOINTS,
-        1_700_000_000_000_000_000,
-        state(5, &["swing"], vec![0.5]),
-    )];
-    let point = TrajectoryPoint {
-        position: vec![0.1],
-        ..TrajectoryPoint::default()
-    };
+    let mut messages =
+        vec![("/joint_states", JOINTS, 1_700_000_000_000_000_000, state(5, &["swing"], vec![0.5]))];
+    let point = TrajectoryPoint { position: vec![0.1], ..TrajectoryPoint::default() };
     let ask = JointTrajectory {
         name: vec!["swing".to_owned()],
         points: vec![point],
         ..JointTrajectory::default()
     };
-    messages.push((
-        "/ask",
-        JointTrajectory::TYPE,
-        1_700_000_000_000_000_000,
-        ask.encode(),
-    ));
+    messages.push(("/ask", JointTrajectory::TYPE, 1_700_000_000_000_000_000, ask.encode()));
     let path = bag(dir.path(), &messages);
     let draft = drafted(&path, &robot("xl330_pendulum"));
     has(
@@ -478,8 +345,5 @@ fn a_stranger_is_told_what_is_wrong() {
         &draft.replace("/position/swing", "/position/swign"),
         &robot("xl330_pendulum"),
     );
-    has(
-        &error.unwrap_err(),
-        &["has no column `/", "swign`; it has stamp, received"],
-    );
+    has(&error.unwrap_err(), &["has no column `/", "swign`; it has stamp, received"]);
 }

@@ -23,17 +23,12 @@ use crate::common;
 const ROWS_HZ: f64 = 100.0;
 
 fn path(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../robots")
-        .join(name)
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../robots").join(name)
 }
 
 fn bytes() -> (Vec<u8>, Vec<u8>) {
     let read = |name: &str| std::fs::read(path(name)).unwrap();
-    (
-        read("xl330_pendulum.robot.toml"),
-        read("xl330_pendulum.xml"),
-    )
+    (read("xl330_pendulum.robot.toml"), read("xl330_pendulum.xml"))
 }
 
 /// Command of trial `kind` at time `t`, rad.
@@ -59,11 +54,7 @@ fn record(kind: usize, repeat: u64, late: usize, change: &dyn Fn(&mut LaneParams
     let terrain = Arc::new(Terrain::generate(&TerrainConfig::default(), 1).unwrap());
     let mut engine = BatchEngine::new(Arc::clone(&model), 1, config, terrain, 1).unwrap();
     let mut params = LaneParams::nominal(&model);
-    let key = Key {
-        env: kind as u64,
-        episode: repeat,
-        ..Key::for_run(11)
-    };
+    let key = Key { env: kind as u64, episode: repeat, ..Key::for_run(11) };
     let mut noise = Stream::new(key, Purpose::Sensor);
     // no two runs are the same
     params.joint_friction_nm[0] = 0.01 * (1.0 + 0.05 * noise.normal());
@@ -138,18 +129,9 @@ fn names(d: &Diagnosis) -> Vec<&str> {
 #[test]
 fn nothing_is_found_where_nothing_is_wrong() {
     let (_, d) = run(0, &|_| {});
-    assert_eq!(
-        d.report.verdict,
-        Verdict::NoGap,
-        "{} {:?}",
-        d.report.summary,
-        names(&d)
-    );
+    assert_eq!(d.report.verdict, Verdict::NoGap, "{} {:?}", d.report.summary, names(&d));
     let floor = &d.report.detection_floor["kp_error@swing"];
-    assert!(
-        floor.excited && (floor.value - 1.0).abs() < 0.25,
-        "{floor:?}"
-    );
+    assert!(floor.excited && (floor.value - 1.0).abs() < 0.25, "{floor:?}");
 }
 
 #[test]
@@ -207,11 +189,8 @@ fn a_soft_loop_is_named_and_its_score_comes_again_from_the_file() {
         assert!((p.value - 0.75).abs() < 0.04, "{p:?}");
     }
     // the extended file, loaded through the ordinary reader, predicts held-out runs to the bit
-    let text = extension::append(
-        &d.extension,
-        std::str::from_utf8(&request.robot_toml).unwrap(),
-    )
-    .unwrap();
+    let text =
+        extension::append(&d.extension, std::str::from_utf8(&request.robot_toml).unwrap()).unwrap();
     let extended =
         Arc::new(RobotModel::from_bytes("extended", text.as_bytes(), &request.mjcf).unwrap());
     let plain =
@@ -220,28 +199,15 @@ fn a_soft_loop_is_named_and_its_score_comes_again_from_the_file() {
         .map(|r| caudata_gap::reading::trial(&plain, r).unwrap())
         .collect();
     repeats::group(&mut trials);
-    let data = Data::new(
-        &plain,
-        repeats::collapse(&trials),
-        SegmentOptions::default(),
-    );
-    let from_file = Replayer::new(Arc::clone(&extended), 2)
-        .unwrap()
-        .predict(&data, &[Vec::new()])
-        .unwrap();
+    let data = Data::new(&plain, repeats::collapse(&trials), SegmentOptions::default());
+    let from_file =
+        Replayer::new(Arc::clone(&extended), 2).unwrap().predict(&data, &[Vec::new()]).unwrap();
     let terms = extension::terms(&d.extension, &plain).unwrap();
-    let in_memory = Replayer::new(plain, 1)
-        .unwrap()
-        .predict(&data, &[terms])
-        .unwrap();
+    let in_memory = Replayer::new(plain, 1).unwrap().predict(&data, &[terms]).unwrap();
     let bits = |x: &[Vec<f32>]| x[0].iter().map(|v| v.to_bits()).collect::<Vec<_>>();
     assert_eq!(bits(&from_file), bits(&in_memory));
     let square = |x: &[f32]| -> f64 {
-        let pos = data
-            .segments
-            .iter()
-            .flat_map(|s| &s.pieces)
-            .filter(|p| p.kind.name() == "pos");
+        let pos = data.segments.iter().flat_map(|s| &s.pieces).filter(|p| p.kind.name() == "pos");
         let (mut sum, mut n) = (0.0, 0.0);
         for k in pos.flat_map(|p| p.range.clone()) {
             sum += (data.value[k] - f64::from(x[k])).powi(2);
@@ -298,12 +264,7 @@ fn what_would_have_to_be_larger_than_plausible_is_no_explanation() {
 #[test]
 fn friction_is_named() {
     let (_, d) = run(0, &|p| p.joint_friction_nm[0] += 0.05);
-    assert_eq!(
-        names(&d).first(),
-        Some(&"coulomb_friction"),
-        "{}",
-        d.report.summary
-    );
+    assert_eq!(names(&d).first(), Some(&"coulomb_friction"), "{}", d.report.summary);
     let p = &d.report.causes[0].parameters["extra_nm"];
     assert!((p.value - 0.05).abs() < 0.008, "{p:?}");
 }
@@ -325,11 +286,7 @@ fn a_ripple_is_found_wherever_it_begins() {
         let (sin, cos) = begins_rad.sin_cos();
         for (found, truth) in [("sin_nm", 0.03 * cos), ("cos_nm", 0.03 * sin)] {
             let off = of(found) - f64::from(truth);
-            assert!(
-                off.abs() < 0.006,
-                "{quarter} quarters: {found} {}",
-                of(found)
-            );
+            assert!(off.abs() < 0.006, "{quarter} quarters: {found} {}", of(found));
         }
     }
 }
@@ -363,14 +320,9 @@ fn extended_rad(d: &Diagnosis) -> f64 {
 #[test]
 fn a_speed_and_a_torque_that_wander_spoil_nothing() {
     let mut clean = request(0, &|p| p.joint_friction_nm[0] += 0.05);
-    clean.options.only = [
-        "coulomb_friction",
-        "kp_error",
-        "velocity_lag",
-        "torque_constant",
-    ]
-    .map(str::to_owned)
-    .to_vec();
+    clean.options.only = ["coulomb_friction", "kp_error", "velocity_lag", "torque_constant"]
+        .map(str::to_owned)
+        .to_vec();
     // without repeats, which would show it
     clean.runs.retain(|run| run.name.ends_with("_0"));
     let mut without = clean.clone();
@@ -405,17 +357,9 @@ fn a_speed_and_a_torque_that_wander_spoil_nothing() {
     }
     let [bad, without] = [bad, without].map(|r| diagnose(&r, &mut |_| {}).unwrap());
     assert_eq!(names(&bad), ["coulomb_friction"], "{}", bad.report.summary);
-    assert_eq!(
-        bad.report.verdict,
-        Verdict::Explained,
-        "{}",
-        bad.report.summary
-    );
+    assert_eq!(bad.report.verdict, Verdict::Explained, "{}", bad.report.summary);
     let (bad, without) = (extended_rad(&bad), extended_rad(&without));
-    assert!(
-        bad <= 1.05 * without,
-        "{bad} rad with them, {without} rad without"
-    );
+    assert!(bad <= 1.05 * without, "{bad} rad with them, {without} rad without");
 }
 
 #[test]
@@ -444,20 +388,11 @@ fn a_diagnosis_that_is_asked_to_stop_tells_what_it_has() {
         let (ended, _) = asked_until(last);
         let report = ended.unwrap();
         assert!(report.unfinished, "{last}");
-        assert!(
-            report.summary.starts_with("Unfinished"),
-            "{}",
-            report.summary
-        );
+        assert!(report.summary.starts_with("Unfinished"), "{}", report.summary);
     }
     // once the search has found it, a stop while it is named does not lose it: it is in the model
     let (late, _) = asked_until(asked - 1);
-    assert!(
-        late.unwrap()
-            .model
-            .iter()
-            .any(|c| c.effect == "coulomb_friction")
-    );
+    assert!(late.unwrap().model.iter().any(|c| c.effect == "coulomb_friction"));
 }
 
 /// `log` with its angle `by_rad` more from `from_s` to `to_s`.
@@ -476,9 +411,8 @@ fn shifted(log: &RunLog, (from_s, to_s): (f64, f64), by_rad: f64) -> RunLog {
 #[test]
 fn held_out_runs_have_no_part_in_what_is_found() {
     let mut request = request(0, &|p| p.joint_friction_nm[0] += 0.05);
-    request.options.only = ["coulomb_friction", "viscous_friction", "kp_error"]
-        .map(str::to_owned)
-        .to_vec();
+    request.options.only =
+        ["coulomb_friction", "viscous_friction", "kp_error"].map(str::to_owned).to_vec();
     let model = |request: &Request| diagnose(request, &mut |_| {}).unwrap().report.model;
     let found = model(&request);
     assert!(!found.is_empty());
@@ -521,10 +455,7 @@ fn standard_models_are_fitted_to_the_same_runs_and_reported() {
     });
     let errors = &d.report.position_errors;
     let names: Vec<&str> = errors.iter().map(|e| e.model.as_str()).collect();
-    assert_eq!(
-        (names[0], names[5], names.len()),
-        ("as given", "extended", 6)
-    );
+    assert_eq!((names[0], names[5], names.len()), ("as given", "extended", 6));
     let of = |k: usize| errors[k].mean_rad;
     // Coulomb friction helps, and load friction helps more
     assert!(of(2) < 0.7 * of(0) && of(4) < of(2), "{errors:?}");
@@ -538,21 +469,12 @@ fn standard_models_are_fitted_to_the_same_runs_and_reported() {
 fn bad_runs_are_refused_in_one_line() {
     let mut none = request(0, &|_| {});
     none.runs.clear();
-    assert!(matches!(
-        diagnose(&none, &mut |_| {}),
-        Err(GapError::NoRuns)
-    ));
+    assert!(matches!(diagnose(&none, &mut |_| {}), Err(GapError::NoRuns)));
     let mut short = request(0, &|_| {});
-    short.runs[0].log.table = Table::parse(
-        "log.csv",
-        "t,cmd.swing,pos.swing\n0,0,0\n0.5,0,0\n".as_bytes(),
-    )
-    .unwrap();
+    short.runs[0].log.table =
+        Table::parse("log.csv", "t,cmd.swing,pos.swing\n0,0,0\n0.5,0,0\n".as_bytes()).unwrap();
     let message = diagnose(&short, &mut |_| {}).unwrap_err().to_string();
-    assert!(
-        message.contains("lasts 0.50 s") && !message.contains('\n'),
-        "{message}"
-    );
+    assert!(message.contains("lasts 0.50 s") && !message.contains('\n'), "{message}");
     let mut foreign = request(0, &|_| {});
     foreign.runs[0].log.table =
         Table::parse("log.csv", "t,cmd.wing,pos.wing\n0,0,0\n5,0,0\n".as_bytes()).unwrap();

@@ -69,10 +69,7 @@ fn runs_with_other_channels_share_an_engine_and_change_nothing() {
         assert!(of.iter().all(|x| x.is_finite()));
         of.iter().map(|x| x.to_bits()).collect()
     };
-    let alone = [
-        predicted(vec![without.clone()]),
-        predicted(vec![with.clone()]),
-    ];
+    let alone = [predicted(vec![without.clone()]), predicted(vec![with.clone()])];
     assert!(alone[1].len() > alone[0].len() && !alone[0].is_empty());
     assert_eq!(predicted(vec![without, with]), alone.concat());
 }
@@ -96,14 +93,7 @@ fn a_held_robot_with_an_integral_part_stands_for_a_second_before_its_recording()
     // where it is after `t_s`, beginning from `pos_rad`
     let after = |t_s: f64, pos_rad: f64, terms: &[Term]| -> f64 {
         let rows = (t_s * ROWS_HZ) as usize + 1;
-        let trial = run(
-            &model,
-            BaseHold::Fixed,
-            rows,
-            &[command_rad],
-            &[pos_rad],
-            &[],
-        );
+        let trial = run(&model, BaseHold::Fixed, rows, &[command_rad], &[pos_rad], &[]);
         let data = Data::new(&model, vec![trial], SegmentOptions::default());
         let last = (data.segments.iter().flat_map(|s| &s.pieces))
             .filter(|p| p.kind == Kind::Position)

@@ -53,10 +53,7 @@ fn runs(folder: &Path, model: &RobotModel) -> Vec<Run> {
 
 /// Every run in one piece, from its first row to its last, however long nothing holds the joint.
 fn whole_runs() -> SegmentOptions {
-    SegmentOptions {
-        loose_s: f64::INFINITY,
-        ..SegmentOptions::default()
-    }
+    SegmentOptions { loose_s: f64::INFINITY, ..SegmentOptions::default() }
 }
 
 /// The runs, replayed in one go, and the places of position samples per run.
@@ -106,11 +103,7 @@ impl Bench {
                 let effect = effects::find(id).unwrap();
                 let place = effect.places(&model)[0].clone();
                 let values = effect.neutral(&model, &place);
-                Term {
-                    effect,
-                    place,
-                    values,
-                }
+                Term { effect, place, values }
             })
             .collect();
         let cost = |e: &[f64]| self.mean(e, |t| t.role == Role::Fit);
@@ -164,10 +157,7 @@ fn a_real_servo_is_explained_better_than_by_the_usual_models() {
     let model = Arc::new(RobotModel::from_bytes("xl330", &robot_toml, &mjcf).unwrap());
     let runs = runs(&folder, &model);
     assert_eq!(runs.len(), 16);
-    let trials = runs
-        .iter()
-        .map(|r| caudata_gap::reading::trial(&model, r).unwrap())
-        .collect();
+    let trials = runs.iter().map(|r| caudata_gap::reading::trial(&model, r).unwrap()).collect();
     let bench = Bench {
         replayer: Replayer::new(Arc::clone(&model), 2).unwrap(),
         data: Data::new(&model, trials, whole_runs()),
@@ -188,18 +178,10 @@ fn a_real_servo_is_explained_better_than_by_the_usual_models() {
     // All of them with a free gain and a free rotor: what is compared is friction.
     let models: Vec<(&str, Variant)> = vec![
         ("robot file as it is", Vec::new()),
-        (
-            "PD + viscous",
-            bench.fitted(&["kp_error", "armature", "viscous_friction"]),
-        ),
+        ("PD + viscous", bench.fitted(&["kp_error", "armature", "viscous_friction"])),
         (
             "PD + viscous + Coulomb",
-            bench.fitted(&[
-                "kp_error",
-                "armature",
-                "viscous_friction",
-                "coulomb_friction",
-            ]),
+            bench.fitted(&["kp_error", "armature", "viscous_friction", "coulomb_friction"]),
         ),
         (
             "PD + viscous + Coulomb + Stribeck",
@@ -229,10 +211,7 @@ fn a_real_servo_is_explained_better_than_by_the_usual_models() {
     for ((name, _), r) in models.iter().zip(&rows) {
         say(&format!("{name:36} {:.4}  {:.4}  {:.4}", r[0], r[1], r[2]));
     }
-    say(&format!(
-        "{:?}: {}",
-        found.report.verdict, found.report.summary
-    ));
+    say(&format!("{:?}: {}", found.report.verdict, found.report.summary));
     for c in &found.report.causes {
         say(&format!(
             "  {} {:.2} {:?}",
@@ -253,16 +232,7 @@ fn a_real_servo_is_explained_better_than_by_the_usual_models() {
         assert!(ours[2] < row[2], "sin_sin: {name} is better");
     }
     assert!(ours[2] <= 0.055, "sin_sin {:.4}", ours[2]);
-    let names: Vec<&str> = found
-        .report
-        .causes
-        .iter()
-        .map(|c| c.effect.as_str())
-        .collect();
-    let by_load = [
-        "load_dependent_friction",
-        "drive_asymmetry",
-        "load_stiction",
-    ];
+    let names: Vec<&str> = found.report.causes.iter().map(|c| c.effect.as_str()).collect();
+    let by_load = ["load_dependent_friction", "drive_asymmetry", "load_stiction"];
     assert!(names.iter().any(|n| by_load.contains(n)), "{names:?}");
 }

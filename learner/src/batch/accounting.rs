@@ -47,10 +47,7 @@ impl From<Accounting> for Stored {
 
 impl From<Stored> for Accounting {
     fn from(stored: Stored) -> Self {
-        Self {
-            actors: stored.actors.into_iter().collect(),
-            unattributed: stored.unattributed,
-        }
+        Self { actors: stored.actors.into_iter().collect(), unattributed: stored.unattributed }
     }
 }
 
@@ -90,23 +87,17 @@ impl Accounting {
 
     /// A new chunk is refused.
     pub fn reject(&mut self, actor: ActorKey, reason: &str) {
-        self.change(actor, |account| {
-            *account.rejected.entry(reason.to_owned()).or_default() += 1
-        });
+        self.change(actor, |account| *account.rejected.entry(reason.to_owned()).or_default() += 1);
     }
 
     /// A new chunk is not used.
     pub fn drop_new(&mut self, actor: ActorKey, reason: DropReason) {
-        self.change(actor, |account| {
-            *account.dropped.entry(reason).or_default() += 1
-        });
+        self.change(actor, |account| *account.dropped.entry(reason).or_default() += 1);
     }
 
     /// A waiting chunk is not used after all.
     pub fn drop_waiting(&mut self, actor: ActorKey, reason: DropReason) {
-        self.change(actor, |account| {
-            account.waiting = account.waiting.saturating_sub(1)
-        });
+        self.change(actor, |account| account.waiting = account.waiting.saturating_sub(1));
         self.drop_new(actor, reason);
     }
 
@@ -137,11 +128,7 @@ impl Accounting {
 
     /// After a restart nothing waits any more: the chunks were not part of the checkpoint.
     pub fn restarted(&mut self) {
-        for account in self
-            .actors
-            .values_mut()
-            .filter(|account| account.waiting > 0)
-        {
+        for account in self.actors.values_mut().filter(|account| account.waiting > 0) {
             *account.dropped.entry(DropReason::Restart).or_default() += account.waiting;
             account.waiting = 0;
         }
@@ -162,9 +149,7 @@ impl Accounting {
     /// The first incarnation of `actor_id` that has not been heard of.
     pub fn next_incarnation(&self, actor_id: u32) -> u64 {
         let of_actor = self.actors.range((actor_id, 0)..=(actor_id, u64::MAX));
-        of_actor
-            .last()
-            .map_or(0, |((_, incarnation), _)| incarnation + 1)
+        of_actor.last().map_or(0, |((_, incarnation), _)| incarnation + 1)
     }
 
     /// Sums for the progress line. Frames, so duplicates count as rejected; lost chunks were never received.
@@ -181,10 +166,7 @@ impl Accounting {
             rejected += account.rejected() + account.duplicates;
             dropped += account.dropped_but_not_lost();
             add("duplicate", account.duplicates);
-            account
-                .rejected
-                .iter()
-                .for_each(|(reason, count)| add(reason, *count));
+            account.rejected.iter().for_each(|(reason, count)| add(reason, *count));
             account
                 .dropped_by_reason()
                 .iter()
@@ -226,11 +208,8 @@ impl Accounting {
 
     /// The table that goes into `accounting.json`.
     pub fn report(&self) -> Report {
-        let rows: Vec<ReportRow> = self
-            .actors
-            .iter()
-            .map(|(key, account)| row(*key, account))
-            .collect();
+        let rows: Vec<ReportRow> =
+            self.actors.iter().map(|(key, account)| row(*key, account)).collect();
         let total = |pick: fn(&ReportRow) -> u64| rows.iter().map(pick).sum();
         Report {
             identity: "sent = accepted + rejected + dropped + waiting",
@@ -254,11 +233,8 @@ impl Accounting {
 }
 
 fn row((actor_id, incarnation): ActorKey, account: &IncarnationAccount) -> ReportRow {
-    let mut dropped: BTreeMap<&'static str, u64> = account
-        .dropped_by_reason()
-        .iter()
-        .map(|(reason, count)| (reason.name(), *count))
-        .collect();
+    let mut dropped: BTreeMap<&'static str, u64> =
+        account.dropped_by_reason().iter().map(|(reason, count)| (reason.name(), *count)).collect();
     if account.lost() > 0 {
         dropped.insert(DropReason::Lost.name(), account.lost());
     }
@@ -351,15 +327,7 @@ mod tests {
         assert_eq!(accounting.arrive(A, 1), Arrival::Duplicate);
         assert!(accounting.holds());
         let report = accounting.report();
-        assert_eq!(
-            (
-                report.sent,
-                report.accepted,
-                report.dropped,
-                report.duplicates
-            ),
-            (4, 3, 1, 1)
-        );
+        assert_eq!((report.sent, report.accepted, report.dropped, report.duplicates), (4, 3, 1, 1));
     }
 
     #[test]
@@ -407,10 +375,7 @@ mod tests {
         restored.restarted();
         assert!(restored.holds());
         assert_eq!(restored.report().actors[0].dropped["restart"], 1);
-        assert_eq!(
-            (restored.next_incarnation(3), restored.next_incarnation(2)),
-            (1, 0)
-        );
+        assert_eq!((restored.next_incarnation(3), restored.next_incarnation(2)), (1, 0));
     }
 
     #[test]
@@ -448,15 +413,9 @@ mod tests {
         accounting.arrive(A, 0);
         accounting.reject_unattributed("wrong_run");
         let sum = accounting.summary();
-        assert_eq!(
-            (sum.received, sum.accepted, sum.rejected, sum.dropped),
-            (3, 1, 2, 0)
-        );
+        assert_eq!((sum.received, sum.accepted, sum.rejected, sum.dropped), (3, 1, 2, 0));
         let row = &accounting.per_actor()[0];
-        assert_eq!(
-            (row.received, row.accepted, row.rejected, row.sent),
-            (1, 1, 0, None)
-        );
+        assert_eq!((row.received, row.accepted, row.rejected, row.sent), (1, 1, 0, None));
     }
 
     proptest! {

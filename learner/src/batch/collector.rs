@@ -176,11 +176,7 @@ impl Collector {
                     return outcome;
                 }
                 self.accounting.goodbye(actor, bye.sent);
-                if self
-                    .newest
-                    .get(&bye.actor_id)
-                    .is_none_or(|&newest| newest <= bye.incarnation)
-                {
+                if self.newest.get(&bye.actor_id).is_none_or(|&newest| newest <= bye.incarnation) {
                     self.present.remove(&bye.actor_id);
                 }
                 Outcome::Bye(actor)
@@ -215,9 +211,7 @@ impl Collector {
             return !self.present.is_empty() && self.present.iter().all(came);
         }
         let coming = self.present.len() * per_actor;
-        let target = coming
-            .max(self.settings.fewest())
-            .min(self.settings.full_batch());
+        let target = coming.max(self.settings.fewest()).min(self.settings.full_batch());
         self.waiting.len() >= target - self.settings.stragglers(target)
     }
 
@@ -259,13 +253,11 @@ impl Collector {
         let share = self.settings.chunks_per_version as usize;
         let mut taken: BTreeMap<u32, usize> = BTreeMap::new();
         let (batch, rest) =
-            std::mem::take(&mut self.waiting)
-                .into_iter()
-                .partition(|chunk: &RolloutChunk| {
-                    let of_actor = taken.entry(chunk.actor_id).or_default();
-                    *of_actor += 1;
-                    *of_actor <= share
-                });
+            std::mem::take(&mut self.waiting).into_iter().partition(|chunk: &RolloutChunk| {
+                let of_actor = taken.entry(chunk.actor_id).or_default();
+                *of_actor += 1;
+                *of_actor <= share
+            });
         self.waiting = rest;
         batch
     }
@@ -314,10 +306,7 @@ impl Collector {
             self.accounting.drop_new(actor, reason);
             return Outcome::Dropped(actor, reason);
         }
-        *self
-            .used
-            .entry((chunk.actor_id, chunk.policy_version))
-            .or_default() += 1;
+        *self.used.entry((chunk.actor_id, chunk.policy_version)).or_default() += 1;
         self.accounting.wait(actor);
         self.waiting.push(chunk);
         Outcome::Waiting(actor)
@@ -357,11 +346,7 @@ impl Collector {
     }
 
     fn unusable(&self, chunk: &RolloutChunk) -> Option<DropReason> {
-        let used = self
-            .used
-            .get(&(chunk.actor_id, chunk.policy_version))
-            .copied()
-            .unwrap_or(0);
+        let used = self.used.get(&(chunk.actor_id, chunk.policy_version)).copied().unwrap_or(0);
         if self.closed {
             Some(DropReason::AtShutdown)
         } else if chunk.policy_version + self.settings.lag() < self.current {
@@ -423,9 +408,7 @@ impl Collector {
     }
 
     fn is_quarantined(&self, actor: ActorKey) -> bool {
-        self.strikes
-            .get(&actor)
-            .is_some_and(|&strikes| strikes >= STRIKES_MAX)
+        self.strikes.get(&actor).is_some_and(|&strikes| strikes >= STRIKES_MAX)
     }
 
     fn strike(&mut self, actor: ActorKey, reason: &'static str, message: String) -> Outcome {
@@ -462,12 +445,7 @@ impl Collector {
 }
 
 fn order(chunk: &RolloutChunk) -> (u64, u32, u64, u64) {
-    (
-        chunk.policy_version,
-        chunk.actor_id,
-        chunk.incarnation,
-        chunk.sequence,
-    )
+    (chunk.policy_version, chunk.actor_id, chunk.incarnation, chunk.sequence)
 }
 
 #[cfg(test)]

@@ -58,13 +58,9 @@ impl Batch {
         let mut batch = Self::default();
         let values = |of: fn(&RolloutChunk) -> usize| chunks.iter().map(of).sum::<usize>();
         let finals = values(|chunk| chunk.final_observations.len() * chunk.obs_dim);
-        batch
-            .observations
-            .reserve(values(|chunk| chunk.observations.len()) + finals);
+        batch.observations.reserve(values(|chunk| chunk.observations.len()) + finals);
         batch.actions.reserve(values(|chunk| chunk.actions.len()));
-        batch
-            .action_means
-            .reserve(values(|chunk| chunk.action_means.len()));
+        batch.action_means.reserve(values(|chunk| chunk.action_means.len()));
         for chunk in &chunks {
             batch.push_samples(chunk);
         }

@@ -25,10 +25,7 @@ pub fn side_by_side(chunks: Vec<RolloutChunk>) -> Vec<RolloutChunk> {
         }
         *round += 1;
     }
-    rounds
-        .into_iter()
-        .filter_map(|round| joined(round.into_values().collect()))
-        .collect()
+    rounds.into_iter().filter_map(|round| joined(round.into_values().collect())).collect()
 }
 
 /// One chunk with the lanes of all. `None` for none at all.
@@ -52,16 +49,12 @@ fn joined(parts: Vec<RolloutChunk>) -> Option<RolloutChunk> {
     for step in 0..=steps {
         for part in &parts {
             let row = |width: usize| step * part.lanes * width..(step + 1) * part.lanes * width;
-            whole
-                .observations
-                .extend_from_slice(&part.observations[row(obs_dim)]);
+            whole.observations.extend_from_slice(&part.observations[row(obs_dim)]);
             if step == steps {
                 continue;
             }
             whole.actions.extend_from_slice(&part.actions[row(act_dim)]);
-            whole
-                .action_means
-                .extend_from_slice(&part.action_means[row(act_dim)]);
+            whole.action_means.extend_from_slice(&part.action_means[row(act_dim)]);
             whole.log_probs.extend_from_slice(&part.log_probs[row(1)]);
             whole.rewards.extend_from_slice(&part.rewards[row(1)]);
             whole.terminated.extend_from_slice(&part.terminated[row(1)]);
@@ -70,10 +63,7 @@ fn joined(parts: Vec<RolloutChunk>) -> Option<RolloutChunk> {
     }
     let mut before = 0;
     for part in parts {
-        let shifted = |end: FinalObservation| FinalObservation {
-            lane: end.lane + before,
-            ..end
-        };
+        let shifted = |end: FinalObservation| FinalObservation { lane: end.lane + before, ..end };
         let finals = part.final_observations.into_iter().map(shifted);
         whole.final_observations.extend(finals);
         let offset = u32::try_from(before).unwrap_or(u32::MAX);
@@ -84,15 +74,10 @@ fn joined(parts: Vec<RolloutChunk>) -> Option<RolloutChunk> {
         whole.episodes.extend(episodes);
         before += part.lanes;
     }
-    whole
-        .final_observations
-        .sort_by_key(|end| (end.step, end.lane));
+    whole.final_observations.sort_by_key(|end| (end.step, end.lane));
     let moments = Moments::of(&whole.observations[..steps * lanes * obs_dim], obs_dim);
-    whole.moments = caudata_proto::Moments {
-        count: moments.count,
-        mean: moments.mean,
-        m2: moments.m2,
-    };
+    whole.moments =
+        caudata_proto::Moments { count: moments.count, mean: moments.mean, m2: moments.m2 };
     Some(whole)
 }
 
@@ -110,23 +95,17 @@ mod tests {
             (1000 * sequence as usize + 10 * (first + lane) + step) as f32
         };
         let rows = |steps: usize| -> Vec<f32> {
-            (0..steps)
-                .flat_map(|step| (0..lanes).map(move |lane| value(step, lane)))
-                .collect()
+            (0..steps).flat_map(|step| (0..lanes).map(move |lane| value(step, lane))).collect()
         };
         // The last lane of all is cut off in its first step.
         let cut = |step: usize, lane: usize| step == 0 && first + lane == 3;
-        let truncated: Vec<bool> = (0..STEPS)
-            .flat_map(|step| (0..lanes).map(move |lane| cut(step, lane)))
-            .collect();
-        let finals = truncated
-            .iter()
-            .position(|&t| t)
-            .map(|at| FinalObservation {
-                step: at / lanes,
-                lane: at % lanes,
-                observation: vec![-1.0],
-            });
+        let truncated: Vec<bool> =
+            (0..STEPS).flat_map(|step| (0..lanes).map(move |lane| cut(step, lane))).collect();
+        let finals = truncated.iter().position(|&t| t).map(|at| FinalObservation {
+            step: at / lanes,
+            lane: at % lanes,
+            observation: vec![-1.0],
+        });
         RolloutChunk {
             run_id: "run".into(),
             actor_id: actor,
@@ -149,11 +128,7 @@ mod tests {
             truncated,
             final_observations: finals.into_iter().collect(),
             episodes: Vec::new(),
-            moments: caudata_proto::Moments {
-                count: 0,
-                mean: vec![0.0],
-                m2: vec![0.0],
-            },
+            moments: caudata_proto::Moments { count: 0, mean: vec![0.0], m2: vec![0.0] },
             action_history: None,
             trace: None,
         }

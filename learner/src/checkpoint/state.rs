@@ -152,14 +152,8 @@ impl CheckpointState {
         let text = |error: serde_json::Error| error.to_string();
         let mut files = Files::new();
         files.insert(STATE.into(), self.tensors(layout)?);
-        files.insert(
-            META.into(),
-            serde_json::to_vec_pretty(&self.saved).map_err(text)?,
-        );
-        files.insert(
-            HISTORY.into(),
-            serde_json::to_vec(&self.history).map_err(text)?,
-        );
+        files.insert(META.into(), serde_json::to_vec_pretty(&self.saved).map_err(text)?);
+        files.insert(HISTORY.into(), serde_json::to_vec(&self.history).map_err(text)?);
         for actor in &self.actors {
             let name = format!("{ACTOR_PREFIX}{:03}{ACTOR_SUFFIX}", actor.actor_id);
             files.insert(name, actor.to_bytes());
@@ -176,10 +170,7 @@ impl CheckpointState {
         let saved: Saved =
             serde_json::from_slice(file(META)?).map_err(|error| format!("{META}: {error}"))?;
         if saved.format != FORMAT {
-            return Err(format!(
-                "format {}, this program reads {FORMAT}",
-                saved.format
-            ));
+            return Err(format!("format {}, this program reads {FORMAT}", saved.format));
         }
         let history = serde_json::from_slice(file(HISTORY)?)
             .map_err(|error| format!("{HISTORY}: {error}"))?;
@@ -188,17 +179,10 @@ impl CheckpointState {
             SafeTensors::deserialize(bytes).map_err(|error| format!("{STATE}: {error}"))?;
         let reader = Reader { tensors };
         let (count, _) = reader.bytes("normaliser.count", Dtype::U64)?;
-        let count = count
-            .first_chunk()
-            .map_or(0, |bytes| u64::from_le_bytes(*bytes));
-        let (mean, m2) = (
-            reader.f64s("normaliser.mean")?,
-            reader.f64s("normaliser.m2")?,
-        );
+        let count = count.first_chunk().map_or(0, |bytes| u64::from_le_bytes(*bytes));
+        let (mean, m2) = (reader.f64s("normaliser.mean")?, reader.f64s("normaliser.m2")?);
         if mean.len() != m2.len() {
-            return Err(format!(
-                "{STATE}: mean and m2 of the normaliser differ in length"
-            ));
+            return Err(format!("{STATE}: mean and m2 of the normaliser differ in length"));
         }
         let learning_rate = reader.f64s("learning_rate")?;
         let step_rewards = reader.f64s("mean_step_reward")?;
@@ -221,11 +205,7 @@ impl CheckpointState {
 
     fn tensors(&self, layout: &Layout) -> Result<Vec<u8>, String> {
         let mut tensors: Vec<(String, Dtype, Vec<usize>, Vec<u8>)> = Vec::new();
-        let groups = [
-            ("", &self.parameters),
-            ("adam.m.", &self.adam_m),
-            ("adam.v.", &self.adam_v),
-        ];
+        let groups = [("", &self.parameters), ("adam.m.", &self.adam_m), ("adam.v.", &self.adam_v)];
         for (prefix, flat) in groups {
             if flat.len() != layout.len() {
                 return Err(format!(
@@ -280,20 +260,12 @@ struct Reader<'a> {
 
 impl Reader<'_> {
     fn bytes(&self, name: &str, dtype: Dtype) -> Result<(&[u8], Vec<i64>), String> {
-        let tensor = self
-            .tensors
-            .tensor(name)
-            .map_err(|error| format!("{STATE}: {name}: {error}"))?;
+        let tensor =
+            self.tensors.tensor(name).map_err(|error| format!("{STATE}: {name}: {error}"))?;
         if tensor.dtype() != dtype {
-            return Err(format!(
-                "{STATE}: {name} has type {:?}, not {dtype:?}",
-                tensor.dtype()
-            ));
+            return Err(format!("{STATE}: {name} has type {:?}, not {dtype:?}", tensor.dtype()));
         }
-        Ok((
-            tensor.data(),
-            tensor.shape().iter().map(|&n| n as i64).collect(),
-        ))
+        Ok((tensor.data(), tensor.shape().iter().map(|&n| n as i64).collect()))
     }
 
     /// All parameters whose names begin with `prefix`, in the order of the flat vector.
@@ -304,9 +276,7 @@ impl Reader<'_> {
             let (bytes, shape) = self.bytes(&name, Dtype::F32)?;
             if shape != parameter.shape {
                 let expected = &parameter.shape;
-                return Err(format!(
-                    "{STATE}: {name} is {shape:?}, the network has {expected:?}"
-                ));
+                return Err(format!("{STATE}: {name} is {shape:?}, the network has {expected:?}"));
             }
             for (x, bytes) in flat[parameter.offset..].iter_mut().zip(bytes.as_chunks().0) {
                 *x = f32::from_le_bytes(*bytes);
@@ -314,9 +284,7 @@ impl Reader<'_> {
         }
         match flat.iter().all(|x| x.is_finite()) {
             true => Ok(flat),
-            false => Err(format!(
-                "{STATE}: {prefix}* holds a value that is not finite"
-            )),
+            false => Err(format!("{STATE}: {prefix}* holds a value that is not finite")),
         }
     }
 
@@ -339,15 +307,8 @@ mod tests {
     }
 
     fn state() -> CheckpointState {
-        let mut minibatch_order = Stream::new(
-            Key {
-                seed: 1,
-                actor: 0,
-                env: 0,
-                episode: 0,
-            },
-            Purpose::Minibatch,
-        );
+        let mut minibatch_order =
+            Stream::new(Key { seed: 1, actor: 0, env: 0, episode: 0 }, Purpose::Minibatch);
         minibatch_order.next_u32();
         let mut episodes = EpisodeWindow::default();
         let episode = caudata_proto::EpisodeSummary {
@@ -365,9 +326,7 @@ mod tests {
         // Padding is zero, as in a network.
         let flat = |scale: f32| {
             let mut flat = vec![0.0; 32];
-            (0..6)
-                .chain(16..18)
-                .for_each(|i| flat[i] = scale / (1.0 + i as f32));
+            (0..6).chain(16..18).for_each(|i| flat[i] = scale / (1.0 + i as f32));
             flat
         };
         CheckpointState {
@@ -391,11 +350,7 @@ mod tests {
             adam_m: flat(-1e-30),
             adam_v: flat(1e-38),
             learning_rate: 1e-3 / 1.5,
-            moments: Moments {
-                count: 7,
-                mean: vec![0.1, 1.0 / 3.0],
-                m2: vec![1e-300, 5.0],
-            },
+            moments: Moments { count: 7, mean: vec![0.1, 1.0 / 3.0], m2: vec![1e-300, 5.0] },
             step_rewards: vec![0.1, -0.7],
             returns: vec![returns, ReturnSums::default()],
             history: History::default(),
@@ -414,17 +369,9 @@ mod tests {
         let files = state().to_files(&layout()).unwrap();
         assert_eq!(
             files.keys().collect::<Vec<_>>(),
-            [
-                "actor_001.state",
-                "history.json",
-                "meta.json",
-                "state.safetensors"
-            ]
+            ["actor_001.state", "history.json", "meta.json", "state.safetensors"]
         );
-        assert_eq!(
-            CheckpointState::from_files(&files, &layout()).unwrap(),
-            state()
-        );
+        assert_eq!(CheckpointState::from_files(&files, &layout()).unwrap(), state());
     }
 
     #[test]
@@ -445,18 +392,10 @@ mod tests {
             less.remove(name);
             assert!(refused(&less, &layout()).contains(found));
         }
-        for name in [
-            "meta.json",
-            "state.safetensors",
-            "actor_001.state",
-            "history.json",
-        ] {
+        for name in ["meta.json", "state.safetensors", "actor_001.state", "history.json"] {
             let mut cut = files.clone();
             cut.get_mut(name).unwrap().pop();
-            assert!(
-                CheckpointState::from_files(&cut, &layout()).is_err(),
-                "{name} cut off"
-            );
+            assert!(CheckpointState::from_files(&cut, &layout()).is_err(), "{name} cut off");
         }
     }
 
@@ -478,10 +417,7 @@ mod tests {
         }
         // The last hundred are 50 to 149.
         assert_eq!(window.mean_return(), Some(99.5));
-        assert_eq!(
-            (window.mean_term(0), window.mean_term(9)),
-            (Some(199.0), Some(0.0))
-        );
+        assert_eq!((window.mean_term(0), window.mean_term(9)), (Some(199.0), Some(0.0)));
         assert_eq!(window.mean_steps(), Some(1.0));
     }
 }

@@ -38,11 +38,7 @@ pub struct CheckpointStore {
 impl CheckpointStore {
     /// The checkpoints under `root`, of which the newest `keep` stay.
     pub fn new(root: PathBuf, keep: usize) -> Self {
-        Self {
-            root,
-            keep: keep.max(1),
-            write: write_synced,
-        }
+        Self { root, keep: keep.max(1), write: write_synced }
     }
 
     /// Where they lie.
@@ -60,9 +56,7 @@ impl CheckpointStore {
         self.remove_leftovers();
         let name = name_of(iteration);
         let partial = self.root.join(format!("{name}{PARTIAL}"));
-        let result = self
-            .fill(&partial, files)
-            .and_then(|()| self.install(&partial, &name));
+        let result = self.fill(&partial, files).and_then(|()| self.install(&partial, &name));
         if result.is_err() {
             let _ = fs::remove_dir_all(&partial);
         }
@@ -86,9 +80,9 @@ impl CheckpointStore {
                     Some(name) => self.load(name).map(Some),
                 }
             }
-            Err(error) => Err(LearnerError::Durable(DurableError::from_io(
-                "read", &pointer, error,
-            ))),
+            Err(error) => {
+                Err(LearnerError::Durable(DurableError::from_io("read", &pointer, error)))
+            }
         }
     }
 
@@ -115,11 +109,7 @@ impl CheckpointStore {
             other != folder && verified(&other).is_ok()
         };
         let good = self.names().into_iter().rev().find(whole);
-        LearnerError::CheckpointDamaged {
-            path: folder.to_owned(),
-            reason,
-            good,
-        }
+        LearnerError::CheckpointDamaged { path: folder.to_owned(), reason, good }
     }
 
     /// Names of all checkpoints, oldest first.
@@ -209,9 +199,7 @@ fn verified(folder: &Path) -> Result<Files, String> {
     }
     let mut files = Files::new();
     for line in sums.lines() {
-        let (sum, name) = line
-            .split_once("  ")
-            .ok_or(format!("{SUMS} is not a list of sums"))?;
+        let (sum, name) = line.split_once("  ").ok_or(format!("{SUMS} is not a list of sums"))?;
         if name.contains('/') {
             return Err(format!("{SUMS} names a file outside the folder"));
         }
@@ -258,9 +246,7 @@ mod tests {
         let (_dir, store) = store(2);
         assert!(store.load_latest().unwrap().is_none());
         for iteration in [5, 10, 15] {
-            store
-                .save(iteration, &files(&iteration.to_string()))
-                .unwrap();
+            store.save(iteration, &files(&iteration.to_string())).unwrap();
         }
         let (folder, loaded) = store.load_latest().unwrap().unwrap();
         assert!(folder.ends_with("iter_000015"));
@@ -306,10 +292,7 @@ mod tests {
             let LearnerError::CheckpointDamaged { path, reason, good } = error else {
                 panic!("{error}")
             };
-            assert_eq!(
-                (path.as_path(), good.as_deref()),
-                (folder.as_path(), Some("iter_000001"))
-            );
+            assert_eq!((path.as_path(), good.as_deref()), (folder.as_path(), Some("iter_000001")));
             assert!(reason.contains(what), "{reason}");
         };
         for cut in [0, 1, whole.len() - 1] {
@@ -372,25 +355,11 @@ mod tests {
         let partial = store.root().join("iter_000002.partial");
         fs::create_dir(&partial).unwrap();
         fs::write(partial.join("meta.json"), "half").unwrap();
-        assert!(
-            store
-                .load_latest()
-                .unwrap()
-                .unwrap()
-                .0
-                .ends_with("iter_000001")
-        );
+        assert!(store.load_latest().unwrap().unwrap().0.ends_with("iter_000001"));
         store.save(2, &files("2")).unwrap();
         assert!(!partial.exists());
         // Without the pointer the newest whole one is taken.
         fs::remove_file(store.root().join(LATEST)).unwrap();
-        assert!(
-            store
-                .load_latest()
-                .unwrap()
-                .unwrap()
-                .0
-                .ends_with("iter_000002")
-        );
+        assert!(store.load_latest().unwrap().unwrap().0.ends_with("iter_000002"));
     }
 }

@@ -18,11 +18,7 @@ pub fn orthogonal(stream: &mut Stream, rows: usize, columns: usize, gain: f64) -
     let mut matrix = vec![0.0; rows * columns];
     for row in 0..rows {
         for column in 0..columns {
-            let (vector, element) = if rows <= columns {
-                (row, column)
-            } else {
-                (column, row)
-            };
+            let (vector, element) = if rows <= columns { (row, column) } else { (column, row) };
             matrix[row * columns + column] = (gain * basis[vector][element]) as f32;
         }
     }
@@ -99,12 +95,7 @@ mod tests {
     use caudata_random::{Key, Purpose};
 
     fn stream(seed: u64) -> Stream {
-        let key = Key {
-            seed,
-            actor: 0,
-            env: 0,
-            episode: 0,
-        };
+        let key = Key { seed, actor: 0, env: 0, episode: 0 };
         Stream::new(key, Purpose::Init)
     }
 

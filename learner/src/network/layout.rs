@@ -37,11 +37,7 @@ pub struct Layout {
 impl Layout {
     /// Appends a parameter and answers its index.
     pub fn push(&mut self, name: String, shape: &[i64]) -> usize {
-        let parameter = Parameter {
-            name,
-            shape: shape.to_vec(),
-            offset: self.len,
-        };
+        let parameter = Parameter { name, shape: shape.to_vec(), offset: self.len };
         self.len += parameter.numel().next_multiple_of(ALIGNMENT_FLOATS);
         self.parameters.push(parameter);
         self.parameters.len() - 1

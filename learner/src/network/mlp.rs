@@ -55,10 +55,7 @@ impl Mlp {
             weight: layout.view(flat, weight),
             bias: layout.view(flat, bias),
         };
-        Self {
-            layers: indices.iter().map(layer).collect(),
-            activation: act,
-        }
+        Self { layers: indices.iter().map(layer).collect(), activation: act }
     }
 
     /// Outputs `[M, out]` of inputs `[M, in]`.
@@ -75,10 +72,7 @@ impl Mlp {
     pub fn forward_with_tape(&self, x: &Tensor) -> (Tensor, Tape) {
         let (last, hidden) = self.split();
         let mut laps = Laps::new();
-        let mut tape = Tape {
-            inputs: vec![x.shallow_clone()],
-            pre: Vec::new(),
-        };
+        let mut tape = Tape { inputs: vec![x.shallow_clone()], pre: Vec::new() };
         for layer in hidden {
             let z = tape.inputs[tape.inputs.len() - 1].linear(&layer.weight, Some(&layer.bias));
             laps.lap(Part::Products);

@@ -81,9 +81,7 @@ impl NetworkSpec {
         };
         let mut sizes = spec.policy_hidden.iter().chain(&spec.value_hidden);
         if obs_dim == 0 || act_dim == 0 || sizes.any(|&n| n == 0) {
-            return Err(LearnerError::setting(
-                "a layer of the networks has no units",
-            ));
+            return Err(LearnerError::setting("a layer of the networks has no units"));
         }
         let ordered = 0.0 < spec.std_min && spec.std_min < spec.std_max;
         if !ordered || spec.init_std < spec.std_min || spec.init_std > spec.std_max {
@@ -123,10 +121,7 @@ impl NetworkSpec {
                 found.0, found.1, self.obs_dim, self.act_dim
             )));
         }
-        Ok(Self {
-            mirror: Some(mirror),
-            ..self
-        })
+        Ok(Self { mirror: Some(mirror), ..self })
     }
 
     fn policy_sides(&self, mirror: &Mirror) -> Vec<SignedPermutation> {
@@ -239,10 +234,8 @@ impl ActorCritic {
     pub fn place(&self) -> Place {
         let layers = |indices: &LayerIndices| {
             let layer = |&(weight, bias): &(usize, usize)| {
-                let (weight, bias) = (
-                    &self.layout.parameters()[weight],
-                    &self.layout.parameters()[bias],
-                );
+                let (weight, bias) =
+                    (&self.layout.parameters()[weight], &self.layout.parameters()[bias]);
                 LayerPlace {
                     weight: weight.offset,
                     bias: bias.offset,
@@ -268,9 +261,7 @@ impl ActorCritic {
         let raw = &parameters[first..][..self.spec.act_dim];
         let value = |raw: &f32| lo + (hi - lo) / (1.0 + (-f64::from(*raw)).exp());
         let values = raw.iter().map(value);
-        values
-            .map(|x| (x as f32, ((x - lo) * (hi - x) / (hi - lo)) as f32))
-            .unzip()
+        values.map(|x| (x as f32, ((x - lo) * (hi - x) / (hi - lo)) as f32)).unzip()
     }
 
     /// Sizes and bounds.
@@ -297,9 +288,7 @@ impl ActorCritic {
     /// function's comes behind it.
     pub fn policy_len(&self) -> usize {
         let first = self.indices.value.first().map(|&(weight, _)| weight);
-        first.map_or(self.layout.len(), |index| {
-            self.layout.parameters()[index].offset
-        })
+        first.map_or(self.layout.len(), |index| self.layout.parameters()[index].offset)
     }
 
     /// Writes the policy of `spec` and its log-std `[A]` into `values`, laid out as [`ActorCritic::flat`].
@@ -363,10 +352,7 @@ impl ActorCritic {
         let (lo, hi) = self.log_std_bounds();
         let log_std = self.log_std();
         let slope = (&log_std - lo) * (hi - &log_std) / (hi - lo);
-        gradient
-            .raw_log_std
-            .shallow_clone()
-            .copy_(&(grad_log_std * slope));
+        gradient.raw_log_std.shallow_clone().copy_(&(grad_log_std * slope));
     }
 
     fn log_std_bounds(&self) -> (f64, f64) {
@@ -419,11 +405,7 @@ fn lay_out(spec: &NetworkSpec) -> (Layout, Indices) {
     let policy = push_layers(&mut layout, "policy", &spec.policy_sizes());
     let raw_log_std = layout.push("raw_log_std".into(), &[spec.act_dim as i64]);
     let value = push_layers(&mut layout, "value", &spec.value_sizes());
-    let indices = Indices {
-        policy,
-        value,
-        raw_log_std,
-    };
+    let indices = Indices { policy, value, raw_log_std };
     (layout, indices)
 }
 
@@ -439,30 +421,18 @@ fn push_layers(layout: &mut Layout, name: &str, sizes: &[usize]) -> LayerIndices
 }
 
 fn initial_values(spec: &NetworkSpec, layout: &Layout, indices: &Indices, seed: u64) -> Vec<f32> {
-    let key = Key {
-        seed,
-        actor: 0,
-        env: 0,
-        episode: 0,
-    };
+    let key = Key { seed, actor: 0, env: 0, episode: 0 };
     let mut stream = Stream::new(key, Purpose::Init);
     let mut values = vec![0.0_f32; layout.len()];
     let mirror = spec.mirror.as_ref();
-    let (policy, value) = (
-        mirror.map(|m| spec.policy_sides(m)),
-        mirror.map(|m| spec.value_sides(m)),
-    );
-    for (layers, sides, output_gain) in [
-        (&indices.policy, policy, POLICY_OUTPUT_GAIN),
-        (&indices.value, value, 1.0),
-    ] {
+    let (policy, value) =
+        (mirror.map(|m| spec.policy_sides(m)), mirror.map(|m| spec.value_sides(m)));
+    for (layers, sides, output_gain) in
+        [(&indices.policy, policy, POLICY_OUTPUT_GAIN), (&indices.value, value, 1.0)]
+    {
         for (number, &(weight, _)) in layers.iter().enumerate() {
             let last = number + 1 == layers.len();
-            let gain = if last {
-                output_gain
-            } else {
-                std::f64::consts::SQRT_2
-            };
+            let gain = if last { output_gain } else { std::f64::consts::SQRT_2 };
             let parameter = &layout.parameters()[weight];
             let (rows, columns) = (parameter.shape[0] as usize, parameter.shape[1] as usize);
             let matrix = match &sides {

@@ -21,9 +21,7 @@ fn spec(activation: Activation) -> NetworkSpec {
 fn input(rows: i64) -> Tensor {
     // A fixed, irregular grid of numbers in ±2: no generator needed.
     let n = rows * 5;
-    let values: Vec<f32> = (0..n)
-        .map(|i| ((i * 37 % 101) as f32 / 25.0) - 2.0)
-        .collect();
+    let values: Vec<f32> = (0..n).map(|i| ((i * 37 % 101) as f32 / 25.0) - 2.0).collect();
     Tensor::from_slice(&values).view([rows, 5])
 }
 
@@ -32,10 +30,8 @@ fn reference(mlp: &Mlp, activation: Activation, x: &Tensor, leaves: &mut Vec<Ten
     let layers: Vec<_> = mlp.layers().collect();
     let mut h = x.shallow_clone();
     for (number, (weight, bias)) in layers.iter().enumerate() {
-        let (weight, bias) = (
-            weight.copy().set_requires_grad(true),
-            bias.copy().set_requires_grad(true),
-        );
+        let (weight, bias) =
+            (weight.copy().set_requires_grad(true), bias.copy().set_requires_grad(true));
         h = h.linear(&weight, Some(&bias));
         if number + 1 < layers.len() {
             h = match activation {
@@ -57,22 +53,12 @@ fn close(a: &Tensor, b: &Tensor, tolerance: f64, what: &str) {
 
 #[test]
 fn forward_and_backward_agree_with_autograd() {
-    for activation in [
-        Activation::Elu,
-        Activation::Swish,
-        Activation::Tanh,
-        Activation::Relu,
-    ] {
+    for activation in [Activation::Elu, Activation::Swish, Activation::Tanh, Activation::Relu] {
         let net = ActorCritic::new(spec(activation), 7, Device::Cpu);
         let gradient = net.zeros_like();
         let x = input(9);
         let (output, tape) = net.policy().forward_with_tape(&x);
-        close(
-            &output,
-            &net.policy().forward(&x),
-            0.0,
-            "with and without tape",
-        );
+        close(&output, &net.policy().forward(&x), 0.0, "with and without tape");
 
         let mut leaves = Vec::new();
         let expected = reference(net.policy(), activation, &x, &mut leaves);
@@ -83,12 +69,7 @@ fn forward_and_backward_agree_with_autograd() {
         net.policy().backward(&tape, output, gradient.policy());
         let own = gradient.policy().layers().flat_map(|(w, b)| [w, b]);
         for (number, (own, leaf)) in own.zip(&leaves).enumerate() {
-            close(
-                own,
-                &leaf.grad(),
-                2e-6,
-                &format!("{activation:?}, parameter {number}"),
-            );
+            close(own, &leaf.grad(), 2e-6, &format!("{activation:?}, parameter {number}"));
         }
     }
 }
@@ -103,9 +84,7 @@ fn log_std_starts_where_told_stays_in_bounds_and_has_autograds_gradient() {
     net.log_std_backward(&upstream, &gradient);
     let raw = net.raw_log_std.copy().set_requires_grad(true);
     let (lo, hi) = (0.05_f64.ln(), 1.5_f64.ln());
-    ((raw.sigmoid() * (hi - lo) + lo) * upstream)
-        .sum(Kind::Float)
-        .backward();
+    ((raw.sigmoid() * (hi - lo) + lo) * upstream).sum(Kind::Float).backward();
     close(&gradient.raw_log_std, &raw.grad(), 1e-6, "slope");
 
     for raw in [-100.0, 100.0] {
@@ -118,16 +97,10 @@ fn log_std_starts_where_told_stays_in_bounds_and_has_autograds_gradient() {
 #[test]
 fn the_seed_decides_the_weights_and_nothing_else_does() {
     tch::manual_seed(1);
-    let a = ActorCritic::new(spec(Activation::Elu), 7, Device::Cpu)
-        .to_vec()
-        .unwrap();
+    let a = ActorCritic::new(spec(Activation::Elu), 7, Device::Cpu).to_vec().unwrap();
     tch::manual_seed(2);
-    let b = ActorCritic::new(spec(Activation::Elu), 7, Device::Cpu)
-        .to_vec()
-        .unwrap();
-    let c = ActorCritic::new(spec(Activation::Elu), 8, Device::Cpu)
-        .to_vec()
-        .unwrap();
+    let b = ActorCritic::new(spec(Activation::Elu), 7, Device::Cpu).to_vec().unwrap();
+    let c = ActorCritic::new(spec(Activation::Elu), 8, Device::Cpu).to_vec().unwrap();
     assert_eq!(a, b);
     assert_ne!(a, c);
 }
@@ -143,16 +116,10 @@ fn zeros_do_not_see_changes() {
 
 #[test]
 fn specs_that_cannot_work_are_refused() {
-    let config = NetworkConfig {
-        init_std: 2.0,
-        ..NetworkConfig::default()
-    };
+    let config = NetworkConfig { init_std: 2.0, ..NetworkConfig::default() };
     let error = NetworkSpec::new(&config, 4, 2).unwrap_err();
     assert!(error.to_string().contains("init_std <= std_max"), "{error}");
-    let config = NetworkConfig {
-        policy_hidden: vec![0],
-        ..NetworkConfig::default()
-    };
+    let config = NetworkConfig { policy_hidden: vec![0], ..NetworkConfig::default() };
     assert!(NetworkSpec::new(&config, 4, 2).is_err());
     assert!(NetworkSpec::new(&NetworkConfig::default(), 4, 2).is_ok());
 }
@@ -165,10 +132,7 @@ fn mirror() -> Mirror {
             source: vec![1, 0, 2, 3, 4],
             sign: vec![1.0, 1.0, -1.0, 1.0, 1.0],
         },
-        action: SignedPermutation {
-            source: vec![2, 1, 0],
-            sign: vec![1.0, -1.0, 1.0],
-        },
+        action: SignedPermutation { source: vec![2, 1, 0], sign: vec![1.0, -1.0, 1.0] },
         feet: Vec::new(),
     }
 }
@@ -197,10 +161,7 @@ fn a_symmetric_network_commutes_with_its_mirror() {
     let value = plain.value().forward(&image(&x, &mirror.observation));
     let off = (value - plain.value().forward(&x)).abs().max();
     assert!(off.double_value(&[]) > 0.1, "a plain one does not");
-    let other = NetworkSpec {
-        obs_dim: 4,
-        ..spec(Activation::Elu)
-    };
+    let other = NetworkSpec { obs_dim: 4, ..spec(Activation::Elu) };
     assert!(other.symmetric(mirror).is_err());
 }
 
@@ -216,9 +177,7 @@ fn the_gradient_of_a_symmetric_network_agrees_with_autograd() {
     let own = Tensor::from_slice(&net.symmetric_gradient(gradient.to_vec().unwrap()));
 
     let free = net.flat().copy().set_requires_grad(true);
-    let Some(symmetry) = &net.symmetry else {
-        panic!("it has a mirror")
-    };
+    let Some(symmetry) = &net.symmetry else { panic!("it has a mirror") };
     let source: Vec<i64> = symmetry.0.source.iter().map(|&i| i as i64).collect();
     let image = free.index_select(0, &Tensor::from_slice(&source));
     let tied = (image * Tensor::from_slice(&symmetry.0.sign) + &free) * 0.5;
@@ -234,12 +193,7 @@ fn the_gradient_of_a_symmetric_network_agrees_with_autograd() {
     (h.square().sum(Kind::Float) * 0.5).backward();
     let policy = net.policy_len() as i64;
     let expected = free.grad();
-    close(
-        &own.narrow(0, 0, policy),
-        &expected.narrow(0, 0, policy),
-        2e-6,
-        "gradient",
-    );
+    close(&own.narrow(0, 0, policy), &expected.narrow(0, 0, policy), 2e-6, "gradient");
     assert!(expected.abs().max().double_value(&[]) > 1e-3);
 }
 

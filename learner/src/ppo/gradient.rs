@@ -90,10 +90,7 @@ mod tests {
         let size = expected.iter().fold(0.0_f32, |a, x| a.max(x.abs()));
         let off = found.iter().zip(expected).map(|(f, e)| (f - e).abs());
         let off = off.fold(0.0, f32::max);
-        assert!(
-            size > 0.0 && off <= tolerance * size,
-            "{what}: {off} of {size}"
-        );
+        assert!(size > 0.0 && off <= tolerance * size, "{what}: {off} of {size}");
     }
 
     /// With the sign of every fourth from `first` on, and of its counterpart, turned round.
@@ -119,22 +116,13 @@ mod tests {
             actions: draw(rows * act_dim),
             ..Batch::default()
         });
-        let scaling = Scaling {
-            mean: draw(obs_dim),
-            std: vec![0.7; obs_dim],
-            clip: 2.0,
-        };
+        let scaling = Scaling { mean: draw(obs_dim), std: vec![0.7; obs_dim], clip: 2.0 };
         let mirror = Mirror {
             observation: signed((0..obs_dim - 3).rev().collect(), 0),
             action: signed(vec![1, 0, 2, 3, 4], 2),
             feet: Vec::new(),
         };
-        let activations = [
-            Activation::Elu,
-            Activation::Swish,
-            Activation::Tanh,
-            Activation::Relu,
-        ];
+        let activations = [Activation::Elu, Activation::Swish, Activation::Tanh, Activation::Relu];
         let each = activations.map(|a| [(a, None), (a, Some(mirror.clone()))]);
         for (activation, mirror) in each.into_iter().flatten() {
             let config = NetworkConfig {
@@ -159,11 +147,7 @@ mod tests {
             let (log_std, slope) = net.log_std_of(&parameters);
             let minibatch = Minibatch {
                 samples: (0..600).map(|i| (i * 7 % rows) as u32).collect(),
-                loss: LossSettings {
-                    clip: 0.2,
-                    value_weight: 2.0,
-                    entropy_weight: 0.01,
-                },
+                loss: LossSettings { clip: 0.2, value_weight: 2.0, entropy_weight: 0.01 },
                 log_std: log_std.clone().into(),
                 log_std_slope: slope.into(),
                 advantage_scale: (0.1, 1.3),
@@ -183,10 +167,7 @@ mod tests {
                     targets: targets.clone(),
                     weights: vec![0.8; rows],
                 };
-                (
-                    before,
-                    networks.gradient(&Arc::new(samples), &minibatch).unwrap(),
-                )
+                (before, networks.gradient(&Arc::new(samples), &minibatch).unwrap())
             });
             let folded = net.spec().mirror.is_some();
             let of = |what: &str| format!("{activation:?}, folded {folded}: {what}");

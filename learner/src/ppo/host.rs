@@ -83,10 +83,7 @@ impl Host {
     pub fn set(&mut self, parameters: &[f32]) {
         let nets = Arc::make_mut(&mut self.nets);
         let place = Arc::clone(&nets.place);
-        for (net, layers) in [
-            (&mut nets.policy, &place.policy),
-            (&mut nets.value, &place.value),
-        ] {
+        for (net, layers) in [(&mut nets.policy, &place.policy), (&mut nets.value, &place.value)] {
             for (at, layer) in layers.iter().enumerate() {
                 net.pack(
                     at,
@@ -125,10 +122,7 @@ impl Host {
             before.values.extend(values);
             before.means.extend(means);
         }
-        self.seen = Arc::new(Seen {
-            batch: Arc::clone(batch),
-            blocks,
-        });
+        self.seen = Arc::new(Seen { batch: Arc::clone(batch), blocks });
         Ok(before)
     }
 
@@ -153,10 +147,9 @@ impl Host {
         let mut done = done.into_iter();
         let mut total = match done.next() {
             Some((sums, gradient)) => Total { sums, gradient },
-            None => Total {
-                sums: [0.0; sums::COUNT],
-                gradient: vec![0.0; self.nets.gradient_len()],
-            },
+            None => {
+                Total { sums: [0.0; sums::COUNT], gradient: vec![0.0; self.nets.gradient_len()] }
+            }
         };
         for (sums, gradient) in done {
             for (total, sum) in total.sums.iter_mut().zip(sums) {
@@ -187,10 +180,9 @@ impl Nets {
         let mut gradient = vec![0.0; self.place.len];
         let (policy, rest) = folded.split_at(self.policy.gradient_len());
         let (value, log_std) = rest.split_at(self.value.gradient_len());
-        for (net, folded, layers) in [
-            (&self.policy, policy, &self.place.policy),
-            (&self.value, value, &self.place.value),
-        ] {
+        for (net, folded, layers) in
+            [(&self.policy, policy, &self.place.policy), (&self.value, value, &self.place.value)]
+        {
             for (at, layer) in layers.iter().enumerate() {
                 // A layer's biases lie behind its weights.
                 let (before, bias) = gradient.split_at_mut(layer.bias);
@@ -227,11 +219,7 @@ fn look_at_block(room: &mut Room, job: BlockJob) -> (Vec<f32>, Vec<f32>, Vec<f32
     let scaling = &job.scaling;
     let how = (&scaling.mean[..], &scaling.std[..], scaling.clip);
     normalise(raw, how, side, &mut seen);
-    let inputs = |rows| Inputs {
-        rows,
-        values: &seen,
-        side,
-    };
+    let inputs = |rows| Inputs { rows, values: &seen, side };
     let idle = &mut |_| ();
     let values = value.forward(inputs(rows), &mut room.value, idle);
     let values = values.iter().step_by(value.output().width());
@@ -286,11 +274,7 @@ fn shard_gradient(room: &mut Room, job: GradientJob) -> ([f64; sums::COUNT], Vec
         x.extend_from_slice(&job.seen.blocks[block][row * width..][..width]);
     }
     done(Work::ElementWise);
-    let inputs = Inputs {
-        rows,
-        values: x,
-        side,
-    };
+    let inputs = Inputs { rows, values: x, side };
     nets.policy.forward(inputs, &mut room.policy, &mut done);
     let values = nets.value.forward(inputs, &mut room.value, &mut done);
     let wide = nets.value.output().width();
@@ -305,18 +289,15 @@ fn shard_gradient(room: &mut Room, job: GradientJob) -> ([f64; sums::COUNT], Vec
         values[at] = loss.add(sample, action, mean, values[at], gradient);
     });
     let side = nets.value.output();
-    room.value
-        .fill_gradients(side, |at, _, gradient| gradient[0] = values[at]);
+    room.value.fill_gradients(side, |at, _, gradient| gradient[0] = values[at]);
     done(Work::ElementWise);
 
     let mut gradient = job.gradient;
     gradient.resize(nets.gradient_len(), 0.0);
     let (policy, rest) = gradient.split_at_mut(nets.policy.gradient_len());
     let (value, raw) = rest.split_at_mut(nets.value.gradient_len());
-    nets.policy
-        .backward(inputs, &mut room.policy, policy, &mut done);
-    nets.value
-        .backward(inputs, &mut room.value, value, &mut done);
+    nets.policy.backward(inputs, &mut room.policy, policy, &mut done);
+    nets.value.backward(inputs, &mut room.value, value, &mut done);
     let log_std = loss.log_std_gradient(rows);
     let slopes = log_std.iter().zip(&*job.minibatch.log_std_slope);
     for (raw, (gradient, slope)) in raw.iter_mut().zip(slopes) {

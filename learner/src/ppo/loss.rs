@@ -96,9 +96,7 @@ pub fn loss_and_gradient(
     let z = (&samples.actions - &outputs.means).g_mul_(&inverse_std);
     let z_squared = z.square();
     let log_probs = log_prob_of_squares(&z_squared, log_std);
-    let ratio = (log_probs - &samples.prox_log_probs)
-        .clamp_(-LOG_RATIO_MAX, LOG_RATIO_MAX)
-        .exp_();
+    let ratio = (log_probs - &samples.prox_log_probs).clamp_(-LOG_RATIO_MAX, LOG_RATIO_MAX).exp_();
     let unclipped = &ratio * &samples.advantages;
     let clipped_ratio = ratio.clamp(lo, hi);
     let clipped = &clipped_ratio * &samples.advantages;
@@ -106,9 +104,7 @@ pub fn loss_and_gradient(
     let passes = unclipped.le_tensor(&clipped);
     let surrogate = unclipped.minimum(&clipped).g_mul_(&samples.weights);
     // dL/d log π = −w·A·r/M where it passes.
-    let slope = (&unclipped * &samples.weights)
-        .g_mul_(&passes)
-        .g_mul_scalar_(-scale);
+    let slope = (&unclipped * &samples.weights).g_mul_(&passes).g_mul_scalar_(-scale);
     let grad_means = (&z * &inverse_std).g_mul_(&slope);
     let share = rows as f64 * scale;
     let grad_log_std = (z_squared - 1.0)
@@ -122,24 +118,11 @@ pub fn loss_and_gradient(
     let error = &outputs.values - &samples.targets;
     let grad_values = &error * (0.5 * settings.value_weight * scale);
 
-    let kl = kl_sum(
-        &samples.prox_means,
-        prox_log_std,
-        &outputs.means,
-        log_std,
-        rows,
-    );
+    let kl = kl_sum(&samples.prox_means, prox_log_std, &outputs.means, log_std, rows);
     let outside = ratio.not_equal_tensor(&clipped_ratio).sum(Kind::Float);
     let value_sum = error.square().sum(Kind::Float) * 0.25;
-    let all = Tensor::stack(
-        &[surrogate.sum(Kind::Float).neg(), value_sum, kl, outside],
-        0,
-    );
-    let gradient = OutputGradient {
-        means: grad_means,
-        values: grad_values,
-        log_std: grad_log_std,
-    };
+    let all = Tensor::stack(&[surrogate.sum(Kind::Float).neg(), value_sum, kl, outside], 0);
+    let gradient = OutputGradient { means: grad_means, values: grad_values, log_std: grad_log_std };
     (all, gradient)
 }
 

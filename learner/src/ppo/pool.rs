@@ -51,12 +51,7 @@ impl<W: Default + Send + 'static> Pool<W> {
                 .map_err(LearnerError::Thread)
         };
         let remote = (1..threads.max(1)).map(start).collect::<Result<_, _>>()?;
-        Ok(Self {
-            local: W::default(),
-            jobs: Some(jobs),
-            queue,
-            remote,
-        })
+        Ok(Self { local: W::default(), jobs: Some(jobs), queue, remote })
     }
 
     /// `work` on each input, by whichever thread is free: one that another program keeps from its core holds up
@@ -114,25 +109,16 @@ fn collect<O>(count: usize, received: &Receiver<(usize, O)>) -> Result<Vec<O>, L
     for (index, output) in received {
         slots[index] = Some(output);
     }
-    slots
-        .into_iter()
-        .collect::<Option<Vec<O>>>()
-        .ok_or(LearnerError::Worker)
+    slots.into_iter().collect::<Option<Vec<O>>>().ok_or(LearnerError::Worker)
 }
 
 /// Cuts `rows` into shards of about equal size and at most `shard_rows`: (first row, rows). More than one
 /// shard are a multiple of [`SHARD_MULTIPLE`], so that two or four threads have the same to do.
 pub fn shards(rows: usize, shard_rows: usize) -> Vec<(usize, usize)> {
     let needed = rows.div_ceil(shard_rows.max(1));
-    let count = if needed > 1 {
-        needed.next_multiple_of(SHARD_MULTIPLE).min(rows)
-    } else {
-        needed
-    };
+    let count = if needed > 1 { needed.next_multiple_of(SHARD_MULTIPLE).min(rows) } else { needed };
     let cut = |part: usize| part * rows / count;
-    (0..count)
-        .map(|part| (cut(part), cut(part + 1) - cut(part)))
-        .collect()
+    (0..count).map(|part| (cut(part), cut(part + 1) - cut(part))).collect()
 }
 
 #[cfg(test)]
@@ -163,10 +149,7 @@ mod tests {
     #[test]
     fn shards_cover_all_rows_once() {
         // 1100/512 needs three, four are 275 each
-        assert_eq!(
-            shards(1100, 512),
-            [(0, 275), (275, 275), (550, 275), (825, 275)]
-        );
+        assert_eq!(shards(1100, 512), [(0, 275), (275, 275), (550, 275), (825, 275)]);
         assert_eq!(shards(512, 512), [(0, 512)]);
         assert_eq!(shards(3, 1), [(0, 1), (1, 1), (2, 1)]);
         assert_eq!(shards(7, usize::MAX), [(0, 7)]);

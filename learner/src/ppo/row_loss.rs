@@ -31,13 +31,10 @@ impl<'a> Loss<'a> {
     pub fn new(minibatch: &'a Minibatch, samples: &'a Samples) -> Self {
         let log_std = &minibatch.log_std;
         let half_precision = |x: &f32| 0.5 * (-2.0 * x).exp();
-        let spread_kl = log_std
-            .iter()
-            .zip(&samples.prox_log_std)
-            .map(|(now, prox)| {
-                let (now, prox) = (f64::from(*now), f64::from(*prox));
-                now - prox + 0.5 * (2.0 * (prox - now)).exp() - 0.5
-            });
+        let spread_kl = log_std.iter().zip(&samples.prox_log_std).map(|(now, prox)| {
+            let (now, prox) = (f64::from(*now), f64::from(*prox));
+            now - prox + 0.5 * (2.0 * (prox - now)).exp() - 0.5
+        });
         Self {
             minibatch,
             samples,

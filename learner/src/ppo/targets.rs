@@ -67,10 +67,7 @@ impl Targets {
         if let Some(ratios) = &ratios {
             let cap = staleness.weight_max as f32;
             let weights = &mut self.weights[cells.clone()];
-            weights
-                .iter_mut()
-                .zip(ratios)
-                .for_each(|(w, r)| *w = r.min(cap));
+            weights.iter_mut().zip(ratios).for_each(|(w, r)| *w = r.min(cap));
         }
         let chunk = Trajectories {
             lanes: segment.lanes,
@@ -91,12 +88,7 @@ impl Targets {
             rho_max: staleness.rho_max as f32,
             c_max: staleness.c_max as f32,
         };
-        vtrace(
-            &settings,
-            &chunk,
-            &mut self.advantages[cells.clone()],
-            &mut self.targets[cells],
-        );
+        vtrace(&settings, &chunk, &mut self.advantages[cells.clone()], &mut self.targets[cells]);
     }
 }
 
@@ -107,20 +99,12 @@ pub(super) fn effective_share(weights: &[f32]) -> f64 {
         sum += f64::from(w);
         squares += f64::from(w).powi(2);
     }
-    if squares > 0.0 {
-        sum * sum / (weights.len() as f64 * squares)
-    } else {
-        0.0
-    }
+    if squares > 0.0 { sum * sum / (weights.len() as f64 * squares) } else { 0.0 }
 }
 
 /// 1 − Var(target − V)/Var(target); 0 where the targets do not vary.
 pub(super) fn explained_variance(values: &[f32], targets: &[f32]) -> f64 {
     let errors: Vec<f32> = targets.iter().zip(values).map(|(t, v)| t - v).collect();
     let (spread, left) = (mean_and_std(targets).1, mean_and_std(&errors).1);
-    if spread > 0.0 {
-        1.0 - (left / spread).powi(2)
-    } else {
-        0.0
-    }
+    if spread > 0.0 { 1.0 - (left / spread).powi(2) } else { 0.0 }
 }

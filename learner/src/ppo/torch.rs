@@ -33,11 +33,7 @@ struct OnTheDevice {
 impl Torch {
     /// Networks of the shape of `net`, on its device.
     pub fn new(net: &ActorCritic) -> Self {
-        Self {
-            net: net.zeros_like(),
-            gradient: net.zeros_like(),
-            batch: None,
-        }
+        Self { net: net.zeros_like(), gradient: net.zeros_like(), batch: None }
     }
 
     /// As [`super::gradient::Networks::set`].
@@ -60,21 +56,13 @@ impl Torch {
         let before = Before {
             values: host(&self.net.value().forward(&all))?,
             means: match means {
-                true => host(
-                    &self
-                        .net
-                        .policy()
-                        .forward(&policy_sees(&self.net, &observations)),
-                )?,
+                true => host(&self.net.policy().forward(&policy_sees(&self.net, &observations)))?,
                 false => Vec::new(),
             },
         };
         let actions = Tensor::from_slice(&batch.actions).view([-1, batch.act_dim as i64]);
-        self.batch = Some(OnTheDevice {
-            observations,
-            actions: actions.to_device(device),
-            samples: None,
-        });
+        self.batch =
+            Some(OnTheDevice { observations, actions: actions.to_device(device), samples: None });
         Ok(before)
     }
 
@@ -89,23 +77,13 @@ impl Torch {
         };
         let mut laps = Laps::new();
         let device = self.net.device();
-        if batch
-            .samples
-            .as_ref()
-            .is_none_or(|(from, ..)| !Arc::ptr_eq(from, samples))
-        {
+        if batch.samples.as_ref().is_none_or(|(from, ..)| !Arc::ptr_eq(from, samples)) {
             let put = |values: &[f32], width: i64| {
-                Tensor::from_slice(values)
-                    .view([-1, width])
-                    .to_device(device)
+                Tensor::from_slice(values).view([-1, width]).to_device(device)
             };
             let means = put(&samples.prox_means, samples.prox_log_std.len() as i64);
-            let columns = [
-                &samples.prox_log_probs,
-                &samples.advantages,
-                &samples.targets,
-                &samples.weights,
-            ];
+            let columns =
+                [&samples.prox_log_probs, &samples.advantages, &samples.targets, &samples.weights];
             let columns = columns.map(|column| put(column, 1));
             batch.samples = Some((Arc::clone(samples), means, columns));
         }
@@ -140,10 +118,8 @@ impl Torch {
             &picked,
         );
         laps.lap(Part::ElementWise);
-        net.policy()
-            .backward(&policy_tape, output_gradient.means, gradient.policy());
-        net.value()
-            .backward(&value_tape, output_gradient.values, gradient.value());
+        net.policy().backward(&policy_tape, output_gradient.means, gradient.policy());
+        net.value().backward(&value_tape, output_gradient.values, gradient.value());
         net.log_std_backward(&output_gradient.log_std, gradient);
         let mut total = [0.0; sums::COUNT];
         for (total, sum) in total.iter_mut().zip(host(&sums)?) {
@@ -151,10 +127,7 @@ impl Torch {
         }
         let gradient = self.net.symmetric_gradient(gradient.to_vec()?);
         laps.lap(Part::Products);
-        Ok(Total {
-            sums: total,
-            gradient,
-        })
+        Ok(Total { sums: total, gradient })
     }
 }
 

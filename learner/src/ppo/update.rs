@@ -33,10 +33,7 @@ pub struct PpoSettings {
 impl PpoSettings {
     /// What `config` asks for.
     pub fn new(config: &Config) -> Self {
-        Self {
-            ppo: config.learner.ppo.clone(),
-            staleness: config.learner.staleness.clone(),
-        }
+        Self { ppo: config.learner.ppo.clone(), staleness: config.learner.staleness.clone() }
     }
 }
 
@@ -200,11 +197,7 @@ impl Ppo {
         // What is saved after a failure must be what an update ended with, not half of the next one.
         let mut parameters = self.net.to_vec()?;
         let (adam, rate, shuffles) = (self.adam.clone(), self.learning_rate, order.clone());
-        let mut pass = Pass {
-            parameters: &mut parameters,
-            tally: Tally::default(),
-            value_only,
-        };
+        let mut pass = Pass { parameters: &mut parameters, tally: Tally::default(), value_only };
         match self.try_update(&mut pass, batch, scaling, policy_version, order) {
             Ok(stats) => {
                 self.net.set(&parameters);
@@ -262,9 +255,7 @@ impl Ppo {
     fn minibatches(&self, rows: usize) -> Vec<(usize, usize)> {
         let count = (self.settings.ppo.minibatches as usize).clamp(1, rows);
         let cut = |part: usize| part * rows / count;
-        (0..count)
-            .map(|part| (cut(part), cut(part + 1) - cut(part)))
-            .collect()
+        (0..count).map(|part| (cut(part), cut(part + 1) - cut(part))).collect()
     }
 
     fn prepare(
@@ -286,14 +277,8 @@ impl Ppo {
             Correction::None => batch.behaviour_log_probs.clone(),
         };
         let (ppo, staleness) = (&self.settings.ppo, &self.settings.staleness);
-        let targets = Targets::new(
-            ppo,
-            staleness,
-            batch,
-            &before.values,
-            &prox_log_probs,
-            policy_version,
-        );
+        let targets =
+            Targets::new(ppo, staleness, batch, &before.values, &prox_log_probs, policy_version);
         let prepared = Prepared {
             effective_share: effective_share(&targets.weights),
             explained_variance: explained_variance(&before.values[..batch.rows], &targets.targets),
@@ -346,10 +331,8 @@ impl Ppo {
             return Ok(());
         }
         if !pass.value_only {
-            let (target_kl, kl) = (
-                ppo.target_kl_after(self.env_steps),
-                sums[sums::KL] / rows as f64,
-            );
+            let (target_kl, kl) =
+                (ppo.target_kl_after(self.env_steps), sums[sums::KL] / rows as f64);
             self.learning_rate = adapted_rate(ppo, target_kl, self.learning_rate, kl);
         }
         self.step(pass.parameters, &gradient, norm, rate_guard);
@@ -397,10 +380,7 @@ impl Ppo {
 
 impl Tally {
     fn add(&mut self, sums: &[f64], rows: usize, norm: f64) {
-        self.sums
-            .iter_mut()
-            .zip(sums)
-            .for_each(|(total, sum)| *total += sum);
+        self.sums.iter_mut().zip(sums).for_each(|(total, sum)| *total += sum);
         self.rows += rows as f64;
         self.gradient_norm += norm;
         self.updates += 1;

@@ -23,44 +23,14 @@ pub const TERM_PREFIX: &str = "term/";
 
 /// File, value in the history, title, label of the vertical axis.
 const CHARTS: [(&str, &str, &str, &str); 8] = [
-    (
-        "return",
-        "mean_return",
-        "Episode return",
-        "mean return of the last 100 episodes",
-    ),
-    (
-        "episode_length",
-        "mean_episode_length",
-        "Episode length",
-        "control steps",
-    ),
-    (
-        "step_reward",
-        "mean_step_reward",
-        "Reward per step",
-        "mean over the batch",
-    ),
+    ("return", "mean_return", "Episode return", "mean return of the last 100 episodes"),
+    ("episode_length", "mean_episode_length", "Episode length", "control steps"),
+    ("step_reward", "mean_step_reward", "Reward per step", "mean over the batch"),
     ("kl", "kl", "KL divergence of an update", "nats"),
     ("std", "mean_std", "Action noise", "mean standard deviation"),
-    (
-        "steps_per_s",
-        "steps_per_s",
-        "Speed",
-        "environment steps per second",
-    ),
-    (
-        "value_loss",
-        "value_loss",
-        "Value loss",
-        "¼ · mean squared error",
-    ),
-    (
-        "learning_rate",
-        "learning_rate",
-        "Learning rate",
-        "after the iteration",
-    ),
+    ("steps_per_s", "steps_per_s", "Speed", "environment steps per second"),
+    ("value_loss", "value_loss", "Value loss", "¼ · mean squared error"),
+    ("learning_rate", "learning_rate", "Learning rate", "after the iteration"),
 ];
 
 /// Writes the pictures into `folder`: `return.svg`, `reward_terms.svg`, …. Quantities that have no points yet
@@ -82,12 +52,7 @@ pub fn draw_curves(folder: &Path, history: &History) -> Result<(), LearnerError>
     if !terms.is_empty() {
         let panel = |name: &String| {
             let title = name.trim_start_matches(TERM_PREFIX);
-            chart(
-                PANEL_PX,
-                title,
-                "sum over an episode",
-                &history.series(name),
-            )
+            chart(PANEL_PX, title, "sum over an episode", &history.series(name))
         };
         let panels: Vec<Chart> = terms.iter().map(panel).collect();
         save(folder, "reward_terms", &panels)?;
@@ -103,20 +68,11 @@ fn save(folder: &Path, file: &str, charts: &[Chart]) -> Result<(), LearnerError>
 
 fn chart(size: (f64, f64), title: &str, label: &str, series: &[(f64, f64)]) -> Chart {
     let x_max = series.last().map_or(1.0, |last| last.0);
-    let (_, unit, x_label) = UNITS
-        .into_iter()
-        .find(|unit| x_max >= unit.0)
-        .unwrap_or(UNITS[2]);
+    let (_, unit, x_label) = UNITS.into_iter().find(|unit| x_max >= unit.0).unwrap_or(UNITS[2]);
     let x: Vec<f64> = series.iter().map(|point| point.0 / unit).collect();
     let y: Vec<f64> = series.iter().map(|point| point.1).collect();
     let horizontal = Axis::exact(x.iter().copied().chain([0.0]));
-    let mut chart = Chart::new(
-        size,
-        horizontal,
-        Axis::over(y.iter().copied()),
-        title,
-        label,
-    );
+    let mut chart = Chart::new(size, horizontal, Axis::over(y.iter().copied()), title, label);
     chart.line("after", &x, &y);
     chart.labels(x_label, label);
     chart
@@ -141,11 +97,7 @@ mod tests {
                 ("term/slip", 0.0),
             ];
             let values = BTreeMap::from(values.map(|(name, value)| (name.to_owned(), value)));
-            history.push(Point {
-                iterations: 1,
-                steps: x * 1e5,
-                values,
-            });
+            history.push(Point { iterations: 1, steps: x * 1e5, values });
         }
         history
     }
@@ -156,22 +108,12 @@ mod tests {
         draw_curves(dir.path(), &history()).unwrap();
         let read = |name: &str| std::fs::read_to_string(dir.path().join(name)).unwrap();
         let svg = read("return.svg");
-        for text in [
-            "Episode return",
-            "environment steps, millions",
-            "mean return of the last",
-        ] {
+        for text in ["Episode return", "environment steps, millions", "mean return of the last"] {
             assert!(svg.contains(text), "{text}");
         }
         let terms = read("reward_terms.svg");
         assert!(["phase", "power"].iter().all(|term| terms.contains(term)));
-        assert!(
-            !terms.contains("slip"),
-            "a term that was never other than zero has no panel"
-        );
-        assert!(
-            !dir.path().join("episode_length.svg").exists(),
-            "nothing known of it yet"
-        );
+        assert!(!terms.contains("slip"), "a term that was never other than zero has no panel");
+        assert!(!dir.path().join("episode_length.svg").exists(), "nothing known of it yet");
     }
 }

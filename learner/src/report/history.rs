@@ -32,11 +32,7 @@ pub struct History {
 
 impl Default for History {
     fn default() -> Self {
-        Self {
-            stride: 1,
-            points: Vec::new(),
-            open: Vec::new(),
-        }
+        Self { stride: 1, points: Vec::new(), open: Vec::new() }
     }
 }
 
@@ -63,11 +59,8 @@ impl History {
 
     /// All names that begin with `prefix`, in order.
     pub fn names(&self, prefix: &str) -> Vec<String> {
-        let mut names: Vec<String> = self
-            .points
-            .iter()
-            .flat_map(|p| p.values.keys().cloned())
-            .collect();
+        let mut names: Vec<String> =
+            self.points.iter().flat_map(|p| p.values.keys().cloned()).collect();
         names.retain(|name| name.starts_with(prefix));
         names.sort_unstable();
         names.dedup();
@@ -88,10 +81,7 @@ fn mean(points: &[Point]) -> Point {
     Point {
         iterations: points.iter().map(|point| point.iterations).sum(),
         steps: points.last().map_or(0.0, |point| point.steps),
-        values: sums
-            .into_iter()
-            .map(|(name, (sum, weight))| (name, sum / weight))
-            .collect(),
+        values: sums.into_iter().map(|(name, (sum, weight))| (name, sum / weight)).collect(),
     }
 }
 
@@ -100,11 +90,7 @@ mod tests {
     use super::*;
 
     fn point(steps: f64, value: f64) -> Point {
-        Point {
-            iterations: 1,
-            steps,
-            values: BTreeMap::from([("a".to_owned(), value)]),
-        }
+        Point { iterations: 1, steps, values: BTreeMap::from([("a".to_owned(), value)]) }
     }
 
     #[test]
@@ -114,11 +100,7 @@ mod tests {
             history.push(point(f64::from(i), f64::from(i)));
         }
         let series = history.series("a");
-        assert!(
-            series.len() <= POINTS_MAX && series.len() > POINTS_MAX / 2,
-            "{}",
-            series.len()
-        );
+        assert!(series.len() <= POINTS_MAX && series.len() > POINTS_MAX / 2, "{}", series.len());
         // Points 0 to 7 make the first one after three halvings: mean 3.5, at the steps of its last.
         assert_eq!((history.points[0].iterations, series[0]), (8, (7.0, 3.5)));
         let back: History =
@@ -128,10 +110,7 @@ mod tests {
 
     #[test]
     fn values_that_come_late_are_averaged_over_where_they_are() {
-        let late = Point {
-            values: BTreeMap::from([("b".to_owned(), 4.0)]),
-            ..point(1.0, 0.0)
-        };
+        let late = Point { values: BTreeMap::from([("b".to_owned(), 4.0)]), ..point(1.0, 0.0) };
         let merged = mean(&[point(0.0, 2.0), late]);
         assert_eq!((merged.values["a"], merged.values["b"]), (2.0, 4.0));
         let mut history = History::default();

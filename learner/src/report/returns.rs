@@ -89,22 +89,8 @@ impl ReturnSums {
     }
 
     fn of_row(row: &[f64; COLUMNS]) -> Self {
-        let [
-            n,
-            shares,
-            returns,
-            shares_squared,
-            products,
-            returns_squared,
-        ] = *row;
-        Self {
-            n,
-            shares,
-            returns,
-            shares_squared,
-            products,
-            returns_squared,
-        }
+        let [n, shares, returns, shares_squared, products, returns_squared] = *row;
+        Self { n, shares, returns, shares_squared, products, returns_squared }
     }
 }
 
@@ -162,9 +148,6 @@ mod tests {
         );
         assert_eq!(parts[0].mean(), None);
         let rows = ReturnSums::to_rows(&parts);
-        assert_eq!(
-            (rows.len(), ReturnSums::from_rows(&rows)),
-            (12, parts.to_vec())
-        );
+        assert_eq!((rows.len(), ReturnSums::from_rows(&rows)), (12, parts.to_vec()));
     }
 }

@@ -3,12 +3,8 @@
 use super::*;
 use proptest::prelude::*;
 
-const SETTINGS: VtraceSettings = VtraceSettings {
-    gamma: 0.5,
-    lambda: 0.5,
-    rho_max: 1.0,
-    c_max: 1.0,
-};
+const SETTINGS: VtraceSettings =
+    VtraceSettings { gamma: 0.5, lambda: 0.5, rho_max: 1.0, c_max: 1.0 };
 
 fn run(settings: &VtraceSettings, chunk: &Trajectories) -> (Vec<f32>, Vec<f32>) {
     let mut advantages = vec![0.0; chunk.rewards.len()];
@@ -89,10 +85,7 @@ fn old_data_is_capped_by_hand() {
     assert_eq!(advantages, [1.25, 1.0]);
     assert_eq!(targets, [0.625, 1.0]);
     // With ρ̄ = 2: step 1 gives D = 2, step 0 A = 1 + 0.25·2 = 1.5 and D = 0.5 + 0.125·2 = 0.75.
-    let wide = VtraceSettings {
-        rho_max: 2.0,
-        ..SETTINGS
-    };
+    let wide = VtraceSettings { rho_max: 2.0, ..SETTINGS };
     let (advantages, targets) = run(&wide, &chunk);
     assert_eq!(advantages, [1.5, 1.0]);
     assert_eq!(targets, [0.75, 2.0]);
@@ -161,9 +154,7 @@ fn naive_gae(gamma: f64, lambda: f64, c: &Trajectories) -> Vec<f64> {
         }
         sum
     };
-    (0..c.rewards.len())
-        .map(|i| advantage(i / c.lanes, i % c.lanes))
-        .collect()
+    (0..c.rewards.len()).map(|i| advantage(i / c.lanes, i % c.lanes)).collect()
 }
 
 proptest! {

@@ -49,10 +49,7 @@ pub(super) fn collect(
             return Ok(Collected::Batch(collector.take()));
         }
         if started.elapsed() >= timeout && collector.has_enough() {
-            tracing::warn!(
-                chunks = collector.waiting(),
-                "going on with part of a batch"
-            );
+            tracing::warn!(chunks = collector.waiting(), "going on with part of a batch");
             return Ok(Collected::Batch(collector.take()));
         }
         if started.elapsed() >= starved {
@@ -77,9 +74,7 @@ pub(super) fn collect(
 fn take_in(collector: &mut Collector, frame: Frame, traces: &Traces, metrics: &LearnerMetrics) {
     let (began_ns, mut laps) = (now_ns(), Laps::new());
     let bytes = frame.bytes.len() + frame.value.as_ref().map_or(0, |value| value.bytes);
-    let value = frame
-        .value
-        .map(|value| value.content.downcast::<RolloutChunk>());
+    let value = frame.value.map(|value| value.content.downcast::<RolloutChunk>());
     let (identity, outcome) = match value {
         Some(Ok(chunk)) => (Some(chunk.identity()), collector.offer_value(*chunk)),
         // What is no chunk is no frame either, and is refused as one without content.
@@ -114,10 +109,7 @@ pub(super) fn drain(
             }
         }
     }
-    tracing::warn!(
-        actors = collector.present(),
-        "some actors did not say goodbye in time"
-    );
+    tracing::warn!(actors = collector.present(), "some actors did not say goodbye in time");
 }
 
 /// What became of a frame, in one word.
@@ -157,12 +149,7 @@ fn tell(outcome: &Outcome, metrics: &LearnerMetrics) {
             }
         }
         Outcome::Dropped((actor, incarnation), reason) => {
-            tracing::debug!(
-                actor,
-                incarnation,
-                reason = reason.name(),
-                "a chunk is not used"
-            );
+            tracing::debug!(actor, incarnation, reason = reason.name(), "a chunk is not used");
             metrics.frame(word(outcome));
         }
         Outcome::Rejected(actor, reason, message) => {

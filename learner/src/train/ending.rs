@@ -23,19 +23,12 @@ impl Run<'_> {
     pub(super) fn save(&mut self, checkpoint: &CheckpointState) -> Result<PathBuf, LearnerError> {
         let _span = tracing::info_span!("checkpoint").entered();
         let started = Instant::now();
-        let files = checkpoint
-            .to_files(self.ppo.net().layout())
-            .map_err(LearnerError::setting)?;
+        let files = checkpoint.to_files(self.ppo.net().layout()).map_err(LearnerError::setting)?;
         let folder = self.store.save(checkpoint.saved.iteration, &files)?;
-        self.reporter
-            .metrics
-            .checkpoint
-            .observe(started.elapsed().as_secs_f64());
+        self.reporter.metrics.checkpoint.observe(started.elapsed().as_secs_f64());
         let (path, iteration) = (folder.display().to_string(), checkpoint.saved.iteration);
-        self.reporter
-            .event(&Event::Checkpoint(Checkpoint { path, iteration }));
-        self.reporter
-            .pictures(&self.progress.history, self.collector.accounting());
+        self.reporter.event(&Event::Checkpoint(Checkpoint { path, iteration }));
+        self.reporter.pictures(&self.progress.history, self.collector.accounting());
         Ok(folder)
     }
 
@@ -61,17 +54,12 @@ impl Run<'_> {
             }
         };
         let iteration = self.progress.iteration;
-        if state
-            .saved
-            .as_ref()
-            .is_none_or(|(saved, _)| *saved != iteration)
+        if state.saved.as_ref().is_none_or(|(saved, _)| *saved != iteration)
             && iteration > state.first
         {
             // An actor that failed cannot be saved any more; the weights can.
             state.actors_wait &= healthy;
-            let saved = self
-                .state(state)
-                .and_then(|checkpoint| self.save(&checkpoint));
+            let saved = self.state(state).and_then(|checkpoint| self.save(&checkpoint));
             note(saved.map(|folder| state.saved = Some((iteration, folder))));
         }
         self.refuse_late_changes();
@@ -102,15 +90,9 @@ impl Run<'_> {
             self.reporter
                 .warn("the accounts of the chunks do not add up; see accounting.json".into());
         }
-        self.reporter
-            .pictures(&self.progress.history, self.collector.accounting());
-        if self
-            .publisher
-            .as_ref()
-            .is_some_and(|publisher| !publisher.finish(PUBLISH_PATIENCE))
-        {
-            self.reporter
-                .warn("the policy server did not take the last policy in time".into());
+        self.reporter.pictures(&self.progress.history, self.collector.accounting());
+        if self.publisher.as_ref().is_some_and(|publisher| !publisher.finish(PUBLISH_PATIENCE)) {
+            self.reporter.warn("the policy server did not take the last policy in time".into());
         }
         self.tell_published(&mut state.seen);
         first_failure
@@ -122,10 +104,8 @@ impl Run<'_> {
         let tenth = progress.step_rewards.len() / 10;
         let enough = progress.step_rewards.len() >= TENTHS_MIN;
         let rewards = &progress.step_rewards;
-        let (early, late) = (
-            &progress.returns[..tenth],
-            &progress.returns[progress.returns.len() - tenth..],
-        );
+        let (early, late) =
+            (&progress.returns[..tenth], &progress.returns[progress.returns.len() - tenth..]);
         let finished = Finished {
             reason,
             iteration: progress.iteration,
@@ -147,8 +127,7 @@ impl Run<'_> {
             accounting: self.collector.accounting().summary(),
             actors: self.collector.accounting().per_actor(),
         };
-        self.reporter
-            .event(&Event::Finished(Box::new(finished.clone())));
+        self.reporter.event(&Event::Finished(Box::new(finished.clone())));
         finished
     }
 }
@@ -159,11 +138,7 @@ fn mean_se(values: &[f64]) -> MeanSe {
     let mean = values.iter().sum::<f64>() / n;
     let squares = values.iter().map(|x| (x - mean).powi(2)).sum::<f64>();
     let standard_error = (squares / (n - 1.0).max(1.0) / n).sqrt();
-    MeanSe {
-        mean,
-        standard_error,
-        n: values.len() as u64,
-    }
+    MeanSe { mean, standard_error, n: values.len() as u64 }
 }
 
 #[cfg(test)]

@@ -48,10 +48,7 @@ impl Fleet {
         let metrics = ActorMetrics::register(&settings.metrics);
         let ledgers = ledger_folder(&settings.run_dir);
         std::fs::create_dir_all(&ledgers).map_err(|error| LearnerError::write(&ledgers, error))?;
-        let mut fleet = Self {
-            actors: Vec::new(),
-            stop: StopFlag::new(),
-        };
+        let mut fleet = Self { actors: Vec::new(), stop: StopFlag::new() };
         for id in 0..config.actors.count {
             let incarnation = accounting.next_incarnation(id);
             let mut actor = ActorSettings::from_config(config, &settings.run_id, id, incarnation);
@@ -60,9 +57,7 @@ impl Fleet {
             actor.retunes = retunes.clone();
             actor.ledger = Some(ledger_path(&ledgers, id, incarnation));
             let saved = snapshots.iter().find(|saved| saved.actor_id == id).cloned();
-            let key = saved
-                .as_ref()
-                .map_or(actor_key(id, incarnation), |saved| saved.actor_key);
+            let key = saved.as_ref().map_or(actor_key(id, incarnation), |saved| saved.actor_key);
             let failed = |source| LearnerError::Actor { id, source };
             let env = build_env(config, Arc::clone(model), key).map_err(failed)?;
             let link = hub.actor()?;
@@ -75,11 +70,7 @@ impl Fleet {
                     caudata_actor::run(&actor, env, link, &stop, &metrics, Some(&own_port), resume)
                 })
                 .map_err(LearnerError::Thread)?;
-            fleet.actors.push(Slot {
-                id,
-                port,
-                thread: Some(thread),
-            });
+            fleet.actors.push(Slot { id, port, thread: Some(thread) });
         }
         Ok(fleet)
     }
@@ -122,9 +113,7 @@ impl Fleet {
 
     /// Whether all have ended.
     pub fn is_gone(&self) -> bool {
-        self.actors
-            .iter()
-            .all(|slot| slot.thread.as_ref().is_none_or(JoinHandle::is_finished))
+        self.actors.iter().all(|slot| slot.thread.as_ref().is_none_or(JoinHandle::is_finished))
     }
 }
 

@@ -176,8 +176,7 @@ impl Reporter {
         m.iterations.inc();
         m.steps.inc_by(report.batch_steps as u64);
         m.skipped_updates.inc_by(report.stats.skipped);
-        m.policy_version
-            .set(i64::try_from(event.policy_version).unwrap_or(i64::MAX));
+        m.policy_version.set(i64::try_from(event.policy_version).unwrap_or(i64::MAX));
         m.staleness.set(report.lag_mean);
         m.effective_share.set(report.stats.effective_share);
         m.kl.set(event.kl);
@@ -293,12 +292,7 @@ fn scalars(report: &IterationReport, event: &progress::Iteration) -> Vec<(String
         scalars.push(("Train/mean_reward".into(), mean_return));
         scalars.push(("Train/mean_episode_length".into(), length));
     }
-    scalars.extend(
-        event
-            .reward_terms
-            .iter()
-            .map(|(name, sum)| (format!("Episode/{name}"), *sum)),
-    );
+    scalars.extend(event.reward_terms.iter().map(|(name, sum)| (format!("Episode/{name}"), *sum)));
     scalars
 }
 
@@ -313,21 +307,12 @@ fn point_of(report: &IterationReport, event: &progress::Iteration) -> Point {
         ("mean_return", event.mean_return),
         ("mean_episode_length", event.mean_episode_length),
     ];
-    let known = known
-        .into_iter()
-        .filter_map(|(name, value)| Some((name.to_owned(), value?)));
+    let known = known.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?)));
     let terms = event.reward_terms.iter();
     let terms = terms.map(|(name, sum)| (format!("{TERM_PREFIX}{name}"), *sum));
-    Point {
-        iterations: 1,
-        steps: report.steps_total as f64,
-        values: known.chain(terms).collect(),
-    }
+    Point { iterations: 1, steps: report.steps_total as f64, values: known.chain(terms).collect() }
 }
 
 fn unix_time_s() -> f64 {
-    SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .unwrap_or_default()
-        .as_secs_f64()
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64()
 }

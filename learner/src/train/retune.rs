@@ -14,8 +14,7 @@ impl Run<'_> {
     /// Nobody shall wait for a change that will not come any more.
     pub(super) fn refuse_late_changes(&mut self) {
         for (path, _) in asked(&self.run_dir) {
-            self.reporter
-                .warn("a change is refused: the run ends".into());
+            self.reporter.warn("a change is refused: the run ends".into());
             if let Err(error) = std::fs::remove_file(&path) {
                 tracing::warn!(%error, "cannot remove {}", path.display());
             }
@@ -36,8 +35,7 @@ impl Run<'_> {
             }
             self.ppo.set_settings(settings);
             let Change { iteration, set } = change;
-            self.reporter
-                .event(&Event::Changed(Changed { iteration, set }));
+            self.reporter.event(&Event::Changed(Changed { iteration, set }));
         }
         Ok(())
     }

@@ -132,15 +132,7 @@ impl Run<'_> {
                 let _span = tracing::info_span!("collect").entered();
                 let (link, fleet) = (self.link.as_mut(), self.fleet.as_mut());
                 let (learner, told) = (&self.config.learner, self.reporter.told());
-                collect(
-                    &mut self.collector,
-                    link,
-                    fleet,
-                    learner,
-                    self.stop,
-                    told,
-                    &self.traces,
-                )?
+                collect(&mut self.collector, link, fleet, learner, self.stop, told, &self.traces)?
             };
             let Collected::Batch(chunks) = chunks else {
                 return Ok(self.stop_reason());
@@ -217,10 +209,7 @@ impl Run<'_> {
         self.traces.done("update", learning_ns, samples);
         self.watch_finite(&stats, state)?;
         // The policy that acted saw the old normaliser; the next one sees this batch as well.
-        batch
-            .moments
-            .iter()
-            .for_each(|moments| self.progress.moments.merge(moments));
+        batch.moments.iter().for_each(|moments| self.progress.moments.merge(moments));
         self.progress.iteration += 1;
         self.progress.steps_total += batch.rows as u64;
         self.progress.step_rewards.push(batch.mean_reward());
@@ -284,15 +273,9 @@ impl Run<'_> {
                 "the data is stale: effective sample share {share:.2}; the learning rate was halved for this batch"
             ));
         }
-        state.not_finite = if stats.updates == 0 {
-            state.not_finite + 1
-        } else {
-            0
-        };
+        state.not_finite = if stats.updates == 0 { state.not_finite + 1 } else { 0 };
         match state.not_finite {
-            NOT_FINITE_MAX => Err(LearnerError::NotFinite {
-                iterations: NOT_FINITE_MAX,
-            }),
+            NOT_FINITE_MAX => Err(LearnerError::NotFinite { iterations: NOT_FINITE_MAX }),
             _ => Ok(()),
         }
     }
@@ -305,19 +288,11 @@ impl Run<'_> {
         first: u64,
         [total_s, collection_s, learning_s]: [f64; 3],
     ) {
-        let lags: Vec<u64> = batch
-            .segments
-            .iter()
-            .map(|s| version - s.policy_version)
-            .collect();
+        let lags: Vec<u64> = batch.segments.iter().map(|s| version - s.policy_version).collect();
         let progress = &mut self.progress;
         let here_s = self.began.elapsed().as_secs_f64();
         let per_iteration = here_s / (progress.iteration - first).max(1) as f64;
-        let left = self
-            .config
-            .run
-            .iterations
-            .saturating_sub(progress.iteration);
+        let left = self.config.run.iterations.saturating_sub(progress.iteration);
         let report = IterationReport {
             iteration: progress.iteration,
             iterations: self.config.run.iterations,
@@ -398,12 +373,7 @@ impl Run<'_> {
         }
         self.collector.policy_published(version, sha256);
         let bytes = policy.bytes().clone();
-        self.link.publish_policy(PolicyUpdate {
-            version,
-            sha256,
-            bytes,
-            control: Control::Run,
-        })?;
+        self.link.publish_policy(PolicyUpdate { version, sha256, bytes, control: Control::Run })?;
         self.traces.handed_out(version, sha256, began_ns);
         state.seen.made(policy);
         Ok(())
@@ -424,31 +394,18 @@ impl Run<'_> {
 
     /// Passes on what the background task has said.
     pub(super) fn tell_published(&mut self, seen: &mut PoliciesSeen) {
-        let notices = self
-            .publisher
-            .as_ref()
-            .map(Publisher::notices)
-            .unwrap_or_default();
+        let notices = self.publisher.as_ref().map(Publisher::notices).unwrap_or_default();
         for notice in notices {
             match notice {
                 Notice::Published(published) => {
                     seen.published(published.version);
                     self.reporter.event(&Event::Published(published));
                 }
-                Notice::Failed {
-                    version,
-                    reason,
-                    again,
-                } => {
+                Notice::Failed { version, reason, again } => {
                     self.reporter.metrics.publish_failures.inc();
-                    let then = if again {
-                        "it is tried again"
-                    } else {
-                        "it is not tried again"
-                    };
-                    self.reporter.warn(format!(
-                        "version {version} is not published ({then}): {reason}"
-                    ));
+                    let then = if again { "it is tried again" } else { "it is not tried again" };
+                    self.reporter
+                        .warn(format!("version {version} is not published ({then}): {reason}"));
                 }
             }
         }

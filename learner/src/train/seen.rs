@@ -48,24 +48,13 @@ impl PoliciesSeen {
     /// The newest policy that actors ran and that the policy server has; without one, the newest that they
     /// ran.
     pub fn best(&self) -> Option<ActorsPolicy> {
-        let ran = || {
-            self.made
-                .iter()
-                .rev()
-                .filter_map(|(v, made)| told(*v, made))
-        };
+        let ran = || self.made.iter().rev().filter_map(|(v, made)| told(*v, made));
         let published = ran().find(|policy| policy.published);
-        published
-            .or_else(|| self.forgotten.clone())
-            .or_else(|| ran().next())
+        published.or_else(|| self.forgotten.clone()).or_else(|| ran().next())
     }
 
     fn note(&mut self, version: u64, sha256: [u8; 32]) {
-        let made = Made {
-            sha256,
-            ran: None,
-            published: false,
-        };
+        let made = Made { sha256, ran: None, published: false };
         self.made.insert(version, made);
         while self.made.len() > VERSIONS_MAX {
             let Some((version, made)) = self.made.pop_first() else {

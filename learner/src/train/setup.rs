@@ -53,10 +53,7 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
     let config = &settings.config;
     let task = Task::new(config)?;
     let (model, contract) = (task.model, task.contract);
-    let transport = settings
-        .transport
-        .clone()
-        .unwrap_or_else(|| transport_of(config, ROLE));
+    let transport = settings.transport.clone().unwrap_or_else(|| transport_of(config, ROLE));
     let inproc = matches!(transport, TransportConfig::Inproc(_));
     let device = device(config.learner.device)?;
     let net = ActorCritic::new(task.networks, config.run.seed, device);
@@ -135,11 +132,7 @@ fn outside(settings: &TrainSettings) -> Result<(Option<Publisher>, Tracer), Lear
     let config = &settings.config;
     let publish = |address: &String| {
         let stream = config.policy_server.stream_of(&settings.run_id);
-        Publisher::start(
-            address,
-            stream,
-            config.cluster.certificates(ROLE).as_deref(),
-        )
+        Publisher::start(address, stream, config.cluster.certificates(ROLE).as_deref())
     };
     let publisher = settings.policy_server.as_ref().map(publish).transpose()?;
     let tracer = tracer_of(
@@ -317,8 +310,7 @@ fn restore(
         return Ok(((progress, Accounting::default()), Vec::new()));
     };
     ppo.net().copy_from_slice(&state.parameters)?;
-    ppo.adam_mut()
-        .restore(&state.adam_m, &state.adam_v, state.saved.adam_steps)?;
+    ppo.adam_mut().restore(&state.adam_m, &state.adam_v, state.saved.adam_steps)?;
     ppo.set_learning_rate(state.learning_rate);
     let progress = Progress {
         iteration: state.saved.iteration,

@@ -28,10 +28,7 @@ struct Current {
 
 impl Traces {
     pub fn new(tracer: Tracer) -> Self {
-        Self {
-            tracer,
-            current: None,
-        }
+        Self { tracer, current: None }
     }
 
     /// Which chunk a frame is, where that is asked for.
@@ -90,11 +87,7 @@ impl Traces {
                 ("caudata.chunks", chunks.len().into()),
                 ("caudata.lag_max", lag.into()),
             ],
-            links: chunks
-                .iter()
-                .filter_map(|chunk| chunk.trace)
-                .take(LINKS_MAX)
-                .collect(),
+            links: chunks.iter().filter_map(|chunk| chunk.trace).take(LINKS_MAX).collect(),
         });
     }
 
@@ -127,14 +120,7 @@ impl Traces {
         let origin = self.current.as_ref().and_then(|current| current.batch);
         self.complete();
         if self.tracer.is_traced(version) {
-            self.current = Some(Current {
-                version,
-                sha256,
-                root,
-                began_ns,
-                origin,
-                batch: None,
-            });
+            self.current = Some(Current { version, sha256, root, began_ns, origin, batch: None });
         }
     }
 
@@ -151,10 +137,7 @@ impl Traces {
             time_ns: [current.began_ns, now_ns()],
             attributes: vec![
                 ("caudata.policy_version", current.version.into()),
-                (
-                    "caudata.policy_sha256",
-                    hex(&current.sha256).as_str().into(),
-                ),
+                ("caudata.policy_sha256", hex(&current.sha256).as_str().into()),
             ],
             links: current.origin.into_iter().collect(),
         });

@@ -46,13 +46,7 @@ impl Tuning {
         if let Some(actors) = actors.as_ref().filter(|_| now.task != first.task) {
             actors.add(0, now.task.clone());
         }
-        Ok(Self {
-            run_dir: settings.run_dir.clone(),
-            first,
-            now,
-            record,
-            actors,
-        })
+        Ok(Self { run_dir: settings.run_dir.clone(), first, now, record, actors })
     }
 
     /// The configuration as it is.

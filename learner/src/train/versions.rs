@@ -36,16 +36,10 @@ impl Versions {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => None,
             Err(error) => {
                 let path = path.display();
-                return Err(LearnerError::setting(format!(
-                    "cannot read {path}: {error}"
-                )));
+                return Err(LearnerError::setting(format!("cannot read {path}: {error}")));
             }
         };
-        Ok(Self {
-            path,
-            run_id: run_id.to_owned(),
-            noted,
-        })
+        Ok(Self { path, run_id: run_id.to_owned(), noted })
     }
 
     /// The highest version that may have been handed out.

@@ -43,9 +43,7 @@ fn honest(config: Config, transport: TransportConfig) -> JoinHandle<u64> {
         let link = actor_link(&transport, "test", 0).unwrap();
         let metrics = ActorMetrics::register(&Metrics::new());
         let stop = StopFlag::new();
-        caudata_actor::run(&settings, env, link, &stop, &metrics, None, None)
-            .unwrap()
-            .sent
+        caudata_actor::run(&settings, env, link, &stop, &metrics, None, None).unwrap().sent
     })
 }
 
@@ -72,8 +70,7 @@ fn hostile(config: Config, transport: TransportConfig) -> JoinHandle<u64> {
             let mut chunk = sound(&config, &contract, policy.version, policy.sha256);
             chunk.sequence = sequence as u64;
             change(&mut chunk);
-            link.send(&encode(&Envelope::Chunk(Box::new(chunk))), PATIENCE)
-                .unwrap();
+            link.send(&encode(&Envelope::Chunk(Box::new(chunk))), PATIENCE).unwrap();
         }
         link.flush(PATIENCE).unwrap();
         changes.len() as u64
@@ -87,10 +84,7 @@ fn sound(
     policy_version: u64,
     policy_sha256: [u8; 32],
 ) -> RolloutChunk {
-    let (steps, lanes) = (
-        config.actors.chunk_steps as usize,
-        config.actors.lanes as usize,
-    );
+    let (steps, lanes) = (config.actors.chunk_steps as usize, config.actors.lanes as usize);
     let (obs_dim, act_dim, cells) = (contract.obs_dim(), contract.act_dim(), steps * lanes);
     let observations = vec![0.5; (steps + 1) * lanes * obs_dim];
     RolloutChunk {
@@ -150,15 +144,9 @@ fn a_hostile_actor_changes_no_bit_and_every_chunk_is_accounted_for() {
     let actor = &dirty.actors[1];
     assert_eq!((actor.received, actor.accepted, actor.rejected), (5, 0, 5));
     let reasons = &dirty.accounting.reasons;
-    let named: Vec<(&str, u64)> = reasons
-        .iter()
-        .map(|(name, n)| (name.as_str(), *n))
-        .collect();
+    let named: Vec<(&str, u64)> = reasons.iter().map(|(name, n)| (name.as_str(), *n)).collect();
     // Three strikes; then the wrong contract and the sound one are not looked at any more.
-    assert_eq!(
-        named,
-        [("magnitude", 1), ("not_finite", 2), ("quarantined", 2)]
-    );
+    assert_eq!(named, [("magnitude", 1), ("not_finite", 2), ("quarantined", 2)]);
     assert_eq!((dirty.actors[0].accepted, clean.actors[0].accepted), (6, 6));
     assert_eq!(dirty.actors[0].sent, Some(6));
     let report = std::fs::read_to_string(dirs[0].path().join("accounting.json")).unwrap();

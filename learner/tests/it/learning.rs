@@ -13,15 +13,7 @@ use caudata_task::mirror::SignedPermutation;
 use tch::{Device, Tensor};
 
 fn stream(seed: u64, purpose: Purpose) -> Stream {
-    Stream::new(
-        Key {
-            seed,
-            actor: 0,
-            env: 0,
-            episode: 0,
-        },
-        purpose,
-    )
+    Stream::new(Key { seed, actor: 0, env: 0, episode: 0 }, purpose)
 }
 
 fn learner(seed: u64, obs_dim: usize, act_dim: usize, ppo: PpoConfig) -> Ppo {
@@ -46,10 +38,7 @@ fn learner_with(
     if let Some(mirror) = mirror {
         spec = spec.symmetric(mirror).unwrap();
     }
-    let settings = PpoSettings {
-        ppo,
-        staleness: StalenessConfig::default(),
-    };
+    let settings = PpoSettings { ppo, staleness: StalenessConfig::default() };
     Ppo::new(ActorCritic::new(spec, seed, Device::Cpu), settings, 1).unwrap()
 }
 
@@ -87,9 +76,7 @@ fn bandit_return(ppo: &Ppo, scaling: &Scaling) -> f64 {
 
 fn bandit_rewards(observations: &[f32], actions: &[f32]) -> Vec<f32> {
     let pairs = observations.chunks_exact(2).zip(actions.chunks_exact(2));
-    pairs
-        .map(|(s, a)| -(a[0] - s[0] - s[1]).powi(2) - (a[1] - s[0] + 0.5).powi(2))
-        .collect()
+    pairs.map(|(s, a)| -(a[0] - s[0] - s[1]).powi(2) - (a[1] - s[0] + 0.5).powi(2)).collect()
 }
 
 fn mean_bandit_reward(observations: &[f32], actions: &[f32]) -> f64 {
@@ -140,18 +127,10 @@ fn what_is_learnt_on_one_side_holds_on_the_other() {
         source: source.to_vec(),
         sign: vec![-1.0; source.len()],
     };
-    let mirror = Mirror {
-        observation: flip(&[0]),
-        action: flip(&[1, 0]),
-        feet: Vec::new(),
-    };
+    let mirror = Mirror { observation: flip(&[0]), action: flip(&[1, 0]), feet: Vec::new() };
     let found = [None, Some(mirror)].map(|mirror| {
         let with_mirror = mirror.is_some();
-        let ppo_config = PpoConfig {
-            gamma: 0.0,
-            epochs: 2,
-            ..PpoConfig::default()
-        };
+        let ppo_config = PpoConfig { gamma: 0.0, epochs: 2, ..PpoConfig::default() };
         let mut ppo = learner_with(1, 1, 2, ppo_config, mirror);
         let scaling = Scaling::identity(1, 10.0);
         let (mut noise, mut order) = (stream(1, Purpose::Action), stream(1, Purpose::Minibatch));
@@ -163,8 +142,7 @@ fn what_is_learnt_on_one_side_holds_on_the_other() {
             let rewards = pairs.map(|(s, a)| -(a[0] - s).powi(2) - (a[1] - 1.0 + s).powi(2));
             let rewards = rewards.collect();
             let batch = one_step_episodes(1, contexts, actions, log_probs, rewards, version);
-            ppo.update(&Arc::new(batch), &scaling, version, &mut order, false)
-                .unwrap();
+            ppo.update(&Arc::new(batch), &scaling, version, &mut order, false).unwrap();
         }
         let seen = means(&ppo, &scaling, &[0.75], 1);
         let off = (seen[0] - 0.75).abs().max((seen[1] - 0.25).abs());
@@ -178,37 +156,22 @@ fn what_is_learnt_on_one_side_holds_on_the_other() {
 #[test]
 fn a_contextual_bandit_is_solved_in_fifty_updates() {
     for seed in [1, 2] {
-        let ppo_config = PpoConfig {
-            gamma: 0.0,
-            ..PpoConfig::default()
-        };
+        let ppo_config = PpoConfig { gamma: 0.0, ..PpoConfig::default() };
         let mut ppo = learner(seed, 2, 2, ppo_config);
         let scaling = Scaling::identity(2, 10.0);
-        let (mut noise, mut order) = (
-            stream(seed, Purpose::Action),
-            stream(seed, Purpose::Minibatch),
-        );
+        let (mut noise, mut order) =
+            (stream(seed, Purpose::Action), stream(seed, Purpose::Minibatch));
         let before = bandit_return(&ppo, &scaling);
-        assert!(
-            (before + 1.25).abs() < 0.1,
-            "an untrained policy does nothing: {before}"
-        );
+        assert!((before + 1.25).abs() < 0.1, "an untrained policy does nothing: {before}");
         for version in 0..50 {
             let rows = 512;
             let observations: Vec<f32> = (0..rows * 2).map(|_| noise.uniform(-1.0, 1.0)).collect();
             let means = means(&ppo, &scaling, &observations, 2);
             let (actions, behaviour_log_probs) = explore(&ppo, &means, &mut noise);
             let rewards = bandit_rewards(&observations, &actions);
-            let batch = one_step_episodes(
-                2,
-                observations,
-                actions,
-                behaviour_log_probs,
-                rewards,
-                version,
-            );
-            ppo.update(&Arc::new(batch), &scaling, version, &mut order, false)
-                .unwrap();
+            let batch =
+                one_step_episodes(2, observations, actions, behaviour_log_probs, rewards, version);
+            ppo.update(&Arc::new(batch), &scaling, version, &mut order, false).unwrap();
         }
         let after = bandit_return(&ppo, &scaling);
         assert!(after > -0.02, "seed {seed}: {after}");
@@ -247,9 +210,7 @@ impl PointMasses {
 
     fn observations(&self) -> Vec<f32> {
         // Odd scales and an offset, for the normaliser to earn its keep.
-        (0..self.x.len())
-            .flat_map(|l| [100.0 + 20.0 * self.x[l], 0.1 * self.v[l]])
-            .collect()
+        (0..self.x.len()).flat_map(|l| [100.0 + 20.0 * self.x[l], 0.1 * self.v[l]]).collect()
     }
 
     fn step(&mut self, lane: usize, a: f32) -> f32 {
@@ -285,9 +246,7 @@ fn point_mass_return(ppo: &Ppo, scaling: &Scaling) -> f64 {
     let mut sum = 0.0;
     for _ in 0..LIMIT {
         let actions = means(ppo, scaling, &world.observations(), 2);
-        sum += (0..lanes)
-            .map(|lane| f64::from(world.step(lane, actions[lane])))
-            .sum::<f64>();
+        sum += (0..lanes).map(|lane| f64::from(world.step(lane, actions[lane]))).sum::<f64>();
     }
     sum / lanes as f64
 }
@@ -301,12 +260,7 @@ fn collect(
     version: u64,
 ) -> Batch {
     let (steps, lanes) = (16, world.x.len());
-    let mut batch = Batch {
-        obs_dim: 2,
-        act_dim: 1,
-        rows: steps * lanes,
-        ..Batch::default()
-    };
+    let mut batch = Batch { obs_dim: 2, act_dim: 1, rows: steps * lanes, ..Batch::default() };
     let mut finals: Vec<f32> = Vec::new();
     for _ in 0..steps {
         let observations = world.observations();
@@ -346,11 +300,7 @@ fn collect(
 #[test]
 fn a_point_mass_is_steered_nearly_as_well_as_riccati_does() {
     let best = best_return();
-    let config = PpoConfig {
-        gamma: 0.98,
-        minibatches: 4,
-        ..PpoConfig::default()
-    };
+    let config = PpoConfig { gamma: 0.98, minibatches: 4, ..PpoConfig::default() };
     let mut ppo = learner(3, 2, 1, config);
     let mut moments = Moments::new(2);
     let mut scaling = moments.scaling(10.0);
@@ -359,16 +309,12 @@ fn a_point_mass_is_steered_nearly_as_well_as_riccati_does() {
     let before = point_mass_return(&ppo, &scaling);
     for version in 0..80 {
         let batch = Arc::new(collect(&ppo, &scaling, &mut world, &mut noise, version));
-        ppo.update(&batch, &scaling, version, &mut order, false)
-            .unwrap();
+        ppo.update(&batch, &scaling, version, &mut order, false).unwrap();
         batch.moments.iter().for_each(|m| moments.merge(m));
         scaling = moments.scaling(10.0);
     }
     let after = point_mass_return(&ppo, &scaling);
     // Doing nothing costs 40·⅓ = 13.3; the best feedback costs about a quarter of that.
-    assert!(
-        before < -12.0 && best > -4.0,
-        "before {before}, best {best}"
-    );
+    assert!(before < -12.0 && best > -4.0, "before {before}, best {best}");
     assert!(after > 1.15 * best, "after {after}, best {best}");
 }

@@ -126,20 +126,11 @@ fn any_number_of_actors_gives_the_same_weights_in_process_and_over_the_network()
     assert_eq!(finished.accounting.accepted, ITERATIONS);
     // Exactly one version behind, once there is one to be behind.
     assert_eq!(lags, [0, 1, 1, 1, 1, 1, 1, 1]);
-    for (actors, kind) in [
-        (2, "inproc"),
-        (8, "inproc"),
-        (1, "zenoh"),
-        (2, "zenoh"),
-        (8, "zenoh"),
-        (2, "iceoryx2"),
-    ] {
+    for (actors, kind) in
+        [(2, "inproc"), (8, "inproc"), (1, "zenoh"), (2, "zenoh"), (8, "zenoh"), (2, "iceoryx2")]
+    {
         let (state, finished, lags_here) = train(lockstep(actors, kind, 1));
-        assert_eq!(
-            differing(&state, &one),
-            [""; 0],
-            "{actors} actors over {kind}"
-        );
+        assert_eq!(differing(&state, &one), [""; 0], "{actors} actors over {kind}");
         assert_eq!(lags_here, lags, "{actors} actors over {kind}");
         let accepted = ITERATIONS * u64::from(actors);
         assert_eq!(finished.accounting.accepted, accepted);
@@ -149,11 +140,9 @@ fn any_number_of_actors_gives_the_same_weights_in_process_and_over_the_network()
 #[test]
 fn the_lag_is_what_is_asked_for() {
     let mut seen = Vec::new();
-    for (lead, expected) in [
-        (0, [0; 8]),
-        (2, [0, 1, 2, 2, 2, 2, 2, 2]),
-        (4, [0, 1, 2, 3, 4, 4, 4, 4]),
-    ] {
+    for (lead, expected) in
+        [(0, [0; 8]), (2, [0, 1, 2, 2, 2, 2, 2, 2]), (4, [0, 1, 2, 3, 4, 4, 4, 4])]
+    {
         let (state, _, lags) = train(lockstep(2, "inproc", lead));
         assert_eq!(lags, expected);
         let (other, _, _) = train(lockstep(4, "inproc", lead));

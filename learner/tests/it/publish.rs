@@ -43,14 +43,7 @@ fn policy_of(version: u64, seed: u64) -> PolicyFile {
         config_hash: String::new(),
         seed: 1,
     };
-    export(
-        &net,
-        &Scaling::identity(obs_dim, 10.0),
-        &identity,
-        version,
-        0,
-    )
-    .unwrap()
+    export(&net, &Scaling::identity(obs_dim, 10.0), &identity, version, 0).unwrap()
 }
 
 /// Serves at `addr` until the sender says stop.
@@ -69,13 +62,8 @@ fn server_with(
     let (stop, stopped) = watch::channel(false);
     let metrics = ServerMetrics::register(&Metrics::new());
     runtime.spawn(async move {
-        let options = ServeOptions {
-            keepalive,
-            ..ServeOptions::default()
-        };
-        serve_with(listener, SharedStore::new(store), metrics, stopped, options)
-            .await
-            .unwrap();
+        let options = ServeOptions { keepalive, ..ServeOptions::default() };
+        serve_with(listener, SharedStore::new(store), metrics, stopped, options).await.unwrap();
     });
     stop
 }
@@ -97,10 +85,7 @@ fn versions(runtime: &Runtime, addr: SocketAddr) -> Vec<(u64, [u8; 32])> {
         let mut client = RegistryClient::new(&addr.to_string()).unwrap();
         let stream = StreamName::new("test").unwrap();
         let page = client.list(Some(&stream), 0, None).await.unwrap();
-        page.manifests
-            .iter()
-            .map(|m| (m.version, m.sha256))
-            .collect()
+        page.manifests.iter().map(|m| (m.version, m.sha256)).collect()
     })
 }
 
@@ -113,17 +98,7 @@ fn the_latest_policy_arrives_once_the_server_is_there() {
     publisher.publish(policy(1));
     let failed = |heard: &[Notice]| !heard.is_empty();
     let heard = wait_for(&publisher, failed);
-    assert!(
-        matches!(
-            heard[0],
-            Notice::Failed {
-                version: 1,
-                again: true,
-                ..
-            }
-        ),
-        "{heard:?}"
-    );
+    assert!(matches!(heard[0], Notice::Failed { version: 1, again: true, .. }), "{heard:?}");
     // Two more while nobody listens: only the last of them matters.
     publisher.publish(policy(2));
     publisher.publish(policy(3));
@@ -131,14 +106,9 @@ fn the_latest_policy_arrives_once_the_server_is_there() {
     assert!(publisher.finish(PATIENCE));
     let stored = versions(&runtime, addr);
     assert_eq!(stored.first(), Some(&(3, policy(3).sha256())));
-    assert!(
-        !stored.iter().any(|(version, _)| *version == 1),
-        "given up for newer ones"
-    );
+    assert!(!stored.iter().any(|(version, _)| *version == 1), "given up for newer ones");
     let published = |heard: &[Notice]| {
-        heard
-            .iter()
-            .any(|n| matches!(n, Notice::Published(done) if done.version == 3))
+        heard.iter().any(|n| matches!(n, Notice::Published(done) if done.version == 3))
     };
     wait_for(&publisher, published);
 }
@@ -149,10 +119,8 @@ fn a_long_pause_between_two_policies_costs_nothing() {
     let data = tempfile::tempdir().unwrap();
     let addr = own_address();
     // A server that is soon tired of silent connections.
-    let keepalive = Keepalive {
-        interval: Duration::from_millis(100),
-        timeout: Duration::from_secs(1),
-    };
+    let keepalive =
+        Keepalive { interval: Duration::from_millis(100), timeout: Duration::from_secs(1) };
     let _stop = server_with(&runtime, addr, data.path(), keepalive);
     let publisher = Publisher::start(&addr.to_string(), "test", None).unwrap();
     publisher.publish(policy(1));
@@ -179,14 +147,7 @@ fn a_refusal_is_not_tried_again_and_nothing_waits_for_ever() {
     publisher.publish(policy_of(5, 99));
     let refused = |heard: &[Notice]| heard.iter().any(|n| matches!(n, Notice::Failed { .. }));
     let heard = wait_for(&publisher, refused);
-    assert!(heard.iter().any(|n| matches!(
-        n,
-        Notice::Failed {
-            version: 5,
-            again: false,
-            ..
-        }
-    )));
+    assert!(heard.iter().any(|n| matches!(n, Notice::Failed { version: 5, again: false, .. })));
     assert!(publisher.finish(PATIENCE));
     assert_eq!(versions(&runtime, addr), [(5, policy(5).sha256())]);
 

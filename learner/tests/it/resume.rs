@@ -29,32 +29,16 @@ fn a_stopped_and_resumed_run_ends_in_the_same_bits() {
     let [through, again, stopped] = [dirs[0].path(), dirs[1].path(), dirs[2].path()];
     let quiet = Listener::default();
     let finished = run(through, config(14, &SEES), Resume::No, &quiet, None).unwrap();
-    assert_eq!(
-        (finished.reason.as_str(), finished.iteration),
-        ("completed", 14)
-    );
+    assert_eq!((finished.reason.as_str(), finished.iteration), ("completed", 14));
     assert_eq!(finished.steps_total, 14 * 2 * 2 * 4);
-    assert_eq!(
-        (finished.accounting.accepted, finished.accounting.received),
-        (28, 28)
-    );
+    assert_eq!((finished.accounting.accepted, finished.accounting.received), (28, 28));
 
     // The same again: threads took other turns, the bits are the same.
-    run(
-        again,
-        config(14, &SEES),
-        Resume::No,
-        &Listener::default(),
-        None,
-    )
-    .unwrap();
+    run(again, config(14, &SEES), Resume::No, &Listener::default(), None).unwrap();
     assert_eq!(state(again, 14), state(through, 14));
 
     // Asked to stop after iteration 3, which is no multiple of checkpoint_every; k = 3 or 4.
-    let listener = Listener {
-        stop_at: Some(3),
-        ..Listener::default()
-    };
+    let listener = Listener { stop_at: Some(3), ..Listener::default() };
     let first = run(stopped, config(14, &SEES), Resume::No, &listener, None).unwrap();
     let k = first.iteration;
     assert!(first.reason == "test" && (3..14).contains(&k), "{first:?}");
@@ -64,21 +48,13 @@ fn a_stopped_and_resumed_run_ends_in_the_same_bits() {
     assert!(last.iteration >= k + 10);
     assert_eq!(state(stopped, 14), state(through, 14));
     assert_eq!(policy(stopped), policy(through));
-    assert!(
-        last.first_tenth.is_none(),
-        "fourteen iterations say nothing about tenths"
-    );
+    assert!(last.first_tenth.is_none(), "fourteen iterations say nothing about tenths");
 
     // What the two processes counted belongs together.
-    let Some(Event::Started(started)) = second.events().into_iter().next() else {
-        panic!()
-    };
+    let Some(Event::Started(started)) = second.events().into_iter().next() else { panic!() };
     assert_eq!(started.iteration, k);
     let sent: u64 = last.actors.iter().map(|actor| actor.received).sum();
-    assert_eq!(
-        (sent, last.accounting.accepted, last.actors.len()),
-        (28, 28, 4)
-    );
+    assert_eq!((sent, last.accounting.accepted, last.actors.len()), (28, 28, 4));
     let report = fs::read_to_string(stopped.join("accounting.json")).unwrap();
     assert!(report.contains("\"holds\": true"), "{report}");
 }
@@ -105,14 +81,7 @@ fn a_run_whose_checkpoints_are_gone_does_not_begin_anew() {
 fn a_truncated_checkpoint_is_refused_and_the_good_one_named() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path();
-    run(
-        folder,
-        config(4, &[]),
-        Resume::No,
-        &Listener::default(),
-        None,
-    )
-    .unwrap();
+    run(folder, config(4, &[]), Resume::No, &Listener::default(), None).unwrap();
     let path = folder.join("checkpoints/iter_000004/state.safetensors");
     let whole = fs::read(&path).unwrap();
     fs::write(&path, &whole[..whole.len() / 2]).unwrap();
@@ -121,12 +90,7 @@ fn a_truncated_checkpoint_is_refused_and_the_good_one_named() {
     let error = run(folder, config(6, &[]), Resume::Latest, &quiet, None).unwrap_err();
     assert_eq!(error.exit_code().number(), 78);
     let failure = error.into_failure();
-    assert!(
-        failure
-            .hint_text()
-            .unwrap()
-            .contains("--resume-from iter_000002")
-    );
+    assert!(failure.hint_text().unwrap().contains("--resume-from iter_000002"));
     assert!(quiet.events().is_empty(), "nothing was started");
 
     let named = Resume::Named("iter_000002".into());
@@ -165,28 +129,15 @@ fn going_back_rolls_back_the_account_and_leaves_published_versions_alone() {
     let report: Value =
         serde_json::from_slice(&fs::read(folder.join("accounting.json")).unwrap()).unwrap();
     let count = |key: &str| report[key].as_u64().unwrap();
-    assert_eq!(
-        (count("sent"), count("accepted"), count("dropped")),
-        (12, 8, 4)
-    );
+    assert_eq!((count("sent"), count("accepted"), count("dropped")), (12, 8, 4));
     assert_eq!(report["actors"][0]["dropped"]["rolled_back"], 2);
-    let sent: u64 = ledgers_in(&folder.join("ledgers"))
-        .iter()
-        .filter_map(|l| l.sent)
-        .sum();
+    let sent: u64 = ledgers_in(&folder.join("ledgers")).iter().filter_map(|l| l.sent).sum();
     assert_eq!(sent, 12, "the actors' own count");
     let received: u64 = finished.actors.iter().map(|actor| actor.received).sum();
     assert_eq!(received, 12, "what the supervisor is told");
 
     // Going on from there without going back keeps the numbers.
-    let finished = run(
-        folder,
-        config(5, &[]),
-        Resume::Latest,
-        &Listener::default(),
-        None,
-    )
-    .unwrap();
+    let finished = run(folder, config(5, &[]), Resume::Latest, &Listener::default(), None).unwrap();
     assert_eq!((finished.iteration, finished.policy_version), (5, 8));
 }
 
@@ -213,10 +164,8 @@ fn a_policy_says_the_commit_of_the_runs_beginning() {
     let then = "\"training_commit\": \"abc\"";
     fs::write(checkpoint.join("meta.json"), meta.replace(&now, then)).unwrap();
     let sums = "sha256sum *.* > SHA256SUMS";
-    let summed = std::process::Command::new("sh")
-        .args(["-c", sums])
-        .current_dir(&checkpoint)
-        .status();
+    let summed =
+        std::process::Command::new("sh").args(["-c", sums]).current_dir(&checkpoint).status();
     assert!(summed.unwrap().success());
     run(folder, config(3, &[]), Resume::Latest, &quiet, None).unwrap();
     assert_eq!(commit(folder), "abc");
@@ -226,28 +175,15 @@ fn a_policy_says_the_commit_of_the_runs_beginning() {
 fn another_configuration_or_task_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path();
-    run(
-        folder,
-        config(2, &[]),
-        Resume::No,
-        &Listener::default(),
-        None,
-    )
-    .unwrap();
+    run(folder, config(2, &[]), Resume::No, &Listener::default(), None).unwrap();
     let quiet = Listener::default();
     let other = config(4, &["learner.ppo.gamma=0.9"]);
     let error = run(folder, other, Resume::Latest, &quiet, None).unwrap_err();
-    assert!(
-        matches!(error, LearnerError::CheckpointConfig { .. }),
-        "{error}"
-    );
+    assert!(matches!(error, LearnerError::CheckpointConfig { .. }), "{error}");
     assert_eq!(error.exit_code().number(), 64);
     let other = config(4, &["task.action.scale=0.9"]);
     let error = run(folder, other, Resume::Latest, &quiet, None).unwrap_err();
-    assert!(
-        matches!(error, LearnerError::CheckpointContract { .. }),
-        "{error}"
-    );
+    assert!(matches!(error, LearnerError::CheckpointContract { .. }), "{error}");
     assert_eq!(error.exit_code().number(), 77);
 }
 
@@ -257,14 +193,7 @@ fn a_policy_server_that_is_gone_holds_nothing_up() {
     let listener = Listener::default();
     let config = config(3, &["learner.publish_every=1"]);
     // Port 1 is closed on any machine that runs tests.
-    let finished = run(
-        dir.path(),
-        config,
-        Resume::No,
-        &listener,
-        Some("127.0.0.1:1"),
-    )
-    .unwrap();
+    let finished = run(dir.path(), config, Resume::No, &listener, Some("127.0.0.1:1")).unwrap();
     assert_eq!(finished.iteration, 3);
     let warned = listener.events().into_iter().any(|event| match event {
         Event::Warning(warning) => warning.message.contains("is not published"),

@@ -40,11 +40,7 @@ fn chunk(actor_id: u32, sequence: u64, policy_version: u64) -> Vec<u8> {
         truncated: vec![false],
         final_observations: Vec::new(),
         episodes: Vec::new(),
-        moments: Moments {
-            count: 1,
-            mean: vec![0.0],
-            m2: vec![0.0],
-        },
+        moments: Moments { count: 1, mean: vec![0.0], m2: vec![0.0] },
         action_history: None,
         trace: None,
     })))

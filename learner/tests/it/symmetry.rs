@@ -30,11 +30,8 @@ fn draw(n: usize) -> Vec<f32> {
 }
 
 fn case(preset: &str) -> Case {
-    let config = Config::load(&Source {
-        preset: Some(preset.to_owned()),
-        ..Source::default()
-    })
-    .unwrap();
+    let config =
+        Config::load(&Source { preset: Some(preset.to_owned()), ..Source::default() }).unwrap();
     let model = Arc::new(RobotModel::load(&config.robot_path()).unwrap());
     let contract = PolicyContract::new(&model, &config.task).unwrap();
     let mirror = Mirror::new(&model, &contract.observation).unwrap();
@@ -54,14 +51,7 @@ fn case(preset: &str) -> Case {
         seed: 3,
     };
     let file = export(&net, &scaling, &identity, 1, 1).unwrap();
-    Case {
-        config,
-        model,
-        mirror,
-        net,
-        scaling,
-        file,
-    }
+    Case { config, model, mirror, net, scaling, file }
 }
 
 fn act(inference: &mut Inference, observation: &[f32]) -> Vec<f32> {
@@ -71,10 +61,7 @@ fn act(inference: &mut Inference, observation: &[f32]) -> Vec<f32> {
 }
 
 fn apart(a: &[f32], b: &[f32]) -> f32 {
-    a.iter()
-        .zip(b)
-        .map(|(a, b)| (a - b).abs())
-        .fold(0.0, f32::max)
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
 }
 
 #[test]
@@ -103,10 +90,7 @@ fn the_policy_of_the_mirror_image_is_the_mirror_image_of_the_policy() {
             assert!(apart(&action, &of_image) > 1e-3, "{}", preset.name);
             let value = |o: &[f32]| {
                 let raw = tch::Tensor::from_slice(o).view([1, dim as i64]);
-                case.net
-                    .value()
-                    .forward(&case.scaling.apply(&raw))
-                    .double_value(&[0, 0])
+                case.net.value().forward(&case.scaling.apply(&raw)).double_value(&[0, 0])
             };
             let (value, of_image) = (value(seen), value(&image));
             assert!((value - of_image).abs() < 1e-4 * value.abs().max(1.0));
@@ -133,13 +117,10 @@ fn a_mirrored_rollout_mirrors() {
     task.reset.yaw_range_rad = 0.0;
     (case.config.actors.lanes, case.config.actors.threads) = (2, 1);
     let mut env = build_env(&case.config, Arc::clone(&case.model), 0).unwrap();
-    env.hold_commands(&[[0.2, 0.04, 0.25], [0.2, -0.04, -0.25]])
-        .unwrap();
+    env.hold_commands(&[[0.2, 0.04, 0.25], [0.2, -0.04, -0.25]]).unwrap();
     let mut inference = Inference::new(&case.file, 1).unwrap();
     let layout = env.contract().observation.clone();
-    let told: Vec<_> = ["phase", "command"]
-        .map(|part| layout.slice(part).unwrap())
-        .into();
+    let told: Vec<_> = ["phase", "command"].map(|part| layout.slice(part).unwrap()).into();
     let (mut off, mut moved) = (0.0_f64, 0.0_f64);
     for _ in 0..40 {
         let (first, second) = env.observations().split_at(layout.dim());

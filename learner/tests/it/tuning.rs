@@ -12,10 +12,7 @@ const ITERATIONS: u64 = 12;
 
 /// Episodes are short, so that new ones begin, with other robots, commands and rewards.
 fn short(more: &[&str]) -> Config {
-    let short = [
-        "task.episode_steps=10",
-        "task.command.resample_s=[0.1, 0.2]",
-    ];
+    let short = ["task.episode_steps=10", "task.command.resample_s=[0.1, 0.2]"];
     config(ITERATIONS, &[&short[..], more].concat())
 }
 
@@ -55,10 +52,7 @@ fn a_change_on_the_way_is_recorded_and_repeats_bit_for_bit() {
         run(dir.path(), short(more), Resume::No, &quiet, None).unwrap();
         assert!(asked(dir.path()).is_empty(), "it is taken");
         let made = Changes::of_run(dir.path(), &short(more)).unwrap();
-        assert_eq!(
-            (made.change[0].iteration, &made.change[0].set[..]),
-            (0, &set[..])
-        );
+        assert_eq!((made.change[0].iteration, &made.change[0].set[..]), (0, &set[..]));
 
         let text = fs::read_to_string(dir.path().join(CHANGES)).unwrap();
         let (again, listener) = with_record(short(more), &text);
@@ -83,11 +77,7 @@ fn each_kind_of_change_matters_and_comes_at_its_iteration() {
         let until = |folder: &Path| {
             fs::read(folder.join("checkpoints/iter_000004/state.safetensors")).unwrap()
         };
-        assert_eq!(
-            until(dir.path()),
-            until(none.path()),
-            "{set} comes too early"
-        );
+        assert_eq!(until(dir.path()), until(none.path()), "{set} comes too early");
     }
 }
 

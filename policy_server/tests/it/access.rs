@@ -24,12 +24,8 @@ fn certificate(authority: &Authority, role: Role, name: &str) -> PathBuf {
 
 /// Valid for a day from `from` on.
 fn certificate_of(authority: &Authority, role: Role, name: &str, from: SystemTime) -> PathBuf {
-    let request = Request {
-        role,
-        name: name.to_owned(),
-        hosts: vec!["localhost".to_owned()],
-        days: 1,
-    };
+    let request =
+        Request { role, name: name.to_owned(), hosts: vec!["localhost".to_owned()], days: 1 };
     authority.issue(&request, from, false).unwrap()
 }
 
@@ -90,13 +86,8 @@ async fn a_role_does_what_it_may_and_a_stranger_nothing() {
     let (stop, stopped) = watch::channel(false);
     let metrics = ServerMetrics::register(&Metrics::new());
     let server = tokio::spawn(async move {
-        let options = ServeOptions {
-            tls: Some(tls),
-            ..ServeOptions::default()
-        };
-        serve_with(listener, SharedStore::new(store), metrics, stopped, options)
-            .await
-            .unwrap();
+        let options = ServeOptions { tls: Some(tls), ..ServeOptions::default() };
+        serve_with(listener, SharedStore::new(store), metrics, stopped, options).await.unwrap();
     });
     let client = |folder: &Path| RegistryClient::with_tls(&address, Some(folder)).unwrap();
     let stream = StreamName::new("polymander/test").unwrap();
@@ -106,11 +97,7 @@ async fn a_role_does_what_it_may_and_a_stranger_nothing() {
     for role in [Role::Robot, Role::Actor, Role::Router] {
         let mut client = client(&certificate(&ours, role, role.name()));
         let published = client.publish(manifest.clone(), file.bytes()).await;
-        assert_eq!(
-            code(published).err(),
-            Some(Code::PermissionDenied),
-            "{role}"
-        );
+        assert_eq!(code(published).err(), Some(Code::PermissionDenied), "{role}");
     }
     let mut learner = client(&certificate(&ours, Role::Learner, "learner"));
     let published = learner.publish(manifest, file.bytes()).await.unwrap();
@@ -131,11 +118,7 @@ async fn a_role_does_what_it_may_and_a_stranger_nothing() {
     }];
     operator.publish(release, file.bytes()).await.unwrap();
 
-    for (role, reads) in [
-        (Role::Robot, true),
-        (Role::Operator, true),
-        (Role::Actor, false),
-    ] {
+    for (role, reads) in [(Role::Robot, true), (Role::Operator, true), (Role::Actor, false)] {
         let name = format!("{role}-2");
         let mut client = client(&certificate(&ours, role, &name));
         let listed = code(client.list(Some(&stream), 10, None).await);
@@ -149,17 +132,11 @@ async fn a_role_does_what_it_may_and_a_stranger_nothing() {
     let mut stranger = client(&certificate(&theirs, Role::Learner, "learner"));
     let listed = stranger.list(Some(&stream), 10, None).await;
     assert!(
-        matches!(
-            listed,
-            Err(ClientError::Unreachable { .. } | ClientError::Refused { .. })
-        ),
+        matches!(listed, Err(ClientError::Unreachable { .. } | ClientError::Refused { .. })),
         "{listed:?}"
     );
     let mut plain = RegistryClient::new(&format!("localhost:{port}")).unwrap();
-    assert!(
-        plain.list(Some(&stream), 10, None).await.is_err(),
-        "nothing is served in the open"
-    );
+    assert!(plain.list(Some(&stream), 10, None).await.is_err(), "nothing is served in the open");
 
     drop((learner, operator, stranger, plain));
     stop.send(true).unwrap();
@@ -185,13 +162,8 @@ async fn fault_18_certificates_of_another_year_keep_a_robot_out_and_are_no_reaso
         let (stop, stopped) = watch::channel(false);
         let metrics = ServerMetrics::register(&Metrics::new());
         let server = tokio::spawn(async move {
-            let options = ServeOptions {
-                tls: Some(tls),
-                ..ServeOptions::default()
-            };
-            serve_with(listener, SharedStore::new(store), metrics, stopped, options)
-                .await
-                .unwrap();
+            let options = ServeOptions { tls: Some(tls), ..ServeOptions::default() };
+            serve_with(listener, SharedStore::new(store), metrics, stopped, options).await.unwrap();
         });
         for (robot_time, from) in times {
             let name = format!("robot-{server_time}-{robot_time}");
@@ -205,10 +177,7 @@ async fn fault_18_certificates_of_another_year_keep_a_robot_out_and_are_no_reaso
             }
             // Like a server that is away: a robot runs what is on its disk, and asks again later.
             let error = listed.unwrap_err();
-            assert!(
-                error.is_transient(),
-                "{server_time} {robot_time}: {error:?}"
-            );
+            assert!(error.is_transient(), "{server_time} {robot_time}: {error:?}");
         }
         stop.send(true).unwrap();
         server.await.unwrap();
@@ -219,10 +188,7 @@ async fn fault_18_certificates_of_another_year_keep_a_robot_out_and_are_no_reaso
 fn certificates_that_are_not_there_are_named() {
     let dir = tempfile::tempdir().unwrap();
     let error = of_the_lab(dir.path()).err().unwrap();
-    assert!(
-        matches!(&error, PkiError::File { path, .. } if path.ends_with("ca.crt")),
-        "{error}"
-    );
+    assert!(matches!(&error, PkiError::File { path, .. } if path.ends_with("ca.crt")), "{error}");
     let error = RegistryClient::with_tls("https://localhost:1", Some(dir.path())).unwrap_err();
     assert!(error.to_string().contains("ca.crt"), "{error}");
     let error = RegistryClient::with_tls("https://localhost:1", None).unwrap_err();
@@ -273,9 +239,7 @@ async fn tls_1_2_is_not_spoken() {
         let (here, there) = tokio::io::duplex(1 << 16);
         let server = tokio::spawn(acceptor.accept(there));
         let name = "localhost".try_into().unwrap();
-        let client = TlsConnector::from(Arc::new(config))
-            .connect(name, here)
-            .await;
+        let client = TlsConnector::from(Arc::new(config)).connect(name, here).await;
         (client.is_ok(), server.await.unwrap().is_ok())
     };
     assert_eq!(shake(&version::TLS13).await, (true, true));

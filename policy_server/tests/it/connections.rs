@@ -20,21 +20,13 @@ use crate::common::{Server, code, policy, policy_of, publish, stream};
 #[tokio::test]
 async fn silent_connections_keep_nobody_out() {
     let data = tempfile::tempdir().unwrap();
-    let connections = ConnectionLimits {
-        total: 8,
-        per_peer: 8,
-    };
-    let options = ServeOptions {
-        connections,
-        ..ServeOptions::default()
-    };
+    let connections = ConnectionLimits { total: 8, per_peer: 8 };
+    let options = ServeOptions { connections, ..ServeOptions::default() };
     let mut server = Server::start_with(data.path(), StoreLimits::default(), options).await;
     publish(&mut server.client, &policy(1)).await.unwrap();
     let mut watch = server.client.watch(Some(&stream()), 0).await.unwrap();
     watch.next().await.unwrap();
-    let silent: Vec<_> = (0..40)
-        .map(|_| TcpStream::connect(server.address).unwrap())
-        .collect();
+    let silent: Vec<_> = (0..40).map(|_| TcpStream::connect(server.address).unwrap()).collect();
     for version in 2..4 {
         let mut another = RegistryClient::new(&server.address.to_string()).unwrap();
         publish(&mut another, &policy(version)).await.unwrap();
@@ -66,9 +58,7 @@ fn a_process_with_few_file_handles_serves_on_beside_idle_connections() {
     let worked = runtime.block_on(async {
         let mut client = RegistryClient::new(&address.to_string()).unwrap();
         publish(&mut client, &policy(1)).await.unwrap();
-        let idle: Vec<_> = (0..300)
-            .map(|_| TcpStream::connect(address).unwrap())
-            .collect();
+        let idle: Vec<_> = (0..300).map(|_| TcpStream::connect(address).unwrap()).collect();
         for version in 2..5 {
             let mut client = RegistryClient::new(&address.to_string()).unwrap();
             let manifest = client.manifest(&stream(), Some(1)).await.unwrap();
@@ -92,11 +82,8 @@ async fn fetches_that_nobody_reads_are_bounded() {
     // Far more than one piece.
     let file = policy_of(1, Some(512));
     publish(&mut server.client, &file).await.unwrap();
-    let request = FetchRequest {
-        sha256: file.sha256().to_vec(),
-        offset: 0,
-        if_none_match: Vec::new(),
-    };
+    let request =
+        FetchRequest { sha256: file.sha256().to_vec(), offset: 0, if_none_match: Vec::new() };
     let (mut held, mut refused) = (Vec::new(), 0);
     let address = format!("http://{}", server.address);
     for _ in 0..10 {
@@ -133,10 +120,8 @@ async fn a_store_that_cannot_write_says_so_and_comes_back_by_itself() {
     std::fs::create_dir(&root).unwrap();
     let disk = Arc::new(Rehearsal::new(&root).unwrap());
     let store = Store::open_on(&root, StoreLimits::default(), disk.clone()).unwrap();
-    let options = ServeOptions {
-        probe_pause: Duration::from_millis(20),
-        ..ServeOptions::default()
-    };
+    let options =
+        ServeOptions { probe_pause: Duration::from_millis(20), ..ServeOptions::default() };
     let mut server = Server::over("127.0.0.1:0".parse().unwrap(), store, options).await;
     publish(&mut server.client, &policy(1)).await.unwrap();
     for (version, fail) in [

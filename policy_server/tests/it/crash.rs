@@ -96,28 +96,14 @@ fn shown(store: &mut Store) -> Shown {
     let records: Vec<Manifest> = store.records(None).map(|r| r.manifest.clone()).collect();
     for manifest in &records {
         let found = store.read_blob(&manifest.sha256).unwrap();
-        assert_eq!(
-            *found,
-            bytes(manifest.reverts_to.unwrap_or(manifest.version)),
-            "whole"
-        );
+        assert_eq!(*found, bytes(manifest.reverts_to.unwrap_or(manifest.version)), "whole");
     }
-    let labels = store
-        .labels(None)
-        .into_iter()
-        .map(|s| (s.label.to_string(), s.version));
+    let labels = store.labels(None).into_iter().map(|s| (s.label.to_string(), s.version));
     let labels = labels.collect();
     let versions: Vec<_> = records.iter().map(|m| (m.version, m.reverts_to)).collect();
     let quarantined = versions.iter().map(|(v, _)| *v);
-    let quarantined = quarantined
-        .filter(|v| store.is_quarantined(&stream(), *v))
-        .collect();
-    Shown {
-        versions,
-        labels,
-        quarantined,
-        good: store.good_reports(&stream(), 2),
-    }
+    let quarantined = quarantined.filter(|v| store.is_quarantined(&stream(), *v)).collect();
+    Shown { versions, labels, quarantined, good: store.good_reports(&stream(), 2) }
 }
 
 fn open(root: &Path) -> Store {
@@ -128,23 +114,15 @@ type Change = fn(&mut Store) -> Result<(), StoreError>;
 
 /// Each change that a store can undergo; it begins with version 1 under `stable`, and version 2.
 const CHANGES: [(&str, Change); 6] = [
-    ("publish", |store| {
-        store.publish(manifest(3), &bytes(3)).map(drop)
-    }),
-    ("label", |store| {
-        store.set_label(&Origin::local(), stable(2, 3)).map(drop)
-    }),
+    ("publish", |store| store.publish(manifest(3), &bytes(3)).map(drop)),
+    ("label", |store| store.set_label(&Origin::local(), stable(2, 3)).map(drop)),
     ("first label", |store| {
         let mut canary = stable(2, 0);
         canary.label = LabelName::new("canary").unwrap();
         store.set_label(&Origin::local(), canary).map(drop)
     }),
-    ("quarantine", |store| {
-        store.quarantine(&Origin::local(), out(2)).map(drop)
-    }),
-    ("report", |store| {
-        store.report(&Origin::local(), good(2)).map(drop)
-    }),
+    ("quarantine", |store| store.quarantine(&Origin::local(), out(2)).map(drop)),
+    ("report", |store| store.report(&Origin::local(), good(2)).map(drop)),
     ("revert", |store| {
         let manifest = reverting(&manifest(1), 3, 6);
         store.revert(&Origin::local(), manifest, "better").map(drop)
@@ -163,17 +141,11 @@ fn begin(root: &Path) -> Store {
 /// The record says exactly what happened: its last line is the change, or that it did not happen.
 fn record_agrees(root: &Path, happened: bool) -> bool {
     let text = std::fs::read_to_string(root.join("audit.jsonl")).unwrap();
-    let lines: Vec<serde_json::Value> = text
-        .lines()
-        .map(|line| serde_json::from_str(line).unwrap())
-        .collect();
+    let lines: Vec<serde_json::Value> =
+        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert_eq!(lines[0]["number"], 1);
     let (announced, taken_back) = lines.iter().skip(3).fold((0, 0), |(a, t), line| {
-        if line["what"] == "undone" {
-            (a, t + 1)
-        } else {
-            (a + 1, t)
-        }
+        if line["what"] == "undone" { (a, t + 1) } else { (a + 1, t) }
     });
     announced - taken_back == i32::from(happened)
 }
@@ -201,19 +173,13 @@ fn fault_1_power_cut_at_any_step_of_any_change_leaves_the_old_or_the_new() {
             for left in disk.cut(step, &below).unwrap() {
                 let mut store = open(&left);
                 let found = shown(&mut store);
-                assert!(
-                    found == old || found == new,
-                    "{name} cut after {step}: {found:?}"
-                );
+                assert!(found == old || found == new, "{name} cut after {step}: {found:?}");
                 if step == last {
                     assert_eq!(found, new, "{name}: promised");
                 }
                 // Reports count as no change and are told again: an announcement of one may stand alone.
                 if name != "report" {
-                    assert!(
-                        record_agrees(&left, found == new),
-                        "{name} cut after {step}"
-                    );
+                    assert!(record_agrees(&left, found == new), "{name} cut after {step}");
                 }
                 // And it goes on from there.
                 store.publish(manifest(9), &bytes(9)).unwrap();
@@ -353,9 +319,7 @@ fn a_process_without_file_handles_refuses_the_change_and_stays_writable() {
 
 /// Temporary files anywhere below `folder`.
 fn stray_files(folder: &Path) -> usize {
-    let entries = std::fs::read_dir(folder)
-        .unwrap()
-        .map(|e| e.unwrap().path());
+    let entries = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path());
     entries
         .map(|path| match path.is_dir() {
             true => stray_files(&path),

@@ -40,10 +40,7 @@ impl Server {
     /// Memory in use, bytes.
     fn resident(&self) -> u64 {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
-        let line = status
-            .lines()
-            .find_map(|line| line.strip_prefix("VmRSS:"))
-            .unwrap();
+        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
         1024 * line.trim().trim_end_matches(" kB").parse::<u64>().unwrap()
     }
 }
@@ -142,11 +139,7 @@ async fn load(n: usize, rounds: u64) {
         lasts.push(*took.last().unwrap());
         all.extend(took);
     }
-    let (p50, p99, last) = (
-        quantile(all.clone(), 0.5),
-        quantile(all, 0.99),
-        quantile(lasts, 0.99),
-    );
+    let (p50, p99, last) = (quantile(all.clone(), 0.5), quantile(all, 0.99), quantile(lasts, 0.99));
     println!(
         "{n} watchers, {each} bytes each; publish to delivery p50 {p50:?}, p99 {p99:?}, to the last one p99 {last:?}"
     );
@@ -165,10 +158,7 @@ async fn load(n: usize, rounds: u64) {
     }
     let slowed = quantile(slowed, 0.99);
     let grown = server.resident().saturating_sub(before);
-    println!(
-        "with {} that never read: p99 {slowed:?}, memory + {grown} bytes",
-        n / 10
-    );
+    println!("with {} that never read: p99 {slowed:?}, memory + {grown} bytes", n / 10);
     // Half of what it takes the server to give up on who never reads: nobody waited for that.
     assert!(
         slowed < ServeOptions::default().reply_idle / 2,
@@ -182,10 +172,7 @@ async fn load(n: usize, rounds: u64) {
     let begun = Instant::now();
     while heard.try_recv().is_ok() {}
     let took = all_heard(&mut heard, n, version, begun).await;
-    println!(
-        "after a restart all {n} were back after {:?}",
-        took.last().unwrap()
-    );
+    println!("after a restart all {n} were back after {:?}", took.last().unwrap());
     assert!(each < 200 << 10, "{each} bytes per watcher");
 }
 

@@ -12,10 +12,7 @@ use tonic::Code;
 
 /// Limits that keep so many versions.
 fn keep(versions_kept: usize) -> StoreLimits {
-    StoreLimits {
-        versions_kept,
-        ..StoreLimits::default()
-    }
+    StoreLimits { versions_kept, ..StoreLimits::default() }
 }
 
 #[tokio::test]
@@ -24,20 +21,14 @@ async fn what_is_published_comes_back_byte_for_byte_also_after_a_restart() {
     let mut server = Server::start(data.path(), keep(8)).await;
     let file = policy(1);
     assert!(!publish(&mut server.client, &file).await.unwrap());
-    assert!(
-        publish(&mut server.client, &file).await.unwrap(),
-        "a repeat is the same version"
-    );
+    assert!(publish(&mut server.client, &file).await.unwrap(), "a repeat is the same version");
     server.stop().await;
 
     let mut server = Server::start(data.path(), keep(8)).await;
     let manifest = server.client.manifest(&stream(), None).await.unwrap();
     assert_eq!(manifest.sha256, file.sha256());
     assert_eq!(manifest.env_steps, 10);
-    assert_eq!(
-        server.client.fetch(&manifest).await.unwrap(),
-        file.bytes().as_ref()
-    );
+    assert_eq!(server.client.fetch(&manifest).await.unwrap(), file.bytes().as_ref());
     server.stop().await;
 }
 
@@ -109,10 +100,8 @@ async fn fault_13_an_upload_that_goes_silent_is_ended_and_leaves_nothing() {
     let unless_told = ServeOptions::default().upload_idle;
     assert_eq!(unless_told, std::time::Duration::from_secs(30));
     let data = tempfile::tempdir().unwrap();
-    let options = ServeOptions {
-        upload_idle: std::time::Duration::from_secs(2),
-        ..ServeOptions::default()
-    };
+    let options =
+        ServeOptions { upload_idle: std::time::Duration::from_secs(2), ..ServeOptions::default() };
     let mut server = Server::start_with(data.path(), keep(8), options).await;
     publish(&mut server.client, &policy(1)).await.unwrap();
     let before = files(data.path());
@@ -156,19 +145,12 @@ async fn refusals_have_their_own_codes() {
     let mut manifest = manifest_of(stream(), &other, 5).unwrap();
     manifest.version = 1;
     let error = client.publish(manifest, other.bytes()).await.unwrap_err();
-    assert_eq!(
-        code(&error),
-        Code::InvalidArgument,
-        "header and file disagree: {error}"
-    );
+    assert_eq!(code(&error), Code::InvalidArgument, "header and file disagree: {error}");
 
     // Bytes that are no policy at all.
     let mut manifest = manifest_of(stream(), &other, 5).unwrap();
     let garbage = vec![7; other.bytes().len()];
-    let error = client
-        .publish(manifest.clone(), &garbage)
-        .await
-        .unwrap_err();
+    let error = client.publish(manifest.clone(), &garbage).await.unwrap_err();
     assert_eq!(code(&error), Code::InvalidArgument, "{error}");
 
     // Fewer and more bytes than announced.
@@ -311,10 +293,7 @@ async fn fault_10_a_watcher_that_never_reads_loses_its_place_and_what_waits_for_
         }
     };
     assert_eq!(code(&error), Code::ResourceExhausted, "{error}");
-    assert!(
-        error.to_string().contains("nothing of the answer was read"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("nothing of the answer was read"), "{error}");
     assert!(last < VERSIONS - 8, "{last} versions waited for it");
     // It is welcome again.
     let mut again = one.watch(Some(&stream()), 0).await.unwrap();
@@ -345,11 +324,7 @@ async fn a_watch_begins_with_a_snapshot_and_resumes_without_gaps() {
     drop(watch);
 
     // From generation 1 on nothing is missing; the server still knows version 2.
-    let mut watch = server
-        .client
-        .watch(Some(&name), first.generation)
-        .await
-        .unwrap();
+    let mut watch = server.client.watch(Some(&name), first.generation).await.unwrap();
     let event = watch.next().await.unwrap().unwrap();
     assert!(matches!(&event.change, WatchChange::Published(m) if m.version == 2));
     drop(watch);
@@ -358,11 +333,7 @@ async fn a_watch_begins_with_a_snapshot_and_resumes_without_gaps() {
     for version in [3, 4] {
         publish(&mut server.client, &policy(version)).await.unwrap();
     }
-    let error = server
-        .client
-        .watch(Some(&name), first.generation)
-        .await
-        .unwrap_err();
+    let error = server.client.watch(Some(&name), first.generation).await.unwrap_err();
     assert_eq!(code(&error), Code::OutOfRange, "{error}");
     server.stop().await;
 }
@@ -372,40 +343,28 @@ async fn health_and_reflection_answer() {
     let data = tempfile::tempdir().unwrap();
     let server = Server::start(data.path(), keep(2)).await;
     let address = format!("http://{}", server.client.address());
-    let channel = tonic::transport::Endpoint::from_shared(address)
-        .unwrap()
-        .connect()
-        .await
-        .unwrap();
+    let channel =
+        tonic::transport::Endpoint::from_shared(address).unwrap().connect().await.unwrap();
     let mut health = tonic_health::pb::health_client::HealthClient::new(channel.clone());
     let request = tonic_health::pb::HealthCheckRequest {
         service: "caudata.registry.v1.PolicyRegistry".into(),
     };
     let status = health.check(request).await.unwrap().into_inner().status;
-    assert_eq!(
-        status,
-        i32::from(tonic_health::pb::health_check_response::ServingStatus::Serving)
-    );
+    assert_eq!(status, i32::from(tonic_health::pb::health_check_response::ServingStatus::Serving));
 
     use tonic_reflection::pb::v1 as reflection;
     let mut client = reflection::server_reflection_client::ServerReflectionClient::new(channel);
     let request = reflection::ServerReflectionRequest {
         host: String::new(),
-        message_request: Some(
-            reflection::server_reflection_request::MessageRequest::ListServices(String::new()),
-        ),
+        message_request: Some(reflection::server_reflection_request::MessageRequest::ListServices(
+            String::new(),
+        )),
     };
-    let mut answers = client
-        .server_reflection_info(tokio_stream::iter([request]))
-        .await
-        .unwrap()
-        .into_inner();
+    let mut answers =
+        client.server_reflection_info(tokio_stream::iter([request])).await.unwrap().into_inner();
     let answer = answers.message().await.unwrap().unwrap();
     let text = format!("{answer:?}");
-    assert!(
-        text.contains("caudata.registry.v1.PolicyRegistry"),
-        "{text}"
-    );
+    assert!(text.contains("caudata.registry.v1.PolicyRegistry"), "{text}");
     drop(answers);
     drop(client);
     server.stop().await;

@@ -52,9 +52,7 @@ fn check_manifest(m: &pb::Manifest) -> Result<(), RegistryError> {
     let most = MAX_SIGNATURES as u64;
     range("signatures", m.signatures.len() as u64, 0, most)?;
     if m.reverts_to.is_some_and(|old| old >= m.version) {
-        return Err(RegistryError::Together(
-            "`reverts_to` must be below `version`",
-        ));
+        return Err(RegistryError::Together("`reverts_to` must be below `version`"));
     }
     Ok(())
 }
@@ -128,9 +126,7 @@ impl TryFrom<pb::RevertRequest> for (Manifest, String) {
     fn try_from(r: pb::RevertRequest) -> Result<Self, RegistryError> {
         let manifest: Manifest = Field::read("manifest", r.manifest)?;
         if manifest.reverts_to.is_none() {
-            return Err(RegistryError::Missing {
-                field: "reverts_to",
-            });
+            return Err(RegistryError::Missing { field: "reverts_to" });
         }
         Ok((manifest, reason("reason", r.reason)?))
     }
@@ -168,9 +164,7 @@ impl TryFrom<pb::FreshnessResponse> for SignedFreshness {
     type Error = RegistryError;
 
     fn try_from(r: pb::FreshnessResponse) -> Result<Self, RegistryError> {
-        let signature = r
-            .signature
-            .ok_or(RegistryError::Missing { field: "signature" })?;
+        let signature = r.signature.ok_or(RegistryError::Missing { field: "signature" })?;
         Ok(Self {
             said: Freshness {
                 nonce: nonce(r.nonce)?,
@@ -230,11 +224,7 @@ impl TryFrom<pb::FetchResponse> for FetchPart {
                     range("size", info.size, 1, MAX_POLICY_BYTES)?;
                     range("offset", info.offset, 0, info.size)?;
                     let sha256 = Field::read("sha256", info.sha256)?;
-                    Ok(Self::Info(FetchInfo {
-                        sha256,
-                        size: info.size,
-                        offset: info.offset,
-                    }))
+                    Ok(Self::Info(FetchInfo { sha256, size: info.size, offset: info.offset }))
                 }
                 pb::fetch_info::Status::Unspecified => {
                     Err(RegistryError::Missing { field: "status" })
@@ -280,10 +270,7 @@ impl TryFrom<pb::WatchEvent> for WatchEvent {
                 WatchChange::Quarantined(Box::new(s.try_into()?))
             }
         };
-        Ok(Self {
-            generation: e.generation,
-            change,
-        })
+        Ok(Self { generation: e.generation, change })
     }
 }
 
@@ -298,10 +285,7 @@ impl From<WatchEvent> for pb::WatchEvent {
             WatchChange::LabelMoved(s) => pb::watch_event::Event::LabelMoved((*s).into()),
             WatchChange::Quarantined(s) => pb::watch_event::Event::Quarantined((*s).into()),
         };
-        Self {
-            generation: e.generation,
-            event: Some(event),
-        }
+        Self { generation: e.generation, event: Some(event) }
     }
 }
 
@@ -359,12 +343,7 @@ fn range(field: &'static str, found: u64, min: u64, max: u64) -> Result<(), Regi
     if (min..=max).contains(&found) {
         return Ok(());
     }
-    Err(RegistryError::Range {
-        field,
-        found,
-        min,
-        max,
-    })
+    Err(RegistryError::Range { field, found, min, max })
 }
 
 /// Empty, or the text of one JSON object.

@@ -84,8 +84,7 @@ optional!(StreamName = String, LabelName = String, String = String, [u8; 32] = V
 /// A message within a message, which must be there.
 impl Field<Option<pb::Manifest>> for Manifest {
     fn read(name: &'static str, wire: Option<pb::Manifest>) -> Result<Self, RegistryError> {
-        wire.ok_or(RegistryError::Missing { field: name })?
-            .try_into()
+        wire.ok_or(RegistryError::Missing { field: name })?.try_into()
     }
     fn write(self) -> Option<pb::Manifest> {
         Some(self.into())

@@ -98,10 +98,7 @@ fn same<T: PartialEq>(
 impl<'a> Facts<'a> {
     /// A question about one stream, or about all of them.
     pub fn of_stream(stream: impl Into<Option<&'a StreamName>>) -> Self {
-        Self {
-            stream: stream.into(),
-            ..Self::default()
-        }
+        Self { stream: stream.into(), ..Self::default() }
     }
 
     /// Whether `said` answers this question.
@@ -110,9 +107,7 @@ impl<'a> Facts<'a> {
     /// [`OtherQuestion`], with the first thing that differs.
     pub fn answered_by<'b>(&self, said: impl Into<Facts<'b>>) -> Result<(), OtherQuestion> {
         let said = said.into();
-        ANSWERS
-            .iter()
-            .try_for_each(|fact| (fact.refuse)(self, &said))
+        ANSWERS.iter().try_for_each(|fact| (fact.refuse)(self, &said))
     }
 }
 
@@ -155,11 +150,7 @@ impl<'a> From<&'a LabelState> for Facts<'a> {
 
 impl<'a> From<&'a QuarantineState> for Facts<'a> {
     fn from(said: &'a QuarantineState) -> Self {
-        Self {
-            stream: Some(&said.stream),
-            version: Some(said.version),
-            ..Self::default()
-        }
+        Self { stream: Some(&said.stream), version: Some(said.version), ..Self::default() }
     }
 }
 

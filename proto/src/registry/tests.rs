@@ -19,10 +19,7 @@ fn manifest() -> Manifest {
         config_hash: "def456".into(),
         evaluation_json: Some(r#"{"speed_mps": 0.3}"#.into()),
         reverts_to: Some(2),
-        signatures: vec![Signature {
-            key_id: "release-1".into(),
-            signature: vec![9; 64],
-        }],
+        signatures: vec![Signature { key_id: "release-1".into(), signature: vec![9; 64] }],
     }
 }
 
@@ -75,12 +72,8 @@ where
 
 #[test]
 fn every_message_survives_the_round_trip() {
-    let bare = Manifest {
-        evaluation_json: None,
-        reverts_to: None,
-        signatures: vec![],
-        ..manifest()
-    };
+    let bare =
+        Manifest { evaluation_json: None, reverts_to: None, signatures: vec![], ..manifest() };
     let stream = manifest().stream;
     round_trip::<pb::Manifest, _>(&manifest());
     round_trip::<pb::Manifest, _>(&bare);
@@ -95,10 +88,7 @@ fn every_message_survives_the_round_trip() {
             limit: 10,
             below_version: Some(0),
         });
-        round_trip::<pb::WatchRequest, _>(&WatchRequest {
-            stream,
-            since_generation: 8,
-        });
+        round_trip::<pb::WatchRequest, _>(&WatchRequest { stream, since_generation: 8 });
     }
     round_trip::<pb::ListResponse, _>(&ListPage {
         manifests: vec![manifest(), bare.clone()],
@@ -106,11 +96,7 @@ fn every_message_survives_the_round_trip() {
         more: true,
     });
     for version in [None, Some(0), Some(7)] {
-        let request = ManifestRequest {
-            stream: stream.clone(),
-            version,
-            label: None,
-        };
+        let request = ManifestRequest { stream: stream.clone(), version, label: None };
         round_trip::<pb::GetManifestRequest, _>(&request);
     }
     round_trip::<pb::GetManifestRequest, _>(&ManifestRequest {
@@ -144,20 +130,12 @@ fn every_message_survives_the_round_trip() {
         read_only: Some("sync failed".into()),
     });
     for if_none_match in [None, Some([4; 32])] {
-        let request = FetchRequest {
-            sha256: [1; 32],
-            offset: 65_536,
-            if_none_match,
-        };
+        let request = FetchRequest { sha256: [1; 32], offset: 65_536, if_none_match };
         round_trip::<pb::FetchRequest, _>(&request);
     }
     for part in [
         FetchPart::NotModified,
-        FetchPart::Info(FetchInfo {
-            sha256: [1; 32],
-            size: 10,
-            offset: 10,
-        }),
+        FetchPart::Info(FetchInfo { sha256: [1; 32], size: 10, offset: 10 }),
         FetchPart::Data(vec![1, 2, 3]),
     ] {
         round_trip::<pb::FetchResponse, _>(&part);
@@ -169,10 +147,7 @@ fn every_message_survives_the_round_trip() {
         WatchChange::LabelMoved(Box::new(label())),
         WatchChange::Quarantined(Box::new(quarantined())),
     ] {
-        round_trip::<pb::WatchEvent, _>(&WatchEvent {
-            generation: 4,
-            change,
-        });
+        round_trip::<pb::WatchEvent, _>(&WatchEvent { generation: 4, change });
     }
 }
 
@@ -182,14 +157,8 @@ fn stream_names_are_safe_as_paths() {
         assert_eq!(StreamName::new(good).unwrap().to_string(), good);
     }
     let long = "x".repeat(65);
-    for bad in [
-        "", "/", "/a", "a/", "a//b", "..", "a/../b", ".hidden", "A", "a b", "a\0", &long,
-    ] {
-        assert_eq!(
-            StreamName::new(bad),
-            Err(RegistryError::StreamName),
-            "{bad:?}"
-        );
+    for bad in ["", "/", "/a", "a/", "a//b", "..", "a/../b", ".hidden", "A", "a b", "a\0", &long] {
+        assert_eq!(StreamName::new(bad), Err(RegistryError::StreamName), "{bad:?}");
     }
 }
 
@@ -200,59 +169,33 @@ fn manifests_that_cannot_be_are_refused_by_name() {
         change(&mut wire);
         Manifest::try_from(wire).unwrap_err()
     };
-    let range = |field, found, min, max| RegistryError::Range {
-        field,
-        found,
-        min,
-        max,
-    };
-    assert_eq!(
-        refused(|m| m.size = 0),
-        range("size", 0, 1, MAX_POLICY_BYTES)
-    );
+    let range = |field, found, min, max| RegistryError::Range { field, found, min, max };
+    assert_eq!(refused(|m| m.size = 0), range("size", 0, 1, MAX_POLICY_BYTES));
     assert_eq!(
         refused(|m| m.size = (8 << 20) + 1),
         range("size", (8 << 20) + 1, 1, MAX_POLICY_BYTES)
     );
     assert_eq!(
         refused(|m| m.sha256.truncate(20)),
-        RegistryError::HashLength {
-            field: "sha256",
-            found: 20
-        }
+        RegistryError::HashLength { field: "sha256", found: 20 }
     );
     assert_eq!(
         refused(|m| m.run_id.clear()),
-        RegistryError::Text {
-            field: "run_id",
-            min: 1,
-            max: 128
-        }
+        RegistryError::Text { field: "run_id", min: 1, max: 128 }
     );
     assert_eq!(
         refused(|m| m.training_commit = "a\nb".into()),
-        RegistryError::Text {
-            field: "training_commit",
-            min: 0,
-            max: 64
-        }
+        RegistryError::Text { field: "training_commit", min: 0, max: 64 }
     );
     assert_eq!(
         refused(|m| m.signatures = vec![m.signatures[0].clone(); 17]),
         range("signatures", 17, 0, 16)
     );
-    assert_eq!(
-        refused(|m| m.signatures[0].signature.clear()),
-        range("signature", 0, 1, 512)
-    );
+    assert_eq!(refused(|m| m.signatures[0].signature.clear()), range("signature", 0, 1, 512));
     for bad in ["[1]", "{", "{} {}", "null"] {
         let mut wire = pb::Manifest::from(manifest());
         wire.evaluation_json = bad.into();
-        assert_eq!(
-            Manifest::try_from(wire),
-            Err(RegistryError::Evaluation),
-            "{bad}"
-        );
+        assert_eq!(Manifest::try_from(wire), Err(RegistryError::Evaluation), "{bad}");
     }
 }
 
@@ -265,15 +208,8 @@ fn fetched_pieces_are_bounded_and_never_empty() {
     };
     assert!(data(FETCH_CHUNK_BYTES).is_ok());
     assert!(data(FETCH_CHUNK_BYTES + 1).is_err());
-    assert!(
-        data(0).is_err(),
-        "an endless stream of nothing must not look like progress"
-    );
-    let beyond = FetchInfo {
-        sha256: [0; 32],
-        size: 10,
-        offset: 11,
-    };
+    assert!(data(0).is_err(), "an endless stream of nothing must not look like progress");
+    let beyond = FetchInfo { sha256: [0; 32], size: 10, offset: 11 };
     let beyond = pb::FetchResponse::from(FetchPart::Info(beyond));
     assert!(FetchPart::try_from(beyond).is_err());
     let none = FetchPart::try_from(pb::FetchResponse { part: None });
@@ -290,21 +226,15 @@ fn labels_are_safe_as_file_names_and_reasons_are_one_line() {
     }
     let mut wire = pb::RobotReport::from(report());
     wire.reason = String::new();
-    assert!(
-        RobotReport::try_from(wire.clone()).is_err(),
-        "a Nack says why"
-    );
+    assert!(RobotReport::try_from(wire.clone()).is_err(), "a Nack says why");
     wire.reason = "two\nlines".into();
     assert!(RobotReport::try_from(wire.clone()).is_err());
     wire.reason = "fell".into();
     wire.walked_s = f64::NAN;
     assert!(RobotReport::try_from(wire).is_err());
     for (walked_s, taken) in [(0.0, false), (9.9, false), (10.0, true), (1e18, false)] {
-        let good = pb::RobotReport::from(RobotReport {
-            state: RobotState::Good,
-            walked_s,
-            ..report()
-        });
+        let good =
+            pb::RobotReport::from(RobotReport { state: RobotState::Good, walked_s, ..report() });
         assert_eq!(RobotReport::try_from(good).is_ok(), taken, "{walked_s}");
     }
     let mut both = pb::GetManifestRequest::from(ManifestRequest {

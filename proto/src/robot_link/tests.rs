@@ -34,10 +34,7 @@ fn sensors() -> Sensors {
         gyro_radps: [0.0, 0.1, -0.1],
         acc_mps2: [0.0, 0.2, 9.81],
         imu_gravity: Some([0.0, 0.0, -1.0]),
-        base_pose: Some(BasePose {
-            pos_m: [1.0, 2.0, 0.1],
-            quat_wxyz: [1.0, 0.0, 0.0, 0.0],
-        }),
+        base_pose: Some(BasePose { pos_m: [1.0, 2.0, 0.1], quat_wxyz: [1.0, 0.0, 0.0, 0.0] }),
         // FL and HR: bits 0 and 3, 1 + 8 = 9
         foot_contacts: Some(9),
         in_water: Some(true),
@@ -72,12 +69,7 @@ fn every_message_survives_the_round_trip() {
 #[test]
 fn foot_contacts_are_bits_from_the_front_left() {
     assert!(sensors().fit(JOINTS, 4) && !sensors().fit(JOINTS, 3) && !sensors().fit(15, 4));
-    assert_eq!(
-        feet_from_wire(256),
-        Err(LinkError::Value {
-            field: "foot_contacts"
-        })
-    );
+    assert_eq!(feet_from_wire(256), Err(LinkError::Value { field: "foot_contacts" }));
 }
 
 #[test]
@@ -103,45 +95,24 @@ fn wrong_messages_are_refused_by_name() {
     let hello = || RobotMessage::Hello(Box::new(hello()));
     assert_eq!(
         refused(|w| with_command(w).targets_rad.resize(33, 0.0), command()),
-        LinkError::Joints {
-            field: "targets_rad",
-            found: 33
-        }
+        LinkError::Joints { field: "targets_rad", found: 33 }
     );
     assert_eq!(
         refused(|w| with_command(w).targets_rad[3] = f32::NAN, command()),
-        LinkError::Value {
-            field: "targets_rad"
-        }
+        LinkError::Value { field: "targets_rad" }
     );
-    assert_eq!(
-        refused(|w| with_hello(w).protocol = 2, hello()),
-        LinkError::Protocol { found: 2 }
-    );
+    assert_eq!(refused(|w| with_hello(w).protocol = 2, hello()), LinkError::Protocol { found: 2 });
     assert_eq!(
         refused(|w| with_hello(w).control_period_s = 0.0, hello()),
-        LinkError::Value {
-            field: "control_period_s"
-        }
+        LinkError::Value { field: "control_period_s" }
     );
     assert_eq!(
         refused(|w| with_hello(w).joint_names.clear(), hello()),
-        LinkError::Joints {
-            field: "joint_names",
-            found: 0
-        }
+        LinkError::Joints { field: "joint_names", found: 0 }
     );
-    assert_eq!(
-        refused(|w| w.body = None, hello()),
-        LinkError::Missing { field: "body" }
-    );
+    assert_eq!(refused(|w| w.body = None, hello()), LinkError::Missing { field: "body" });
     let long = vec![0; MAX_MESSAGE_BYTES + 1];
-    assert_eq!(
-        decode(&long),
-        Err(LinkError::TooLarge {
-            bytes: MAX_MESSAGE_BYTES + 1
-        })
-    );
+    assert_eq!(decode(&long), Err(LinkError::TooLarge { bytes: MAX_MESSAGE_BYTES + 1 }));
 }
 
 #[test]

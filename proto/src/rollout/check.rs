@@ -21,13 +21,8 @@ impl RolloutChunk {
 
     /// Memory of the tensors, bytes: near what they take on the wire.
     pub fn memory_bytes(&self) -> usize {
-        let floats = [
-            &self.observations,
-            &self.actions,
-            &self.action_means,
-            &self.log_probs,
-            &self.rewards,
-        ];
+        let floats =
+            [&self.observations, &self.actions, &self.action_means, &self.log_probs, &self.rewards];
         let flags = self.terminated.len() + self.truncated.len();
         4 * floats.iter().map(|tensor| tensor.len()).sum::<usize>() + flags
     }
@@ -52,9 +47,7 @@ impl RolloutChunk {
             ("terminated", self.terminated.len(), cells),
             ("truncated", self.truncated.len(), cells),
         ];
-        lengths
-            .into_iter()
-            .try_for_each(|(field, found, expected)| length(field, found, expected))
+        lengths.into_iter().try_for_each(|(field, found, expected)| length(field, found, expected))
     }
 
     /// What is in a chunk whose dimensions and lengths are right.
@@ -106,10 +99,7 @@ impl RolloutChunk {
         }
         match finals.next() {
             None => Ok(()),
-            Some((index, _)) => Err(DecodeError::FinalObservations {
-                index,
-                expected: None,
-            }),
+            Some((index, _)) => Err(DecodeError::FinalObservations { index, expected: None }),
         }
     }
 }
@@ -172,11 +162,7 @@ pub(super) fn run_id(text: &str) -> Result<(), DecodeError> {
     if good {
         return Ok(());
     }
-    Err(DecodeError::Text {
-        field: "run_id",
-        min: 1,
-        max: MAX_RUN_ID,
-    })
+    Err(DecodeError::Text { field: "run_id", min: 1, max: MAX_RUN_ID })
 }
 
 /// A line for the log: at most [`MAX_LINE`] bytes, no control characters (they could forge lines).
@@ -184,11 +170,7 @@ pub(super) fn line(field: &'static str, text: &str) -> Result<(), DecodeError> {
     if text.len() <= MAX_LINE && !text.chars().any(char::is_control) {
         return Ok(());
     }
-    Err(DecodeError::Text {
-        field,
-        min: 0,
-        max: MAX_LINE,
-    })
+    Err(DecodeError::Text { field, min: 0, max: MAX_LINE })
 }
 
 /// T, N, D and A of a chunk. Before anything is made as large as they say.
@@ -210,11 +192,7 @@ pub(super) fn dimension(
     if (1..=limit).contains(&found) {
         return Ok(());
     }
-    Err(DecodeError::Dimension {
-        field,
-        found,
-        limit,
-    })
+    Err(DecodeError::Dimension { field, found, limit })
 }
 
 pub(super) fn length(
@@ -225,11 +203,7 @@ pub(super) fn length(
     if found == expected {
         return Ok(());
     }
-    Err(DecodeError::Length {
-        field,
-        found,
-        expected,
-    })
+    Err(DecodeError::Length { field, found, expected })
 }
 
 /// Product that never wraps: a wrapped one could match a short tensor.
@@ -240,10 +214,7 @@ pub(super) fn product(factors: &[usize]) -> usize {
 /// Every number is finite and at most `limit` in magnitude.
 fn magnitudes(field: &'static str, values: &[f32], limit: f32) -> Result<(), DecodeError> {
     // Branch-free over the whole tensor; NaN fails the comparison. The index is found afterwards.
-    if values
-        .iter()
-        .fold(true, |good, x| good & (x.abs() <= limit))
-    {
+    if values.iter().fold(true, |good, x| good & (x.abs() <= limit)) {
         return Ok(());
     }
     let index = values
@@ -253,12 +224,7 @@ fn magnitudes(field: &'static str, values: &[f32], limit: f32) -> Result<(), Dec
         .unwrap_or(0);
     let value = values[index];
     if value.is_finite() {
-        Err(DecodeError::Magnitude {
-            field,
-            index,
-            value: value.into(),
-            limit,
-        })
+        Err(DecodeError::Magnitude { field, index, value: value.into(), limit })
     } else {
         Err(DecodeError::NotFinite { field, index })
     }

@@ -27,11 +27,7 @@ pub fn encode(envelope: &Envelope) -> Vec<u8> {
         Envelope::Hello(hello) => pb::envelope::Body::Hello(hello_to_wire(hello)),
         Envelope::Bye(bye) => pb::envelope::Body::Bye(bye_to_wire(bye)),
     };
-    pb::Envelope {
-        protocol: ROLLOUT_PROTOCOL,
-        body: Some(body),
-    }
-    .encode_to_vec()
+    pb::Envelope { protocol: ROLLOUT_PROTOCOL, body: Some(body) }.encode_to_vec()
 }
 
 /// Reads a frame and checks it completely.
@@ -49,10 +45,7 @@ pub fn decode(frame: &[u8], limits: &DecodeLimits) -> Result<Envelope, DecodeErr
     let message = pb::Envelope::decode(rest.as_slice())?;
     drop(rest);
     if message.protocol != ROLLOUT_PROTOCOL {
-        return Err(DecodeError::Protocol {
-            found: message.protocol,
-            expected: ROLLOUT_PROTOCOL,
-        });
+        return Err(DecodeError::Protocol { found: message.protocol, expected: ROLLOUT_PROTOCOL });
     }
     match message.body.ok_or(DecodeError::Missing { field: "body" })? {
         pb::envelope::Body::Hello(hello) => hello_from_wire(hello, limits).map(Envelope::Hello),
@@ -154,9 +147,7 @@ fn chunk_from_wire(
 ) -> Result<RolloutChunk, DecodeError> {
     let finals = chunk.final_observations.unwrap_or_default();
     let episodes = chunk.episodes.unwrap_or_default();
-    let moments = chunk
-        .moments
-        .ok_or(DecodeError::Missing { field: "moments" })?;
+    let moments = chunk.moments.ok_or(DecodeError::Missing { field: "moments" })?;
     let [steps, lanes, obs_dim, act_dim] =
         [chunk.steps, chunk.lanes, chunk.obs_dim, chunk.act_dim].map(|n| n as usize);
     check::dimensions([steps, lanes, obs_dim, act_dim], limits)?;
@@ -210,10 +201,7 @@ fn finals_to_wire(finals: &[FinalObservation]) -> pb::FinalObservations {
     pb::FinalObservations {
         steps: from_u32(finals.iter().map(|f| to_u32(f.step))),
         lanes: from_u32(finals.iter().map(|f| to_u32(f.lane))),
-        observations: finals
-            .iter()
-            .flat_map(|f| from_f32(&f.observation))
-            .collect(),
+        observations: finals.iter().flat_map(|f| from_f32(&f.observation)).collect(),
     }
 }
 
@@ -243,18 +231,12 @@ fn episodes_to_wire(episodes: &[EpisodeSummary]) -> pb::Episodes {
     pb::Episodes {
         lanes: from_u32(episodes.iter().map(|e| e.lane)),
         steps: from_u32(episodes.iter().map(|e| e.steps)),
-        returns: episodes
-            .iter()
-            .flat_map(|e| e.return_sum.to_le_bytes())
-            .collect(),
+        returns: episodes.iter().flat_map(|e| e.return_sum.to_le_bytes()).collect(),
         terms: to_u32(episodes.first().map_or(0, |e| e.terms.len())),
         term_sums: episodes.iter().flat_map(|e| from_f32(&e.terms)).collect(),
         terminated: episodes.iter().map(|e| u8::from(e.terminated)).collect(),
         reasons: episodes.iter().map(|e| e.reason).collect(),
-        mean_speeds: episodes
-            .iter()
-            .flat_map(|e| e.mean_speed_mps.to_le_bytes())
-            .collect(),
+        mean_speeds: episodes.iter().flat_map(|e| e.mean_speed_mps.to_le_bytes()).collect(),
     }
 }
 
@@ -301,10 +283,7 @@ fn to_u32(value: usize) -> u32 {
 }
 
 fn hash(field: &'static str, bytes: &[u8]) -> Result<[u8; 32], DecodeError> {
-    bytes.try_into().map_err(|_| DecodeError::HashLength {
-        field,
-        found: bytes.len(),
-    })
+    bytes.try_into().map_err(|_| DecodeError::HashLength { field, found: bytes.len() })
 }
 
 fn from_f32(values: &[f32]) -> Vec<u8> {
@@ -343,22 +322,14 @@ fn words<const W: usize, T>(
 ) -> Result<Vec<T>, DecodeError> {
     let (chunks, rest) = bytes.as_chunks::<W>();
     if !rest.is_empty() {
-        return Err(DecodeError::Ragged {
-            field,
-            bytes: bytes.len(),
-            width: W,
-        });
+        return Err(DecodeError::Ragged { field, bytes: bytes.len(), width: W });
     }
     Ok(chunks.iter().map(|&chunk| read(chunk)).collect())
 }
 
 fn to_flags(field: &'static str, bytes: &[u8]) -> Result<Vec<bool>, DecodeError> {
     if let Some(index) = bytes.iter().position(|&b| b > 1) {
-        return Err(DecodeError::Flag {
-            field,
-            index,
-            value: bytes[index],
-        });
+        return Err(DecodeError::Flag { field, index, value: bytes[index] });
     }
     Ok(bytes.iter().map(|&b| b == 1).collect())
 }

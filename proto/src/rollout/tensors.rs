@@ -33,9 +33,7 @@ pub(super) fn split(frame: &[u8]) -> Result<(Vec<u8>, Tensors<'_>), DecodeError>
         };
         let mut head = Vec::new();
         fields(chunk, |tag, payload, whole| {
-            let slot = tag
-                .checked_sub(FIRST)
-                .and_then(|i| tensors.get_mut(i as usize));
+            let slot = tag.checked_sub(FIRST).and_then(|i| tensors.get_mut(i as usize));
             match (slot, payload) {
                 (Some(slot), Some(payload)) => *slot = payload,
                 _ => head.extend_from_slice(whole),
@@ -98,10 +96,7 @@ pub(super) fn join(head: &[u8], chunk: &RolloutChunk, observations: &[f32]) -> V
         &chunk.rewards,
     ];
     let flags = [&chunk.terminated, &chunk.truncated];
-    let lengths = floats
-        .iter()
-        .map(|x| x.len() * 4)
-        .chain(flags.iter().map(|x| x.len()));
+    let lengths = floats.iter().map(|x| x.len() * 4).chain(flags.iter().map(|x| x.len()));
     let body: usize = (FIRST..)
         .zip(lengths)
         .map(|(tag, length)| key_len(tag) + encoded_len_varint(length as u64) + length)

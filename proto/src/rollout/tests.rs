@@ -19,11 +19,8 @@ fn chunk() -> RolloutChunk {
     truncated[1] = true;
     terminated[2] = true;
     truncated[4] = true;
-    let last = |step, lane, offset| FinalObservation {
-        step,
-        lane,
-        observation: numbers(4, offset),
-    };
+    let last =
+        |step, lane, offset| FinalObservation { step, lane, observation: numbers(4, offset) };
     let episode = |lane, terminated, reason| EpisodeSummary {
         lane,
         steps: 40,
@@ -54,21 +51,14 @@ fn chunk() -> RolloutChunk {
         terminated,
         truncated,
         final_observations: vec![last(0, 1, 9.0), last(2, 0, -9.0)],
-        episodes: vec![
-            episode(1, false, 0),
-            episode(0, true, 4),
-            episode(0, false, 0),
-        ],
+        episodes: vec![episode(1, false, 0), episode(0, true, 4), episode(0, false, 0)],
         moments: Moments {
             count: 6,
             mean: vec![0.1, 0.2, 0.3, 0.4],
             m2: vec![1.0, 0.0, 2.5, 1e-3],
         },
         action_history: None,
-        trace: Some(TraceContext {
-            trace: [0xa5; 16],
-            span: [1, 2, 3, 4, 5, 6, 7, 8],
-        }),
+        trace: Some(TraceContext { trace: [0xa5; 16], span: [1, 2, 3, 4, 5, 6, 7, 8] }),
     }
 }
 
@@ -90,9 +80,7 @@ fn refused(change: impl FnOnce(&mut RolloutChunk)) -> DecodeError {
 /// The reason for which a chunk is refused that was changed on the wire.
 fn refused_on_wire(change: impl FnOnce(&mut pb::RolloutChunk)) -> DecodeError {
     let mut envelope = pb::Envelope::decode(frame(&chunk()).as_slice()).unwrap();
-    let Some(pb::envelope::Body::Chunk(chunk)) = &mut envelope.body else {
-        panic!("not a chunk")
-    };
+    let Some(pb::envelope::Body::Chunk(chunk)) = &mut envelope.body else { panic!("not a chunk") };
     change(chunk);
     decode(&envelope.encode_to_vec(), &limits()).unwrap_err()
 }
@@ -114,11 +102,8 @@ fn every_kind_of_frame_survives_the_round_trip() {
         sent: 99,
         reason: "stopped by the learner".into(),
     };
-    for envelope in [
-        Envelope::Hello(hello),
-        Envelope::Bye(bye),
-        Envelope::Chunk(Box::new(chunk())),
-    ] {
+    for envelope in [Envelope::Hello(hello), Envelope::Bye(bye), Envelope::Chunk(Box::new(chunk()))]
+    {
         assert_eq!(decode(&encode(&envelope), &limits()).unwrap(), envelope);
     }
 }
@@ -142,9 +127,7 @@ fn a_refused_chunk_still_says_whose_it_is() {
 fn frames_are_ordinary_protobuf() {
     let sent = chunk();
     let message = pb::Envelope::decode(frame(&sent).as_slice()).unwrap();
-    let Some(pb::envelope::Body::Chunk(wire)) = &message.body else {
-        panic!("not a chunk")
-    };
+    let Some(pb::envelope::Body::Chunk(wire)) = &message.body else { panic!("not a chunk") };
     // -1.0 is 0xbf800000; the flags of the six cells, lane after lane.
     assert_eq!(wire.observations[..4], [0, 0, 0x80, 0xbf]);
     assert_eq!(wire.truncated, [0, 1, 0, 0, 1, 0]);
@@ -178,9 +161,7 @@ fn numbers_that_would_poison_the_learner_are_refused() {
         ("log_std", |c| &mut c.log_std[1]),
         ("log_probs", |c| &mut c.log_probs[2]),
         ("rewards", |c| &mut c.rewards[5]),
-        ("final_observations", |c| {
-            &mut c.final_observations[1].observation[3]
-        }),
+        ("final_observations", |c| &mut c.final_observations[1].observation[3]),
     ];
     for (name, pick) in tensors {
         for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
@@ -235,10 +216,7 @@ fn tensors_must_have_the_length_that_the_dimensions_call_for() {
             "{name}: {error}"
         );
     }
-    assert_eq!(
-        refused_on_wire(|c| c.rewards.truncate(7)).reason_id(),
-        "ragged"
-    );
+    assert_eq!(refused_on_wire(|c| c.rewards.truncate(7)).reason_id(), "ragged");
 }
 
 #[test]
@@ -257,9 +235,7 @@ fn dimensions_have_limits_and_their_products_do_not_wrap() {
     }
     // 2^16 · 2^16 · 2^32 is 0 in 64 bits: an empty tensor must still not fit.
     let mut envelope = pb::Envelope::decode(frame(&chunk()).as_slice()).unwrap();
-    let Some(pb::envelope::Body::Chunk(c)) = &mut envelope.body else {
-        panic!("not a chunk")
-    };
+    let Some(pb::envelope::Body::Chunk(c)) = &mut envelope.body else { panic!("not a chunk") };
     (c.steps, c.lanes, c.obs_dim) = (u32::MAX, u32::MAX, u32::MAX);
     c.observations.clear();
     c.final_observations = None;
@@ -271,14 +247,7 @@ fn dimensions_have_limits_and_their_products_do_not_wrap() {
     };
     let error = decode(&envelope.encode_to_vec(), &open).unwrap_err();
     assert!(
-        matches!(
-            error,
-            DecodeError::Length {
-                field: "observations",
-                found: 0,
-                ..
-            }
-        ),
+        matches!(error, DecodeError::Length { field: "observations", found: 0, .. }),
         "{error}"
     );
 }
@@ -306,14 +275,7 @@ fn flags_are_zero_or_one_and_never_both() {
     let both = refused(|c| c.terminated[4] = true);
     assert_eq!(both, DecodeError::FlagsOverlap { step: 2, lane: 0 });
     let two = refused_on_wire(|c| c.terminated[3] = 2);
-    assert_eq!(
-        two,
-        DecodeError::Flag {
-            field: "terminated",
-            index: 3,
-            value: 2
-        }
-    );
+    assert_eq!(two, DecodeError::Flag { field: "terminated", index: 3, value: 2 });
 }
 
 #[test]
@@ -326,10 +288,7 @@ fn episodes_that_cannot_be_are_refused() {
         assert_eq!(refused(change).reason_id(), "episode");
     }
     // Uneven terms give columns that do not fit each other.
-    assert_eq!(
-        refused(|c| c.episodes[1].terms.truncate(2)).reason_id(),
-        "length"
-    );
+    assert_eq!(refused(|c| c.episodes[1].terms.truncate(2)).reason_id(), "length");
     let many = refused(|c| c.episodes.iter_mut().for_each(|e| e.terms = vec![0.0; 65]));
     assert_eq!(many.reason_id(), "dimension");
 }
@@ -341,41 +300,19 @@ fn what_is_not_a_chunk_of_this_protocol_is_refused() {
     let other = decode(&envelope.encode_to_vec(), &limits()).unwrap_err();
     assert_eq!(
         other,
-        DecodeError::Protocol {
-            found: ROLLOUT_PROTOCOL + 1,
-            expected: ROLLOUT_PROTOCOL
-        }
+        DecodeError::Protocol { found: ROLLOUT_PROTOCOL + 1, expected: ROLLOUT_PROTOCOL }
     );
-    let empty = pb::Envelope {
-        protocol: ROLLOUT_PROTOCOL,
-        body: None,
-    };
+    let empty = pb::Envelope { protocol: ROLLOUT_PROTOCOL, body: None };
     let empty = decode(&empty.encode_to_vec(), &limits()).unwrap_err();
     assert_eq!(empty.reason_id(), "missing");
     assert_eq!(refused_on_wire(|c| c.moments = None).reason_id(), "missing");
-    assert_eq!(
-        refused_on_wire(|c| c.trace.truncate(23)).reason_id(),
-        "length"
-    );
-    assert_eq!(
-        refused_on_wire(|c| c.policy_sha256.truncate(31)).reason_id(),
-        "hash_length"
-    );
-    assert_eq!(
-        refused_on_wire(|c| c.contract_hash.clear()).reason_id(),
-        "hash_length"
-    );
+    assert_eq!(refused_on_wire(|c| c.trace.truncate(23)).reason_id(), "length");
+    assert_eq!(refused_on_wire(|c| c.policy_sha256.truncate(31)).reason_id(), "hash_length");
+    assert_eq!(refused_on_wire(|c| c.contract_hash.clear()).reason_id(), "hash_length");
     for bad in ["", "two words", "line\nbreak", "ü", &"x".repeat(129)] {
-        assert_eq!(
-            refused(|c| c.run_id = bad.to_owned()).reason_id(),
-            "text",
-            "{bad:?}"
-        );
+        assert_eq!(refused(|c| c.run_id = bad.to_owned()).reason_id(), "text", "{bad:?}");
     }
-    let small = DecodeLimits {
-        max_frame_bytes: 100,
-        ..limits()
-    };
+    let small = DecodeLimits { max_frame_bytes: 100, ..limits() };
     let large = decode(&frame(&chunk()), &small).unwrap_err();
     assert_eq!(large.reason_id(), "frame_too_large");
 }
@@ -390,10 +327,7 @@ fn reason_ids_are_unique() {
 fn a_frame_cut_anywhere_is_refused() {
     let frame = frame(&chunk());
     for end in 0..frame.len() {
-        assert!(
-            decode(&frame[..end], &limits()).is_err(),
-            "cut after {end} bytes"
-        );
+        assert!(decode(&frame[..end], &limits()).is_err(), "cut after {end} bytes");
     }
 }
 
@@ -497,19 +431,11 @@ proptest! {
 /// off.
 fn with_history() -> RolloutChunk {
     let mut chunk = chunk();
-    chunk.action_history = Some(ActionHistory {
-        first: 1,
-        steps: 1,
-        clip: 1.0,
-    });
+    chunk.action_history = Some(ActionHistory { first: 1, steps: 1, clip: 1.0 });
     for cell in 0..6 {
         let ended = chunk.terminated[cell] || chunk.truncated[cell];
         for i in 0..2 {
-            let action = if ended {
-                0.0
-            } else {
-                chunk.actions[2 * cell + i].min(1.0)
-            };
+            let action = if ended { 0.0 } else { chunk.actions[2 * cell + i].min(1.0) };
             chunk.observations[4 * (cell + 2) + 1 + i] = action;
         }
     }
@@ -524,10 +450,7 @@ fn past_actions_are_left_out_and_put_back() {
     assert_eq!(decode(&frame, &DecodeLimits::default()).unwrap(), envelope);
     // Six observations without two floats each, and 9 bytes (two headers, 1, 1, 1.0) that say so: the lengths
     // of the tensor, the chunk have one byte or two either way.
-    let plain = RolloutChunk {
-        action_history: None,
-        ..chunk
-    };
+    let plain = RolloutChunk { action_history: None, ..chunk };
     let plain = encode(&Envelope::Chunk(Box::new(plain))).len();
     assert!(
         (plain - 48 + 9..=plain - 48 + 13).contains(&frame.len()),
@@ -539,10 +462,7 @@ fn past_actions_are_left_out_and_put_back() {
 #[test]
 fn observations_that_do_not_follow_from_the_actions_are_sent_whole() {
     let right = with_history();
-    let whole = RolloutChunk {
-        action_history: None,
-        ..right.clone()
-    };
+    let whole = RolloutChunk { action_history: None, ..right.clone() };
     let whole_len = encode(&Envelope::Chunk(Box::new(whole))).len();
     // One bit of one past action, the sign of a zero after an end, another limit, another column.
     let mut wrong = [right.clone(), right.clone(), right.clone(), right];
@@ -567,9 +487,7 @@ fn past_actions_that_no_observation_can_have_are_refused() {
     let frame = encode(&Envelope::Chunk(Box::new(with_history())));
     let with = |change: fn(&mut pb::ActionHistory)| {
         let mut message = pb::Envelope::decode(frame.as_slice()).unwrap();
-        let Some(pb::envelope::Body::Chunk(chunk)) = &mut message.body else {
-            unreachable!()
-        };
+        let Some(pb::envelope::Body::Chunk(chunk)) = &mut message.body else { unreachable!() };
         change(chunk.action_history.as_mut().unwrap());
         decode(&message.encode_to_vec(), &DecodeLimits::default()).unwrap_err()
     };
@@ -588,9 +506,7 @@ fn past_actions_that_no_observation_can_have_are_refused() {
     }
     // Without the word for it the tensor is too short.
     let mut message = pb::Envelope::decode(frame.as_slice()).unwrap();
-    let Some(pb::envelope::Body::Chunk(chunk)) = &mut message.body else {
-        unreachable!()
-    };
+    let Some(pb::envelope::Body::Chunk(chunk)) = &mut message.body else { unreachable!() };
     chunk.action_history = None;
     let error = decode(&message.encode_to_vec(), &DecodeLimits::default()).unwrap_err();
     assert_eq!(error.reason_id(), "length");
@@ -601,9 +517,7 @@ fn a_small_frame_with_past_actions_cannot_ask_for_a_large_chunk() {
     let frame = encode(&Envelope::Chunk(Box::new(with_history())));
     let with = |change: fn(&mut pb::RolloutChunk), limits: &DecodeLimits| {
         let mut message = pb::Envelope::decode(frame.as_slice()).unwrap();
-        let Some(pb::envelope::Body::Chunk(chunk)) = &mut message.body else {
-            unreachable!()
-        };
+        let Some(pb::envelope::Body::Chunk(chunk)) = &mut message.body else { unreachable!() };
         change(chunk);
         decode(&message.encode_to_vec(), limits).unwrap_err()
     };
@@ -614,14 +528,7 @@ fn a_small_frame_with_past_actions_cannot_ask_for_a_large_chunk() {
     };
     let error = with(largest, &limits());
     let expected = 65_536 * (4096 + 4096 * (4096 - 256));
-    assert_eq!(
-        error,
-        DecodeError::Length {
-            field: "observations",
-            found: 8 + 6 * 2,
-            expected
-        }
-    );
+    assert_eq!(error, DecodeError::Length { field: "observations", found: 8 + 6 * 2, expected });
     for change in [
         (|c| c.steps = 4097) as fn(&mut pb::RolloutChunk),
         |c| c.lanes = 65_537,
@@ -646,10 +553,7 @@ fn a_small_frame_with_past_actions_cannot_ask_for_a_large_chunk() {
     assert_eq!(with(endless, &open).reason_id(), "length");
     // What is right in itself, but not as long as the others.
     for (field, change) in [
-        (
-            "actions",
-            (|c| c.actions.truncate(44)) as fn(&mut pb::RolloutChunk),
-        ),
+        ("actions", (|c| c.actions.truncate(44)) as fn(&mut pb::RolloutChunk)),
         ("terminated", |c| c.terminated.truncate(5)),
         ("truncated", |c| c.truncated.truncate(5)),
         ("observations", |c| c.observations.truncate(28)),

@@ -28,12 +28,7 @@ pub(super) struct Hinge<R> {
 
 impl<R: Lanes> Hinge<R> {
     pub fn zero() -> Self {
-        Self {
-            u_ang: zero3(),
-            u_lin: zero3(),
-            inverse: R::zero(),
-            rest: R::zero(),
-        }
+        Self { u_ang: zero3(), u_lin: zero3(), inverse: R::zero(), rest: R::zero() }
     }
 }
 
@@ -65,12 +60,7 @@ pub(super) fn inward<R: Lanes>(
         }
         let inverse = R::one() / (d + load.inertia);
         let rest = load.torque - held;
-        hinges[i] = Hinge {
-            u_ang,
-            u_lin,
-            inverse,
-            rest,
-        };
+        hinges[i] = Hinge { u_ang, u_lin, inverse, rest };
         if node.parent == 0 && !program.free {
             continue;
         }

@@ -39,10 +39,7 @@ pub(super) struct Clock {
 
 impl Clock {
     pub fn new() -> Self {
-        Self {
-            last: Instant::now(),
-            seconds: PhaseSeconds::default(),
-        }
+        Self { last: Instant::now(), seconds: PhaseSeconds::default() }
     }
 
     /// What went by since the last look belongs to nobody.

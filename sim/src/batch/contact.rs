@@ -67,22 +67,15 @@ pub(super) fn touch<R: Lanes, const FLAT: bool>(
     let depth = meeting.depth.min(R::splat(DEEPEST_M));
     let vel = add_cross(frame.lin, frame.ang, arm);
     // classical acceleration of the point with the bias alone
-    let acc = add_cross(
-        add_cross(frame.bias_lin, frame.bias_ang, arm),
-        frame.ang,
-        vel,
-    );
+    let acc = add_cross(add_cross(frame.bias_lin, frame.bias_ang, arm), frame.ang, vel);
     let (f0, m);
     if law.convex {
         let free = [memory[0], memory[1], memory[2]];
-        (f0, m) = convex::force(
-            law, point, touching, depth, normal, vel, acc, friction, free,
-        );
+        (f0, m) = convex::force(law, point, touching, depth, normal, vel, acc, friction, free);
         add_general(inertia, arm, &m);
     } else {
-        (f0, m) = bristle::<R, FLAT>(
-            law, point, touching, depth, normal, vel, acc, friction, memory,
-        );
+        (f0, m) =
+            bristle::<R, FLAT>(law, point, touching, depth, normal, vel, acc, friction, memory);
         if FLAT {
             add_flat(inertia, arm, &m);
         } else {
@@ -132,22 +125,15 @@ fn meet<R: Lanes, const FLAT: bool>(
     if !o.lt(depth).any() {
         return None;
     }
-    Some(Meeting {
-        depth,
-        normal,
-        arm: add_scaled([x, y, z], normal, -radius),
-        grip,
-    })
+    Some(Meeting { depth, normal, arm: add_scaled([x, y, z], normal, -radius), grip })
 }
 
 /// One world coordinate of a place in a frame, from the reference point, m.
 #[inline(always)]
 fn coordinate<R: Lanes>(frame: &Frame<R>, at: V3<R>, axis: usize) -> R {
     let rot = &frame.rot;
-    rot[2][axis].mul_add(
-        at[2],
-        rot[1][axis].mul_add(at[1], rot[0][axis].mul_add(at[0], frame.pos[axis])),
-    )
+    rot[2][axis]
+        .mul_add(at[2], rot[1][axis].mul_add(at[1], rot[0][axis].mul_add(at[0], frame.pos[axis])))
 }
 
 /// The force `f0 − m·Δ` of a contact `depth` deep with Coulomb's friction on a bristle, Δ the acceleration of
@@ -168,11 +154,8 @@ fn bristle<R: Lanes, const FLAT: bool>(
     let (o, one) = (R::zero(), R::one());
     let dt = k(law.dt);
     let ahead = add_scaled(vel, acc, dt);
-    let (vn, ahead_n) = if FLAT {
-        (vel[2], ahead[2])
-    } else {
-        (dot(vel, normal), dot(ahead, normal))
-    };
+    let (vn, ahead_n) =
+        if FLAT { (vel[2], ahead[2]) } else { (dot(vel, normal), dot(ahead, normal)) };
     // normal: spring, damper and inertia
     let d = point.soft.impedance(depth);
     let weight = d / ((one - d) * k(point.mobility));
@@ -191,10 +174,7 @@ fn bristle<R: Lanes, const FLAT: bool>(
     let (slip, slip_ahead) = if FLAT {
         ([vel[0], vel[1], o], [ahead[0], ahead[1], o])
     } else {
-        (
-            add_scaled(vel, normal, -vn),
-            add_scaled(ahead, normal, -ahead_n),
-        )
+        (add_scaled(vel, normal, -vn), add_scaled(ahead, normal, -ahead_n))
     };
     let mut s = add_scaled([memory[0], memory[1], memory[2]], slip, dt);
     if !FLAT {
@@ -232,14 +212,7 @@ fn resist<R: Lanes, const FLAT: bool>(
         let o = R::zero();
         f0[2] = up;
         let (tx, ty) = (along[0] * mt, along[1] * mt);
-        let m = [
-            mt - tx * along[0],
-            -(tx * along[1]),
-            o,
-            mt - ty * along[1],
-            o,
-            mn,
-        ];
+        let m = [mt - tx * along[0], -(tx * along[1]), o, mt - ty * along[1], o, mn];
         return (f0, m);
     }
     let w = scale(along, -mt);
@@ -263,11 +236,7 @@ fn leave<R: Lanes>(memory: &mut [R], note: &mut Touch<R>) {
 
 #[inline(always)]
 fn flat_dot<R: Lanes, const FLAT: bool>(a: V3<R>, b: V3<R>) -> R {
-    if FLAT {
-        a[0].mul_add(b[0], a[1] * b[1])
-    } else {
-        dot(a, b)
-    }
+    if FLAT { a[0].mul_add(b[0], a[1] * b[1]) } else { dot(a, b) }
 }
 
 /// Adds `m` at `arm`, with `m` = (xx, xy, 0, yy, 0, zz).

@@ -74,11 +74,8 @@ pub(super) fn force<R: Lanes>(
     let w = R::select(sticks, weight_t, across);
     let pull = scale(mid_t, -(w * damper));
     let stuck = add_scaled(pull, normal, weight * (push - damper * mid_n));
-    let slid = add_scaled(
-        add_scaled(pull, s, -dot(pull, s)),
-        e,
-        weight_e * (push - damper * dot(mid, e)),
-    );
+    let slid =
+        add_scaled(add_scaled(pull, s, -dot(pull, s)), e, weight_e * (push - damper * dot(mid, e)));
     let f0 = select3(on, select3(sticks, stuck, slid), zero3());
     // m = a·1 + p·nᵀ + q·sᵀ, symmetric as a whole
     let a = w * damped;

@@ -124,11 +124,7 @@ impl<R: Lanes> CoreOf<R> {
         let scratch = &mut self.scratch[0];
         for _ in 0..2 {
             let imu: Vec<R> = group.x[13..16].to_vec();
-            R::run(Report {
-                shared: &self.shared,
-                group,
-                scratch,
-            });
+            R::run(Report { shared: &self.shared, group, scratch });
             for (now, before) in group.x[13..16].iter_mut().zip(imu) {
                 let new = Real::lane(*now, slot);
                 *now = before.with_lane(slot, new);
@@ -382,10 +378,7 @@ impl<'a> Rows<'a> {
         }
         let (head, tail) = std::mem::take(&mut self.diverged).split_at_mut(lanes);
         self.diverged = tail;
-        Self {
-            fields: front,
-            diverged: head,
-        }
+        Self { fields: front, diverged: head }
     }
 }
 

@@ -34,11 +34,7 @@ impl<R: Lanes> Ground<R> {
         let n = grid.points();
         Self {
             heights: grid.heights_m().to_vec(),
-            grip: if terrain.has_patches() {
-                grid.friction().to_vec()
-            } else {
-                Vec::new()
-            },
+            grip: if terrain.has_patches() { grid.friction().to_vec() } else { Vec::new() },
             points: R::elem(n as f64),
             last: R::elem((n - 1) as f64),
             per_m: R::elem(1.0 / grid.cell_m()),
@@ -91,11 +87,7 @@ impl<R: Lanes> Ground<R> {
         let s = self.sample(x, y);
         let (sx, sy) = (s.slope_x, s.slope_y);
         let inverse = R::one() / sx.mul_add(sx, sy.mul_add(sy, R::one())).sqrt();
-        (
-            (z - s.height) * inverse,
-            [-(sx * inverse), -(sy * inverse), inverse],
-            s.grip,
-        )
+        ((z - s.height) * inverse, [-(sx * inverse), -(sy * inverse), inverse], s.grip)
     }
 }
 

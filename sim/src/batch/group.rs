@@ -135,16 +135,8 @@ impl<R: Lanes> Group<R> {
     /// All zeros (not yet a robot: every lane is set before use).
     pub fn new(program: &Program<R>, period_s: f64) -> Self {
         let o = R::zero();
-        let link = LinkLane {
-            mass: o,
-            com: [o; 3],
-            inertia: [o; 6],
-        };
-        let water = if program.water {
-            program.links.len()
-        } else {
-            0
-        };
+        let link = LinkLane { mass: o, com: [o; 3], inertia: [o; 6] };
+        let water = if program.water { program.links.len() } else { 0 };
         Self {
             params: GroupParams {
                 gravity: [o; 3],
@@ -157,11 +149,7 @@ impl<R: Lanes> Group<R> {
                 servos: vec![ServoDrive::default(); program.actuated],
                 supply: Supply::default(),
                 water: vec![WaterLink::default(); water],
-                surface: Surface {
-                    level_m: o,
-                    current_mps: [o; 3],
-                    gravity_mps2: [o; 3],
-                },
+                surface: Surface { level_m: o, current_mps: [o; 3], gravity_mps2: [o; 3] },
                 loss: vec![CommandLoss::default(); R::LANES],
                 needs: vec![DriveFeatures::default(); R::LANES],
                 features: DriveFeatures::default(),
@@ -190,11 +178,7 @@ impl<R: Lanes> Group<R> {
         let gravity = p.gravity_mps2.map(f64::from);
         let length = pose::norm(gravity);
         to.gravity.set_lane(lane, &gravity);
-        let down = if length > 0.0 {
-            gravity.map(|g| g / length)
-        } else {
-            [0.0, 0.0, -1.0]
-        };
+        let down = if length > 0.0 { gravity.map(|g| g / length) } else { [0.0, 0.0, -1.0] };
         to.down.set_lane(lane, &down);
         for (to, scale) in to.foot_friction.iter_mut().zip(&p.foot_friction_scale) {
             to.set_lane(lane, &f64::from(p.foot_friction * scale));
@@ -214,16 +198,13 @@ impl<R: Lanes> Group<R> {
             }
         }
         let hinges = JointPassive::all(model, p);
-        let servos: Vec<ServoDrive<f64>> = (0..program.actuated)
-            .map(|a| ServoDrive::new(model, p, a, config.dt_s))
-            .collect();
+        let servos: Vec<ServoDrive<f64>> =
+            (0..program.actuated).map(|a| ServoDrive::new(model, p, a, config.dt_s)).collect();
         for (i, node) in program.nodes.iter().enumerate() {
             to.hinges[i].set_lane(lane, &hinges[node.joint]);
             let armature = node
                 .servo
-                .map_or(model.joints()[node.joint].armature_kgm2, |a| {
-                    servos[a].armature_kgm2()
-                });
+                .map_or(model.joints()[node.joint].armature_kgm2, |a| servos[a].armature_kgm2());
             to.armature[i].set_lane(lane, &armature);
         }
         for (to, servo) in to.servos.iter_mut().zip(&servos) {
@@ -251,10 +232,7 @@ impl<R: Lanes> Group<R> {
 
 /// The layout of a program's state.
 pub(super) fn layout<R: Lanes>(program: &Program<R>) -> Layout {
-    Layout {
-        joints: program.nodes.len(),
-        points: program.points.len(),
-    }
+    Layout { joints: program.nodes.len(), points: program.points.len() }
 }
 
 /// Length of [`Group::sums`].

@@ -33,10 +33,7 @@ pub(super) fn integrate<R: Lanes>(
         let now = acceleration.mul_add(dt, before);
         let moved = now * dt;
         let hinge = &group.params.hinges[i];
-        let stop = StopAt {
-            law: &program.nodes[i].stop,
-            free_radps2: free[i],
-        };
+        let stop = StopAt { law: &program.nodes[i].stop, free_radps2: free[i] };
         free[i] = passive::free_radps2(hinge, stop, q[i], before, moved, now, acceleration);
         qd[i] = now;
         qdd[i] = acceleration;
@@ -94,10 +91,7 @@ fn turned<R: Lanes>(head: &[R], half: V3<R>) -> [R; 4] {
     let [w, x, y, z] = [head[q], head[q + 1], head[q + 2], head[q + 3]];
     // half a turn within a step is small: sin h / h and cos h by their series
     let h2 = dot(half, half);
-    let s = h2.mul_add(
-        h2.mul_add(R::splat(1.0 / 120.0), R::splat(-1.0 / 6.0)),
-        R::one(),
-    );
+    let s = h2.mul_add(h2.mul_add(R::splat(1.0 / 120.0), R::splat(-1.0 / 6.0)), R::one());
     let c = h2.mul_add(h2.mul_add(R::splat(1.0 / 24.0), R::splat(-0.5)), R::one());
     let [a, b, d] = scale(half, s);
     let new = [
@@ -108,12 +102,7 @@ fn turned<R: Lanes>(head: &[R], half: V3<R>) -> [R; 4] {
     ];
     let norm2 = new[0] * new[0] + new[1] * new[1] + new[2] * new[2] + new[3] * new[3];
     let inverse = R::one() / norm2.sqrt();
-    [
-        new[0] * inverse,
-        new[1] * inverse,
-        new[2] * inverse,
-        new[3] * inverse,
-    ]
+    [new[0] * inverse, new[1] * inverse, new[2] * inverse, new[3] * inverse]
 }
 
 /// Gives lanes that broke down the state that they had before this period.

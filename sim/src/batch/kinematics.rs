@@ -24,10 +24,7 @@ pub(super) fn base_frame<R: Lanes>(program: &Program<R>, x: &[R], half_dt: R) ->
     let mut frame = Frame::zero();
     frame.rot = columns([x[q], x[q + 1], x[q + 2], x[q + 3]]);
     let c = program.centre;
-    let to_centre = turn(
-        &frame.rot,
-        [R::uniform(c[0]), R::uniform(c[1]), R::uniform(c[2])],
-    );
+    let to_centre = turn(&frame.rot, [R::uniform(c[0]), R::uniform(c[1]), R::uniform(c[2])]);
     frame.pos = [-to_centre[0], -to_centre[1], -to_centre[2]];
     if program.free {
         let vel = take3(x, Layout::VEL);
@@ -71,11 +68,7 @@ pub(super) fn next_frame<R: Lanes>(
     let mut rot = parent.rot;
     if let Some(t) = &node.turn {
         for c in 0..3 {
-            let v = [
-                R::uniform(t[c][0]),
-                R::uniform(t[c][1]),
-                R::uniform(t[c][2]),
-            ];
+            let v = [R::uniform(t[c][0]), R::uniform(t[c][1]), R::uniform(t[c][2])];
             rot[c] = turn(&parent.rot, v);
         }
     }
@@ -101,11 +94,7 @@ fn joint<R: Lanes>(
     second: usize,
 ) -> Frame<R> {
     let column = rot[along];
-    let axis = if node.negative {
-        [-column[0], -column[1], -column[2]]
-    } else {
-        column
-    };
+    let axis = if node.negative { [-column[0], -column[1], -column[2]] } else { column };
     let (pa, pl) = (parent.ang_mid, parent.lin_mid);
     if node.slide {
         pos = add_scaled(pos, axis, q);
@@ -168,11 +157,7 @@ pub(super) fn body_inertia<R: Lanes>(
         let own = turn_sym(&frame.rot, &lane.inertia);
         let com = add(frame.pos, turn(&frame.rot, lane.com));
         let vel = add_cross(frame.lin_mid, frame.ang_mid, com);
-        let bias = add_cross(
-            add_cross(frame.bias_lin, frame.bias_ang, com),
-            frame.ang_mid,
-            vel,
-        );
+        let bias = add_cross(add_cross(frame.bias_lin, frame.bias_ang, com), frame.ang_mid, vel);
         let mut f = scale(sub(bias, params.gravity), lane.mass);
         let mut n = add_cross(
             sym_times(&own, frame.bias_ang),
@@ -262,25 +247,12 @@ pub(super) fn outward<R: Lanes, const FLAT: bool>(
     let (q, qd) = (&head[lay.q()..lay.q() + n], &head[lay.qd()..lay.qd() + n]);
     let qdd = &head[lay.qdd()..lay.qdd() + n];
     if program.free {
-        carry::<R, FLAT>(
-            world,
-            0,
-            &frames[0],
-            base,
-            memory,
-            &mut inertias[0],
-            touches,
-        );
+        carry::<R, FLAT>(world, 0, &frames[0], base, memory, &mut inertias[0], touches);
     }
     for (i, node) in program.nodes.iter().enumerate() {
         let (before, after) = frames.split_at_mut(i + 1);
-        after[0] = next_frame(
-            node,
-            &before[node.parent],
-            q[i],
-            qd[i],
-            qdd[i].mul_add(half_dt, qd[i]),
-        );
+        after[0] =
+            next_frame(node, &before[node.parent], q[i], qd[i], qdd[i].mul_add(half_dt, qd[i]));
         let inertia = &mut inertias[i + 1];
         carry::<R, FLAT>(world, i + 1, &after[0], base, memory, inertia, touches);
     }

@@ -106,9 +106,7 @@ impl BatchEngine {
         };
         let init = InitialState::nominal(&engine.model);
         for lane in 0..lanes {
-            engine
-                .core
-                .set_params(lane, &engine.model, &engine.config, &engine.params[lane]);
+            engine.core.set_params(lane, &engine.model, &engine.config, &engine.params[lane]);
         }
         for lane in 0..lanes {
             engine.reset(lane, &init)?;
@@ -183,9 +181,7 @@ fn width(config: &EngineConfig) -> Result<Width, SimError> {
     }
     let width = Width::of(config.lane_width).ok_or_else(|| refused("must be 0, 1, 4, 8 or 16"))?;
     if !width.is_available() {
-        return Err(refused(
-            "this processor lacks the instructions for it; 0 chooses",
-        ));
+        return Err(refused("this processor lacks the instructions for it; 0 chooses"));
     }
     Ok(width)
 }
@@ -214,9 +210,7 @@ fn build_core(
 ) -> Result<Box<dyn Core>, SimError> {
     macro_rules! of {
         ($number:ty) => {
-            Ok(Box::new(CoreOf::<$number>::new(
-                model, lanes, config, terrain, threads,
-            )?))
+            Ok(Box::new(CoreOf::<$number>::new(model, lanes, config, terrain, threads)?))
         };
     }
     if config.precision == Precision::Double {
@@ -258,8 +252,7 @@ impl Engine for BatchEngine {
         check_lane(lane, self.lanes())?;
         params.validate(&self.model, lane)?;
         self.params[lane].clone_from(params);
-        self.core
-            .set_params(lane, &self.model, &self.config, params);
+        self.core.set_params(lane, &self.model, &self.config, params);
         Ok(())
     }
 
@@ -273,8 +266,7 @@ impl Engine for BatchEngine {
 
     fn step(&mut self, targets_rad: &[f32], wrenches: &[f32]) -> Result<(), SimError> {
         check_step(self, targets_rad, wrenches)?;
-        self.core
-            .step(&self.pool, targets_rad, wrenches, &mut self.state);
+        self.core.step(&self.pool, targets_rad, wrenches, &mut self.state);
         Ok(())
     }
 

@@ -51,18 +51,9 @@ pub(super) fn collide<R: Lanes>(
         let normal = scale(apart, one / distance);
         let depth = reach - distance;
         // on the line between the centres, where the balls meet
-        let at = add(
-            centres[a],
-            scale(normal, R::uniform(pa.radius) - R::splat(0.5) * depth),
-        );
-        let meeting = Meeting {
-            nodes: [pa.node, pb.node],
-            parts: [pa.part, pb.part],
-            at,
-            normal,
-            depth,
-            on,
-        };
+        let at = add(centres[a], scale(normal, R::uniform(pa.radius) - R::splat(0.5) * depth));
+        let meeting =
+            Meeting { nodes: [pa.node, pb.node], parts: [pa.part, pb.part], at, normal, depth, on };
         push(program, group, frames, inertias, &meeting);
     }
 }
@@ -92,14 +83,7 @@ pub(super) fn push<R: Lanes>(
 ) {
     let (o, one) = (R::zero(), R::one());
     let tiny = R::splat(1e-12);
-    let &Meeting {
-        nodes: [a, b],
-        parts,
-        at,
-        normal,
-        depth,
-        on,
-    } = meeting;
+    let &Meeting { nodes: [a, b], parts, at, normal, depth, on } = meeting;
     let (fa, fb) = (&frames[a], &frames[b]);
     let vel = sub(fb.velocity(at), fa.velocity(at));
     let vn = dot(vel, normal);

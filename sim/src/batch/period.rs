@@ -46,14 +46,7 @@ impl<R: Lanes, const FLAT: bool> Kernel for Period<'_, R, FLAT> {
 
     #[inline(always)]
     fn run(self) {
-        let Period {
-            shared,
-            group,
-            scratch,
-            used,
-            targets,
-            wrenches,
-        } = self;
+        let Period { shared, group, scratch, used, targets, wrenches } = self;
         if let Some(clock) = &mut scratch.clock {
             clock.begin();
         }
@@ -67,10 +60,7 @@ impl<R: Lanes, const FLAT: bool> Kernel for Period<'_, R, FLAT> {
         scratch.saved_sums.copy_from_slice(&group.sums);
         scratch.saved_drives.copy_from_slice(&group.drives);
         push_commands(shared, group, scratch, used, targets);
-        let mut push = Push {
-            force: zero3(),
-            torque: zero3(),
-        };
+        let mut push = Push { force: zero3(), torque: zero3() };
         for c in 0..3 {
             push.force[c] = column(&group.diverged[..used], wrenches, 6, c);
             push.torque[c] = column(&group.diverged[..used], wrenches, 6, 3 + c);
@@ -127,9 +117,7 @@ fn push_commands<R: Lanes>(
     let period_s = shared.period_s();
     for a in 0..width {
         scratch.scheduled[a] = if group.params.features.delay {
-            group
-                .history
-                .schedule(a, group.params.servos[a].delay_s, period_s)
+            group.history.schedule(a, group.params.servos[a].delay_s, period_s)
         } else {
             Scheduled::constant(group.history.newest(a))
         };
@@ -220,13 +208,7 @@ fn step<R: Lanes, const FLAT: bool>(
     if program.free {
         scratch.beyond[0] = aba::solve_base(&scratch.inertias[0]);
     }
-    aba::outward(
-        program,
-        &scratch.frames,
-        &scratch.hinges,
-        &mut scratch.beyond,
-        &mut scratch.qdd,
-    );
+    aba::outward(program, &scratch.frames, &scratch.hinges, &mut scratch.beyond, &mut scratch.qdd);
     scratch.mark(Phase::Outward);
     sum_contacts::<R, FLAT>(shared, group, scratch);
     let sound = integrate::integrate(shared, group, scratch);
@@ -245,13 +227,7 @@ fn load_joints<R: Lanes>(
     let program = &shared.program;
     let lay = layout(program);
     let n = program.nodes.len();
-    let Group {
-        x,
-        params,
-        drives,
-        wanted,
-        ..
-    } = group;
+    let Group { x, params, drives, wanted, .. } = group;
     let (q, qd) = (&x[lay.q()..lay.q() + n], &x[lay.qd()..lay.qd() + n]);
     let bristle = &x[lay.bristle()..lay.bristle() + n];
     let free = &x[lay.free()..lay.free() + n];
@@ -266,10 +242,7 @@ fn load_joints<R: Lanes>(
     }
     for i in 0..n {
         let hinge = &params.hinges[i];
-        let stop = StopAt {
-            law: &program.nodes[i].stop,
-            free_radps2: free[i],
-        };
+        let stop = StopAt { law: &program.nodes[i].stop, free_radps2: free[i] };
         let torque = if let Some(a) = program.nodes[i].servo {
             let command = scratch.scheduled[a].over_step(since, step.dt_s, step.per_dt);
             let driven = step::start(
@@ -277,11 +250,7 @@ fn load_joints<R: Lanes>(
                 &params.servos[a],
                 hinge,
                 &mut drives[a],
-                if late {
-                    wanted.joint(a)
-                } else {
-                    Loop::direct()
-                },
+                if late { wanted.joint(a) } else { Loop::direct() },
                 step,
                 &bus,
                 command,

@@ -18,9 +18,7 @@ impl Pool {
                 .build()
                 .ok()
         };
-        Self {
-            others: (1..threads).rev().find_map(start),
-        }
+        Self { others: (1..threads).rev().find_map(start) }
     }
 
     /// Threads that work.

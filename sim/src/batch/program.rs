@@ -172,25 +172,17 @@ impl<R: Lanes> Program<R> {
             base_place: place(0, &Pose::IDENTITY),
             base_quat: placed[0].1.quat_wxyz.map(R::elem),
             base_joint_count: placed[0].0,
-            feet: model
-                .feet()
-                .iter()
-                .map(|f| place(f.link, &Pose::from_pos(f.centre_m)))
-                .collect(),
+            feet: model.feet().iter().map(|f| place(f.link, &Pose::from_pos(f.centre_m))).collect(),
             foot_balls: model
                 .feet()
                 .iter()
                 .map(|f| foot_balls::<R>(f, &placed[f.link].1))
                 .collect(),
-            imu: model.imu_site().map_or_else(
-                || place(0, &Pose::IDENTITY),
-                |s| place(s.link, &s.link_from_site),
-            ),
+            imu: model
+                .imu_site()
+                .map_or_else(|| place(0, &Pose::IDENTITY), |s| place(s.link, &s.link_from_site)),
             heading: model.heading_sites().map(|(hind, front)| {
-                (
-                    place(hind.link, &hind.link_from_site),
-                    place(front.link, &front.link_from_site),
-                )
+                (place(hind.link, &hind.link_from_site), place(front.link, &front.link_from_site))
             }),
             joints: model.joints().len(),
             actuated: model.actuated().len(),
@@ -254,10 +246,7 @@ fn nodes<R: Lanes>(
             }
             let anchor = at.point(joint.anchor_m);
             let (turn_quat, axis, negative) = lay(at.rotate(joint.axis));
-            let from_node = Pose {
-                pos_m: anchor,
-                quat_wxyz: turn_quat,
-            };
+            let from_node = Pose { pos_m: anchor, quat_wxyz: turn_quat };
             nodes.push(Node {
                 parent: node,
                 slide: joint.motion == JointMotion::Slide,
@@ -292,12 +281,8 @@ fn nodes<R: Lanes>(
 /// Centre of mass in the nominal pose, in the base's frame.
 fn nominal_centre(model: &RobotModel) -> Result<[f64; 3], SimError> {
     let refused = |e: caudata_model::ModelError| SimError::Model(e.to_string());
-    let nominal = model
-        .full_pos_rad(model.nominal_pos_rad())
-        .map_err(refused)?;
-    let places = model
-        .kinematics(&Pose::IDENTITY, &nominal)
-        .map_err(refused)?;
+    let nominal = model.full_pos_rad(model.nominal_pos_rad()).map_err(refused)?;
+    let places = model.kinematics(&Pose::IDENTITY, &nominal).map_err(refused)?;
     Ok(model.centre_of_mass_m(&places))
 }
 
@@ -323,11 +308,7 @@ fn constant_columns<R: Lanes>(quat: [f64; 4]) -> [[R::Elem; 3]; 3] {
 fn place<R: Lanes>(placed: &[(usize, Pose)], link: usize, link_from_place: &Pose) -> Place<R> {
     let (node, node_from_link) = placed[link];
     let at = node_from_link.compose(link_from_place);
-    Place {
-        node,
-        at: at.pos_m.map(R::elem),
-        columns: constant_columns::<R>(at.quat_wxyz),
-    }
+    Place { node, at: at.pos_m.map(R::elem), columns: constant_columns::<R>(at.quat_wxyz) }
 }
 
 /// The balls of a foot in its node's frame.
@@ -398,11 +379,7 @@ fn contact_points<R: Lanes>(
                     link.name
                 ))
             })?;
-            let other = if model.carries_feet(i) {
-                Part::Trunk
-            } else {
-                Part::Tail
-            };
+            let other = if model.carries_feet(i) { Part::Trunk } else { Part::Tail };
             points.extend(centres.into_iter().map(|c| Point {
                 link: i,
                 node,

@@ -23,29 +23,14 @@ pub struct Readout {
 
 impl Readout {
     /// All of it.
-    pub const ALL: Self = Self {
-        base: true,
-        imu: true,
-        feet: true,
-        rest: true,
-    };
+    pub const ALL: Self = Self { base: true, imu: true, feet: true, rest: true };
     /// Joints and motor torques alone.
-    pub const JOINTS: Self = Self {
-        base: false,
-        imu: false,
-        feet: false,
-        rest: false,
-    };
+    pub const JOINTS: Self = Self { base: false, imu: false, feet: false, rest: false };
 
     /// Whether each field of [`State`](crate::State) is read out, in its order.
     #[inline(always)]
     pub(super) fn fields(self) -> [bool; FIELDS] {
-        let Self {
-            base,
-            imu,
-            feet,
-            rest,
-        } = self;
+        let Self { base, imu, feet, rest } = self;
         [
             base, base, base, base, true, true, true, rest, rest, rest, rest, rest, feet, rest,
             rest, rest, rest, rest, imu, imu, imu,

@@ -46,15 +46,8 @@ pub(super) fn report<R: Lanes>(
     let needed = frames_needed(program, readout);
     kinematics::frames(program, &group.x, &mut scratch.frames[..needed]);
     let frames = &scratch.frames;
-    let mut w = Writer {
-        out: &mut scratch.out,
-        at: 0,
-    };
-    let base = if needed > 0 {
-        kinematics::centre(&group.x, &frames[0])
-    } else {
-        zero3()
-    };
+    let mut w = Writer { out: &mut scratch.out, at: 0 };
+    let base = if needed > 0 { kinematics::centre(&group.x, &frames[0]) } else { zero3() };
     if readout.base {
         put_base(program, group, frames, base, &mut w);
     } else {
@@ -130,12 +123,7 @@ fn constant<R: Lanes>(v: [R::Elem; 3]) -> V3<R> {
 
 #[inline(always)]
 fn quat_times<R: Lanes>(a: [R; 4], b: &[R::Elem; 4]) -> [R; 4] {
-    let b = [
-        R::uniform(b[0]),
-        R::uniform(b[1]),
-        R::uniform(b[2]),
-        R::uniform(b[3]),
-    ];
+    let b = [R::uniform(b[0]), R::uniform(b[1]), R::uniform(b[2]), R::uniform(b[3])];
     [
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
         a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
@@ -165,11 +153,7 @@ fn quat_of<R: Lanes>(columns: &[V3<R>; 3]) -> [R; 4] {
 fn into_place<R: Lanes>(place: &Place<R>, frame: &Frame<R>, v: V3<R>) -> V3<R> {
     let node = turn_back(&frame.rot, v);
     turn_back(
-        &[
-            constant(place.columns[0]),
-            constant(place.columns[1]),
-            constant(place.columns[2]),
-        ],
+        &[constant(place.columns[0]), constant(place.columns[1]), constant(place.columns[2])],
         node,
     )
 }
@@ -233,14 +217,8 @@ fn put_whole<R: Lanes>(
 fn solve_sym<R: Lanes>(m: &[R; 6], v: V3<R>) -> V3<R> {
     let s = R::one() / (m[0] + m[3] + m[5]);
     let [a, b, c, d, e, f] = [m[0] * s, m[1] * s, m[2] * s, m[3] * s, m[4] * s, m[5] * s];
-    let co = [
-        d * f - e * e,
-        c * e - b * f,
-        b * e - c * d,
-        a * f - c * c,
-        b * c - a * e,
-        a * d - b * b,
-    ];
+    let co =
+        [d * f - e * e, c * e - b * f, b * e - c * d, a * f - c * c, b * c - a * e, a * d - b * b];
     let det = a * co[0] + b * co[1] + c * co[2];
     scale(sym_times(&co, v), s / det)
 }
@@ -249,10 +227,9 @@ fn solve_sym<R: Lanes>(m: &[R; 6], v: V3<R>) -> V3<R> {
 #[inline(always)]
 fn heading<R: Lanes>(program: &Program<R>, frames: &[Frame<R>]) -> R {
     let line = match &program.heading {
-        Some((hind, front)) => sub(
-            frames[front.node].point(front.at),
-            frames[hind.node].point(hind.at),
-        ),
+        Some((hind, front)) => {
+            sub(frames[front.node].point(front.at), frames[hind.node].point(hind.at))
+        }
         None => {
             let place = &program.base_place;
             turn(&frames[place.node].rot, constant(place.columns[0]))
@@ -301,9 +278,8 @@ fn put_feet<R: Lanes>(
 /// Height of the lowest point of a foot's balls, m.
 #[inline(always)]
 fn lowest<R: Lanes>(balls: &[([R::Elem; 3], R::Elem)], frame: &Frame<R>, base: R) -> R {
-    let mut heights = balls
-        .iter()
-        .map(|&(at, radius)| base + frame.point(at)[2] - R::uniform(radius));
+    let mut heights =
+        balls.iter().map(|&(at, radius)| base + frame.point(at)[2] - R::uniform(radius));
     let first = heights.next().unwrap_or(base);
     heights.fold(first, |lowest, z| lowest.min(z))
 }

@@ -66,12 +66,8 @@ pub(super) fn cores<R: Lanes>(
     let legs = self_contact::legs(model);
     let hanging = self_contact::hanging_legs(model, &legs);
     let refused = |e: caudata_model::ModelError| SimError::Model(e.to_string());
-    let nominal = model
-        .full_pos_rad(model.nominal_pos_rad())
-        .map_err(refused)?;
-    let places = model
-        .kinematics(&Pose::IDENTITY, &nominal)
-        .map_err(refused)?;
+    let nominal = model.full_pos_rad(model.nominal_pos_rad()).map_err(refused)?;
+    let places = model.kinematics(&Pose::IDENTITY, &nominal).map_err(refused)?;
     let mut pairs = Vec::new();
     for a in 0..shapes.len() {
         for b in a + 1..shapes.len() {
@@ -133,11 +129,7 @@ fn candidates(model: &RobotModel, shells: bool) -> Vec<Candidate> {
             let Some((half_m, radius_m)) = rounded(geom) else {
                 continue;
             };
-            let other = if model.carries_feet(l) {
-                Part::Trunk
-            } else {
-                Part::Tail
-            };
+            let other = if model.carries_feet(l) { Part::Trunk } else { Part::Tail };
             out.push(Candidate {
                 link: l,
                 link_from_shape: geom.link_from_geom,
@@ -155,19 +147,10 @@ fn candidates(model: &RobotModel, shells: bool) -> Vec<Candidate> {
 fn rounded(geom: &Geom) -> Option<([f64; 3], f64)> {
     Some(match geom.shape {
         Shape::Sphere { radius_m } => ([0.0; 3], radius_m),
-        Shape::Capsule {
-            radius_m,
-            half_length_m,
-        } => ([0.0, 0.0, half_length_m], radius_m),
-        Shape::Cylinder {
-            radius_m,
-            half_length_m,
-        } => {
+        Shape::Capsule { radius_m, half_length_m } => ([0.0, 0.0, half_length_m], radius_m),
+        Shape::Cylinder { radius_m, half_length_m } => {
             let radius = radius_m.min(half_length_m);
-            (
-                [radius_m - radius, radius_m - radius, half_length_m - radius],
-                radius,
-            )
+            ([radius_m - radius, radius_m - radius, half_length_m - radius], radius)
         }
         Shape::Box { half_size_m } => {
             let radius = half_size_m.iter().copied().fold(f64::INFINITY, f64::min);
@@ -209,11 +192,7 @@ pub(super) fn nearest<R: Real>(a: &Box3<R>, b: &Box3<R>) -> (V3<R>, V3<R>) {
 #[inline(always)]
 fn within<R: Real>(shape: &Box3<R>, point: V3<R>) -> V3<R> {
     let (centre, columns, half) = shape;
-    let d = [
-        point[0] - centre[0],
-        point[1] - centre[1],
-        point[2] - centre[2],
-    ];
+    let d = [point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]];
     let mut at = *centre;
     for k in 0..3 {
         let along = dot(d, columns[k]).clamp(R::zero() - half[k], half[k]);
@@ -227,11 +206,7 @@ mod tests {
     use super::*;
 
     fn upright(centre: [f64; 3], half: [f64; 3]) -> Box3<f64> {
-        (
-            centre,
-            [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-            half,
-        )
+        (centre, [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], half)
     }
 
     #[test]

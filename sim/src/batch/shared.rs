@@ -98,13 +98,7 @@ impl<R: Lanes> Scratch<R> {
             frames: vec![Frame::zero(); n + 1],
             inertias: vec![Inertia::zero(); n + 1],
             hinges: vec![Hinge::zero(); n],
-            loads: vec![
-                Load {
-                    torque: o,
-                    inertia: o
-                };
-                n
-            ],
+            loads: vec![Load { torque: o, inertia: o }; n],
             beyond: vec![(zero3(), zero3()); n + 1],
             qdd: vec![o; n],
             touches: vec![Touch::none(); program.points.len()],

@@ -126,11 +126,7 @@ fn solve<R: Lanes>(
     for (node, qdd) in program.nodes.iter().zip(&solved.joints) {
         joint_radps2[node.joint] = qdd.lane(R::LANES - 1);
     }
-    Ok(Accelerations {
-        base_mps2: one(solved.lin),
-        base_radps2: one(solved.ang),
-        joint_radps2,
-    })
+    Ok(Accelerations { base_mps2: one(solved.lin), base_radps2: one(solved.ang), joint_radps2 })
 }
 
 struct Solve<'a, R: Lanes> {
@@ -160,20 +156,14 @@ impl<R: Lanes> Kernel for Solve<'_, R> {
         let mut joints = vec![R::zero(); n];
         let mut loads = Vec::with_capacity(n);
         for i in 0..n {
-            loads.push(Load {
-                torque: self.torques[i],
-                inertia: self.group.params.armature[i],
-            });
+            loads.push(Load { torque: self.torques[i], inertia: self.group.params.armature[i] });
         }
         let world = World {
             program,
             ground: self.ground,
             law: self.law,
             params: &self.group.params,
-            push: Push {
-                force: zero3(),
-                torque: zero3(),
-            },
+            push: Push { force: zero3(), torque: zero3() },
             half_dt: R::elem(0.0),
         };
         kinematics::outward::<R, true>(
@@ -188,10 +178,6 @@ impl<R: Lanes> Kernel for Solve<'_, R> {
             beyond[0] = aba::solve_base(&inertias[0]);
         }
         aba::outward(program, &frames, &hinges, &mut beyond, &mut joints);
-        Solved {
-            ang: beyond[0].0,
-            lin: add_cross(beyond[0].1, beyond[0].0, frames[0].pos),
-            joints,
-        }
+        Solved { ang: beyond[0].0, lin: add_cross(beyond[0].1, beyond[0].0, frames[0].pos), joints }
     }
 }

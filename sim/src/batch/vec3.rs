@@ -29,11 +29,7 @@ pub(super) fn scale<R: Real>(a: V3<R>, s: R) -> V3<R> {
 /// `a + b·s`
 #[inline(always)]
 pub(super) fn add_scaled<R: Real>(a: V3<R>, b: V3<R>, s: R) -> V3<R> {
-    [
-        b[0].mul_add(s, a[0]),
-        b[1].mul_add(s, a[1]),
-        b[2].mul_add(s, a[2]),
-    ]
+    [b[0].mul_add(s, a[0]), b[1].mul_add(s, a[1]), b[2].mul_add(s, a[2])]
 }
 
 #[inline(always)]
@@ -75,11 +71,7 @@ pub(super) fn turn_back<R: Real>(m: &[V3<R>; 3], v: V3<R>) -> V3<R> {
 
 #[inline(always)]
 pub(super) fn select3<R: Real>(mask: R::Mask, yes: V3<R>, no: V3<R>) -> V3<R> {
-    [
-        R::select(mask, yes[0], no[0]),
-        R::select(mask, yes[1], no[1]),
-        R::select(mask, yes[2], no[2]),
-    ]
+    [R::select(mask, yes[0], no[0]), R::select(mask, yes[1], no[1]), R::select(mask, yes[2], no[2])]
 }
 
 /// Symmetric 3 × 3: xx, xy, xz, yy, yz, zz.
@@ -153,13 +145,7 @@ impl<R: Real> Inertia<R> {
     #[inline(always)]
     pub fn zero() -> Self {
         let o = R::zero();
-        Self {
-            a: [o; 6],
-            b: [o; 9],
-            c: [o; 6],
-            n: [o; 3],
-            f: [o; 3],
-        }
+        Self { a: [o; 6], b: [o; 9], c: [o; 6], n: [o; 3], f: [o; 3] }
     }
 
     #[inline(always)]

@@ -32,11 +32,7 @@ pub(super) fn immerse<R: Lanes>(
             let column = place.columns[c];
             rot[c] = turn(
                 &frame.rot,
-                [
-                    R::uniform(column[0]),
-                    R::uniform(column[1]),
-                    R::uniform(column[2]),
-                ],
+                [R::uniform(column[0]), R::uniform(column[1]), R::uniform(column[2])],
             );
         }
         let com = add(frame.pos, turn(&frame.rot, params.links[i].com));
@@ -64,10 +60,7 @@ pub(super) fn immerse<R: Lanes>(
             linear[c] += drag[c];
             turning[c] += drag_turn[c];
         }
-        let force = sub(
-            add(sym_times(&mass, spatial), sym_times(&drag, classical)),
-            f.force_n,
-        );
+        let force = sub(add(sym_times(&mass, spatial), sym_times(&drag, classical)), f.force_n);
         let torque = sub(sym_times(&turning, frame.bias_ang), f.torque_nm);
         let to = &mut inertias[place.node];
         add_general(to, com, &linear);

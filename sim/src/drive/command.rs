@@ -39,11 +39,7 @@ impl<R: Real> Scheduled<R> {
     /// The same command all the time.
     #[inline(always)]
     pub fn constant(command_rad: R) -> Self {
-        Self {
-            older_rad: command_rad,
-            newer_rad: command_rad,
-            switch_s: R::zero(),
-        }
+        Self { older_rad: command_rad, newer_rad: command_rad, switch_s: R::zero() }
     }
 
     /// The command's mean over the physics step that starts `since_s` into the period and lasts `dt_s` (so a
@@ -66,10 +62,7 @@ impl<R: Real> CommandHistory<R> {
     pub fn new(period_s: f64, rest_rad: &[R]) -> Self {
         // One more than whole periods of delay, one for the command before it.
         let depth = (f64::from(MAX_COMMAND_DELAY_S) / period_s).floor() as usize + 2;
-        Self {
-            width: rest_rad.len(),
-            values: rest_rad.repeat(depth).into(),
-        }
+        Self { width: rest_rad.len(), values: rest_rad.repeat(depth).into() }
     }
 
     /// What lane `lane` holds, newest command first. `[depth, width]`, rad.
@@ -129,11 +122,7 @@ impl<R: Real> CommandHistory<R> {
                 older_rad = older_rad.with_lane(lane, self.at(age + 1, joint).lane(lane));
             }
         }
-        Scheduled {
-            older_rad,
-            newer_rad,
-            switch_s,
-        }
+        Scheduled { older_rad, newer_rad, switch_s }
     }
 
     /// The command of joint `joint` that is `age` periods old, or the oldest there is.

@@ -16,11 +16,7 @@ pub fn low_pass<R: Real>(filtered: R, input: R, share: R) -> R {
 
 /// 1 − exp(−dt/τ): the part of the way that a first-order lag of `time_s` makes in `dt_s`; 1 for no lag.
 pub fn lag_share(time_s: f64, dt_s: f64) -> f64 {
-    if time_s > 0.0 {
-        -(-dt_s / time_s).exp_m1()
-    } else {
-        1.0
-    }
+    if time_s > 0.0 { -(-dt_s / time_s).exp_m1() } else { 1.0 }
 }
 
 /// One step of the profile: position and speed of a point that follows `target_rad` within speed and
@@ -50,10 +46,7 @@ pub fn profile<R: Real>(
     // exactly the target without limits, likewise
     let most = R::splat(NO_LIMIT);
     let free = most.le(p.profile_speed_radps) & most.le(p.profile_acceleration_radps2);
-    (
-        R::select(free, target_rad, position_rad + dt_s * speed),
-        speed,
-    )
+    (R::select(free, target_rad, position_rad + dt_s * speed), speed)
 }
 
 #[cfg(test)]

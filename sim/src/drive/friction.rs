@@ -81,11 +81,7 @@ pub fn bristle_torque<R: Real>(
     let sticks = ahead.abs().le(presliding_rad);
     let stiffness = R::select(sticks, bound_nm / presliding_rad, R::zero());
     ImplicitTorque {
-        now_nm: R::select(
-            sticks,
-            -(stiffness * bristle_rad),
-            -(bound_nm * ahead.signum0()),
-        ),
+        now_nm: R::select(sticks, -(stiffness * bristle_rad), -(bound_nm * ahead.signum0())),
         stiffness_nm_per_rad: stiffness,
         damping_nms_per_rad: stiffness * soon_s,
         inertia_kgm2: R::zero(),
@@ -135,10 +131,7 @@ mod tests {
         near(stribeck_nm(&p, -0.1), stribeck_nm(&p, 0.1));
         assert!(stribeck_nm(&p, 50.0) < 1e-12);
         // a fifth of 0.5 N·m at rest, either way; 1/e of it at the Stribeck speed
-        let p = ServoDrive {
-            load_stribeck: 0.2,
-            ..p
-        };
+        let p = ServoDrive { load_stribeck: 0.2, ..p };
         near(load_stribeck_nm(&p, -0.5, 0.0), 0.1);
         near(load_stribeck_nm(&p, 0.5, 0.1), 0.1 * 0.367_879_441_171);
     }
@@ -161,10 +154,7 @@ mod tests {
 
     #[test]
     fn one_way_is_heavier() {
-        let p = ServoDrive {
-            friction_asymmetry_nm: 0.01,
-            ..ServoDrive::default()
-        };
+        let p = ServoDrive { friction_asymmetry_nm: 0.01, ..ServoDrive::default() };
         near(asymmetry_nm(&p, 0.002, 0.002), 0.01);
         near(asymmetry_nm(&p, -0.005, 0.002), -0.01);
         near(asymmetry_nm(&p, 0.001, 0.002), 0.005);

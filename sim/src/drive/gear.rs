@@ -121,15 +121,7 @@ mod tests {
 
     #[test]
     fn in_the_gap_nothing_is_passed_on() {
-        let g = step(
-            &geared(0.01, 1000.0),
-            0.002,
-            0.0,
-            0.0,
-            0.0,
-            &ImplicitTorque::none(),
-            DT,
-        );
+        let g = step(&geared(0.01, 1000.0), 0.002, 0.0, 0.0, 0.0, &ImplicitTorque::none(), DT);
         assert_eq!(g.torque, ImplicitTorque::none());
         assert_eq!((g.speed_radps, g.speed_per_speed), (0.0, 0.0));
     }
@@ -137,15 +129,7 @@ mod tests {
     #[test]
     fn infinitely_stiff_teeth_add_the_rotors_inertia() {
         // J/dt = 1.1 N·m·s/rad, and the rotor goes with the joint
-        let g = step(
-            &geared(0.0, 1e9),
-            1e-9,
-            0.0,
-            0.0,
-            0.0,
-            &ImplicitTorque::none(),
-            DT,
-        );
+        let g = step(&geared(0.0, 1e9), 1e-9, 0.0, 0.0, 0.0, &ImplicitTorque::none(), DT);
         assert!((g.torque.damping_nms_per_rad - 1.1).abs() < 1e-5);
         assert!((g.speed_per_speed - 1.0).abs() < 1e-5);
     }
@@ -155,34 +139,19 @@ mod tests {
         // a load presses the joint against one flank, then the other; the rotor is held by friction far
         // beyond the loads
         for load in [0.02, 0.2] {
-            let p = ServoDrive {
-                rotor_kgm2: 1e3,
-                ..geared(0.01, 1000.0)
-            };
+            let p = ServoDrive { rotor_kgm2: 1e3, ..geared(0.01, 1000.0) };
             let one = run(&p, 0.01, |_| 0.0, load, [0.0; 4], 2000, |_| ());
             let other = run(&p, 0.01, |_| 0.0, -load, one, 4000, |_| ());
             // 2h and the teeth's bend on each side
             let want = 0.02 + 2.0 * load / 1000.0;
-            assert!(
-                ((one[2] - other[2]) - want).abs() < 2e-5,
-                "{load}: {}",
-                one[2] - other[2]
-            );
+            assert!(((one[2] - other[2]) - want).abs() < 2e-5, "{load}: {}", one[2] - other[2]);
         }
     }
 
     #[test]
     fn a_motor_pushes_rotor_and_load_as_one() {
         // 0.1 N·m on 0.0022 + 0.0078 kg·m²: 10 rad/s² once the gap of 0.005 rad is closed
-        let end = run(
-            &geared(0.005, 1000.0),
-            0.0078,
-            |_| 0.1,
-            0.0,
-            [0.0; 4],
-            500,
-            |_| (),
-        );
+        let end = run(&geared(0.005, 1000.0), 0.0078, |_| 0.1, 0.0, [0.0; 4], 500, |_| ());
         assert!((end[3] - 10.0).abs() < 0.05, "{}", end[3]); // after 1 s
         // behind by the gap and the bend 0.1·0.0078/0.01/1000
         assert!((end[0] - end[2] - 0.005_078).abs() < 1e-5);
@@ -210,9 +179,8 @@ mod tests {
                 signs.push(at[2] > 0.0);
             },
         );
-        let crossings: Vec<usize> = (1..signs.len())
-            .filter(|&k| signs[k] != signs[k - 1])
-            .collect();
+        let crossings: Vec<usize> =
+            (1..signs.len()).filter(|&k| signs[k] != signs[k - 1]).collect();
         // implicit Euler damps it; the first half periods still show the frequency
         let half = (crossings[1] - crossings[0]) as f64 * DT;
         assert!((half - 0.0314).abs() < 0.0021, "half period {half}");
@@ -224,21 +192,10 @@ mod tests {
         let mut most = 0.0_f64;
         let energy = |at: [f64; 4]| 0.5 * 0.0022 * at[1] * at[1] + 0.5 * 0.005 * at[3] * at[3];
         let start = [0.0, 3.0, 0.0, -1.0];
-        let end = run(
-            &p,
-            0.005,
-            |_| 0.0,
-            0.0,
-            start,
-            2000,
-            |at| most = most.max(energy(at)),
-        );
+        let end = run(&p, 0.005, |_| 0.0, 0.0, start, 2000, |at| most = most.max(energy(at)));
         assert!(most <= energy(start) * (1.0 + 1e-9), "{most}");
         // they end up together: (0.0022·3 − 0.005)/0.0072 = 0.2222 rad/s, on average
         let common = (0.0022 * end[1] + 0.005 * end[3]) / 0.0072;
-        assert!(
-            (common - 0.222_222).abs() < 1e-6,
-            "momentum is kept: {common}"
-        );
+        assert!((common - 0.222_222).abs() < 1e-6, "momentum is kept: {common}");
     }
 }

@@ -131,10 +131,7 @@ impl LaneDrive {
             step: Step::new(dt_s, false),
             supply: PerLane::splat(&Supply::new(params, dt_s)),
             servos: servos.iter().map(PerLane::splat).collect(),
-            passive: JointPassive::all(model, params)
-                .iter()
-                .map(PerLane::splat)
-                .collect(),
+            passive: JointPassive::all(model, params).iter().map(PerLane::splat).collect(),
             scheduled: Vec::new(),
             started: vec![Started::default(); model.joints().len()],
             torque_sum: Vec::new(),
@@ -173,10 +170,7 @@ impl LaneDrive {
         for (j, model_joint) in model.joints().iter().enumerate() {
             let Some(at) = robot.joint(j) else { continue };
             let hinge = &self.passive[j];
-            let stop = StopAt {
-                law: &stops[j],
-                free_radps2: memory.free_radps2[j],
-            };
+            let stop = StopAt { law: &stops[j], free_radps2: memory.free_radps2[j] };
             let (torque, driven) = match model_joint.kind {
                 JointKind::Actuated { index } => {
                     let command = self.scheduled[index].over_step(
@@ -233,10 +227,7 @@ impl LaneDrive {
             let Started { at, driven } = self.started[j];
             let hinge = &self.passive[j];
             let moved = now.pos - at.pos;
-            let stop = StopAt {
-                law: &stops[j],
-                free_radps2: memory.free_radps2[j],
-            };
+            let stop = StopAt { law: &stops[j], free_radps2: memory.free_radps2[j] };
             let acceleration = (now.vel - at.vel) * self.step.per_dt;
             memory.free_radps2[j] =
                 passive::free_radps2(hinge, stop, at.pos, at.vel, moved, now.vel, acceleration);

@@ -93,9 +93,7 @@ impl<R: Real> WantedTorques<R> {
             return Vec::new();
         }
         let own = self.own[lane];
-        (0..self.width * own)
-            .map(|k| self.at(k / own, k % own).lane(lane))
-            .collect()
+        (0..self.width * own).map(|k| self.at(k / own, k % own).lane(lane)).collect()
     }
 
     /// Replaces what lane `lane` remembers by what [`lane`](Self::lane) gave. Whether the length fitted; if
@@ -121,11 +119,7 @@ impl<R: Real> WantedTorques<R> {
     /// A physics step begins.
     #[inline(always)]
     pub fn begin_step(&mut self) {
-        self.newest = if self.newest == 0 {
-            self.depth.max(1) - 1
-        } else {
-            self.newest - 1
-        };
+        self.newest = if self.newest == 0 { self.depth.max(1) - 1 } else { self.newest - 1 };
     }
 
     /// Joint `joint` in the step that began; [`Loop::direct`] while nobody is late.
@@ -193,12 +187,7 @@ impl<R: Real> Loop<'_, R> {
     /// A loop that acts at once and remembers nothing.
     #[inline(always)]
     pub fn direct() -> Self {
-        Self {
-            values_nm: &mut [],
-            newest: 0,
-            begins: R::zero(),
-            any_begins: false,
-        }
+        Self { values_nm: &mut [], newest: 0, begins: R::zero(), any_begins: false }
     }
 
     /// The torque that arrives in a step in which `wanted_nm` is asked for, with a delay of `delay_steps`

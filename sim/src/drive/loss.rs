@@ -39,17 +39,11 @@ impl LossMemory {
             self.lost = false;
             return false;
         }
-        let key = Key {
-            episode: period,
-            ..Key::for_run(loss.seed)
-        };
+        let key = Key { episode: period, ..Key::for_run(loss.seed) };
         let draw = Stream::new(key, Purpose::CommandLoss).uniform(0.0, 1.0);
         let burst = loss.burst.max(1.0);
-        let chance = if self.lost {
-            1.0 - 1.0 / burst
-        } else {
-            loss.share / (burst * (1.0 - loss.share))
-        };
+        let chance =
+            if self.lost { 1.0 - 1.0 / burst } else { loss.share / (burst * (1.0 - loss.share)) };
         self.lost = draw < chance;
         self.lost
     }
@@ -66,11 +60,7 @@ mod tests {
 
     #[test]
     fn as_many_as_asked_in_bursts_as_long_as_asked() {
-        let loss = CommandLoss {
-            share: 0.1,
-            burst: 4.0,
-            seed: 3,
-        };
+        let loss = CommandLoss { share: 0.1, burst: 4.0, seed: 3 };
         const N: usize = 40_000;
         let all = lost(&loss, N);
         let count = all.iter().filter(|&&l| l).count();
@@ -82,16 +72,9 @@ mod tests {
 
     #[test]
     fn the_same_ones_again_by_seed() {
-        let loss = CommandLoss {
-            share: 0.3,
-            burst: 1.0,
-            seed: 9,
-        };
+        let loss = CommandLoss { share: 0.3, burst: 1.0, seed: 9 };
         assert_eq!(lost(&loss, 200), lost(&loss, 200));
-        assert_ne!(
-            lost(&loss, 200),
-            lost(&CommandLoss { seed: 10, ..loss }, 200)
-        );
+        assert_ne!(lost(&loss, 200), lost(&CommandLoss { seed: 10, ..loss }, 200));
         assert!(!lost(&CommandLoss::default(), 200).contains(&true));
     }
 }

@@ -29,11 +29,8 @@ impl ServoDrive<f64> {
         };
         let constant = wide(e.torque_constant_nm_per_a);
         let at_limit = |limit_a: f32| constant * wide(limit_a - e.current_dead_band_a).max(0.0);
-        let current_limit_nm = if e.current_limit_a > 0.0 {
-            at_limit(e.current_limit_a)
-        } else {
-            NO_LIMIT
-        };
+        let current_limit_nm =
+            if e.current_limit_a > 0.0 { at_limit(e.current_limit_a) } else { NO_LIMIT };
         let braking_current_limit_nm = if e.braking_current_limit_a > 0.0 {
             at_limit(e.braking_current_limit_a)
         } else {
@@ -99,10 +96,7 @@ impl JointPassive<f64> {
             .joints()
             .iter()
             .map(|j| {
-                let bare = Self {
-                    presliding_rad: friction::PRESLIDING_RAD,
-                    ..Self::default()
-                };
+                let bare = Self { presliding_rad: friction::PRESLIDING_RAD, ..Self::default() };
                 match j.kind {
                     JointKind::Actuated { index } => {
                         let e = &params.joints[index];
@@ -153,12 +147,7 @@ impl Supply<f64> {
 /// How many steps a lane with parameters `params` has to remember of what its loops asked for, the present
 /// one among them; 0 where none of them is late.
 pub fn loop_memory_steps(params: &LaneParams, dt_s: f64) -> usize {
-    let most = (params.joints.iter())
-        .map(|j| loop_delay::steps(j.loop_delay_s, dt_s))
-        .fold(0.0, f64::max);
-    if most > 0.0 {
-        most.ceil() as usize + 1
-    } else {
-        0
-    }
+    let most =
+        (params.joints.iter()).map(|j| loop_delay::steps(j.loop_delay_s, dt_s)).fold(0.0, f64::max);
+    if most > 0.0 { most.ceil() as usize + 1 } else { 0 }
 }

@@ -47,11 +47,7 @@ fn stops<R: Real>(
         return None;
     }
     let push = stop.law.torque(beyond - short, qd_radps, stop.free_radps2);
-    Some(ImplicitTorque::select(
-        touched,
-        push,
-        ImplicitTorque::none(),
-    ))
+    Some(ImplicitTorque::select(touched, push, ImplicitTorque::none()))
 }
 
 /// How the joint would have accelerated without its stops in a step that began at `q_rad`, `qd_radps` and
@@ -136,19 +132,12 @@ mod tests {
         let free = free_radps2(&hinge(), at(&law(), 0.0), 0.6, 0.0, 0.0, 0.0, -10.0);
         // torque −250 + 0.95·10 = −240.5; −10 + 240.5·20
         assert!((free - (-10.0 + 4810.0)).abs() < 1e-6, "{free}");
-        assert_eq!(
-            free_radps2(&hinge(), at(&law(), 0.0), 0.3, 0.0, 0.0, 0.0, -10.0),
-            -10.0
-        );
+        assert_eq!(free_radps2(&hinge(), at(&law(), 0.0), 0.3, 0.0, 0.0, 0.0, -10.0), -10.0);
     }
 
     #[test]
     fn no_range_no_stop() {
-        let endless = JointPassive {
-            low_rad: -1e6,
-            high_rad: 1e6,
-            ..hinge()
-        };
+        let endless = JointPassive { low_rad: -1e6, high_rad: 1e6, ..hinge() };
         let t = spring_and_stops(&endless, at(&law(), 0.0), 900.0, 0.0);
         assert_eq!(t.stiffness_nm_per_rad, 2.0);
     }

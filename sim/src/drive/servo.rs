@@ -72,16 +72,8 @@ pub fn clamp_nm<R: Real>(
     let forward = R::zero().lt(speed_radps);
     let backward = speed_radps.lt(R::zero());
     let rest = p.tau_max_nm;
-    let high = R::select(
-        forward,
-        driving,
-        R::select(backward, p.tau_brake_max_nm, rest),
-    );
-    let low = R::select(
-        backward,
-        -driving,
-        R::select(forward, -p.tau_brake_max_nm, -rest),
-    );
+    let high = R::select(forward, driving, R::select(backward, p.tau_brake_max_nm, rest));
+    let low = R::select(backward, -driving, R::select(forward, -p.tau_brake_max_nm, -rest));
     torque_nm.clamp(low, high)
 }
 
@@ -177,10 +169,7 @@ pub(crate) mod tests {
 
     #[test]
     fn torque_falls_behind_the_current_and_back() {
-        let p = ServoDrive {
-            torque_saturation_per_nm: 0.5,
-            ..envelope(1.0)
-        };
+        let p = ServoDrive { torque_saturation_per_nm: 0.5, ..envelope(1.0) };
         // 1/(1 + 0.5) and −2/(1 + 1)
         check(saturated_nm(&p, 1.0), 2.0 / 3.0);
         check(saturated_nm(&p, -2.0), -1.0);
@@ -189,11 +178,8 @@ pub(crate) mod tests {
 
     #[test]
     fn the_limit_of_the_current_may_differ_against_the_motion() {
-        let p = ServoDrive {
-            current_limit_nm: 0.5,
-            braking_current_limit_nm: 1.2,
-            ..envelope(1.0)
-        };
+        let p =
+            ServoDrive { current_limit_nm: 0.5, braking_current_limit_nm: 1.2, ..envelope(1.0) };
         let limited = |torque, speed| limit_current_nm(&p, torque, speed);
         check(limited(0.9, 3.0), 0.5); // drives
         check(limited(0.9, -3.0), 0.9); // brakes, within its limit
@@ -260,11 +246,7 @@ pub(crate) mod tests {
     #[test]
     fn dead_band_swallows_small_errors() {
         let acts_on = |error, dead_band_rad, dead_band_jump| {
-            let p = ServoDrive {
-                dead_band_rad,
-                dead_band_jump,
-                ..envelope(1.0)
-            };
+            let p = ServoDrive { dead_band_rad, dead_band_jump, ..envelope(1.0) };
             dead_band(&p, error)
         };
         check(acts_on(0.01, 0.02, 0.0), 0.0);

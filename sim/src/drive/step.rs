@@ -30,11 +30,7 @@ pub struct Step<R> {
 impl<R: Real> Step<R> {
     /// A step of `dt_s`.
     pub fn new(dt_s: f64, centred: bool) -> Self {
-        Self {
-            dt_s: R::splat(dt_s),
-            per_dt: R::splat(1.0 / dt_s),
-            centred,
-        }
+        Self { dt_s: R::splat(dt_s), per_dt: R::splat(1.0 / dt_s), centred }
     }
 
     /// By how much a velocity is greater at the time of the positions, half a step on, with the last step's
@@ -142,11 +138,7 @@ pub fn start<R: Real>(
     stop: StopAt<'_, R>,
 ) -> Driven<R> {
     let soft = R::splat(0.5).lt(p.gear_is_soft);
-    let motor_radps = if f.gear {
-        R::select(soft, m.rotor_radps, qd_radps)
-    } else {
-        qd_radps
-    };
+    let motor_radps = if f.gear { R::select(soft, m.rotor_radps, qd_radps) } else { qd_radps };
     let target_rad = follow(f, p, m, step, command_rad);
     let ahead_radps = step.ahead_radps(p, stop.law.mobility(), qdd_radps2);
     // a rotor behind play or springs has an acceleration of its own
@@ -178,15 +170,7 @@ pub fn start<R: Real>(
 
     let rigid = drag.plus(ImplicitTorque::constant(motor_nm));
     let (on_joint, gear) = if f.gear {
-        let g = gear::step(
-            p,
-            m.lead_rad,
-            motor_radps,
-            qd_radps,
-            motor_nm,
-            &drag,
-            step.dt_s,
-        );
+        let g = gear::step(p, m.lead_rad, motor_radps, qd_radps, motor_nm, &drag, step.dt_s);
         (ImplicitTorque::select(soft, g.torque, rigid), Some(g))
     } else {
         (rigid, None)
@@ -197,11 +181,7 @@ pub fn start<R: Real>(
         motor_radps,
         current_a: servo::current_a(
             p,
-            if f.saturation {
-                servo::unsaturated_nm(p, motor_nm)
-            } else {
-                motor_nm
-            },
+            if f.saturation { servo::unsaturated_nm(p, motor_nm) } else { motor_nm },
         ),
         drag,
         gear,
@@ -291,14 +271,8 @@ fn follow<R: Real>(
         target_rad = m.filtered_rad;
     }
     if f.profile {
-        (m.profile_rad, m.profile_radps) = filter::profile(
-            p,
-            m.profile_rad,
-            m.profile_radps,
-            target_rad,
-            step.dt_s,
-            step.per_dt,
-        );
+        (m.profile_rad, m.profile_radps) =
+            filter::profile(p, m.profile_rad, m.profile_radps, target_rad, step.dt_s, step.per_dt);
         target_rad = m.profile_rad;
     }
     target_rad

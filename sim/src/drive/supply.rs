@@ -36,10 +36,7 @@ impl<R: Real> Bus<R> {
     /// A bus at `volt_v` (> 0).
     #[inline(always)]
     pub fn at(volt_v: R) -> Self {
-        Self {
-            volt_v,
-            per_volt: R::one() / volt_v,
-        }
+        Self { volt_v, per_volt: R::one() / volt_v }
     }
 }
 
@@ -56,11 +53,8 @@ mod tests {
 
     #[test]
     fn sags_by_resistance_times_current_and_recovers() {
-        let p = Supply {
-            open_v: 12.0,
-            resistance_ohm: 0.25,
-            share: filter::lag_share(0.005, 0.002),
-        };
+        let p =
+            Supply { open_v: 12.0, resistance_ohm: 0.25, share: filter::lag_share(0.005, 0.002) };
         // 8 A through 0.25 Ω: 2 V less, after 5 ms 63 % of it
         let mut v = 12.0;
         for _ in 0..50 {

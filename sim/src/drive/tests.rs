@@ -11,10 +11,7 @@ const DT: f64 = 0.001;
 
 #[track_caller]
 fn near(what: &str, got: f64, want: f64, tolerance: f64) {
-    assert!(
-        (got - want).abs() <= tolerance,
-        "{what}: got {got}, want {want} ± {tolerance}"
-    );
+    assert!((got - want).abs() <= tolerance, "{what}: got {got}, want {want} ± {tolerance}");
 }
 
 /// A servo without limits, friction or delay: kp 15, kd 0.3, rotor 0.0022 kg·m².
@@ -40,12 +37,7 @@ fn servo() -> ServoDrive<f64> {
 }
 
 fn hinge() -> JointPassive<f64> {
-    JointPassive {
-        presliding_rad: 0.002,
-        low_rad: -1e6,
-        high_rad: 1e6,
-        ..JointPassive::default()
-    }
+    JointPassive { presliding_rad: 0.002, low_rad: -1e6, high_rad: 1e6, ..JointPassive::default() }
 }
 
 /// A joint with a load of 0.01 kg·m².
@@ -93,10 +85,7 @@ impl Rig {
         let bus = Bus::at(self.volt);
         let m = &mut self.memory;
         self.wanted.begin_step();
-        let stop = StopAt {
-            law: &self.stop,
-            free_radps2: self.free,
-        };
+        let stop = StopAt { law: &self.stop, free_radps2: self.free };
         let d = step::start(
             f,
             &self.servo,
@@ -116,17 +105,7 @@ impl Rig {
         let inertia = 0.01 + self.servo.armature_kgm2() + t.inertia_kgm2;
         let qd = (inertia * self.qd + DT * (load + t.now_nm))
             / (inertia + DT * (t.damping_nms_per_rad + DT * t.stiffness_nm_per_rad));
-        step::finish(
-            f,
-            &self.servo,
-            &self.hinge,
-            m,
-            &dt,
-            &d,
-            DT * qd,
-            self.qd,
-            qd,
-        );
+        step::finish(f, &self.servo, &self.hinge, m, &dt, &d, DT * qd, self.qd, qd);
         let qdd = (qd - self.qd) / DT;
         self.free = passive::free_radps2(&self.hinge, stop, self.q, self.qd, DT * qd, qd, qdd);
         self.q += DT * qd;
@@ -148,10 +127,7 @@ fn swings_as_the_formula_says_with_dampers_at_the_time_of_the_positions() {
     let sigma = 0.5 * 0.4 / 0.0122;
     let omega = (15.0 / 0.0122 - sigma * sigma).sqrt();
     let worst = |centred: bool| {
-        let damped = JointPassive {
-            damping_nms_per_rad: 0.1,
-            ..hinge()
-        };
+        let damped = JointPassive { damping_nms_per_rad: 0.1, ..hinge() };
         let mut rig = Rig::new(servo(), damped);
         rig.centred = centred;
         rig.q = 0.1;
@@ -176,10 +152,7 @@ fn swings_as_the_formula_says_with_dampers_at_the_time_of_the_positions() {
 #[test]
 fn looking_ahead_makes_no_strong_damper_swing() {
     for kd_nms_per_rad in [4.0, 9.0, 18.0] {
-        let damped = ServoDrive {
-            kd_nms_per_rad,
-            ..servo()
-        };
+        let damped = ServoDrive { kd_nms_per_rad, ..servo() };
         let mut rig = Rig::new(damped, hinge());
         (rig.centred, rig.q) = (true, 0.1);
         rig.run(0.1, |_| 0.0, 0.0);
@@ -195,13 +168,7 @@ fn droops_by_load_over_gain_and_integral_takes_it_out() {
     let mut rig = Rig::new(servo(), hinge());
     rig.run(2.0, |_| 0.5, -0.6);
     near("droop", rig.q, 0.46, 1e-6);
-    let mut rig = Rig::new(
-        ServoDrive {
-            ki_nm_per_rad_s: 30.0,
-            ..servo()
-        },
-        hinge(),
-    );
+    let mut rig = Rig::new(ServoDrive { ki_nm_per_rad_s: 30.0, ..servo() }, hinge());
     // slow pole: Ki/Kp = 2 /s; after 4 s 0.04·e⁻⁸ is left
     rig.run(4.0, |_| 0.5, -0.6);
     near("creeps home", rig.q, 0.5, 5e-5);
@@ -209,22 +176,10 @@ fn droops_by_load_over_gain_and_integral_takes_it_out() {
 
 #[test]
 fn resistance_doubles_the_droop_and_dead_band_adds_to_it() {
-    let mut rig = Rig::new(
-        ServoDrive {
-            winding_scale: 2.0,
-            ..servo()
-        },
-        hinge(),
-    );
+    let mut rig = Rig::new(ServoDrive { winding_scale: 2.0, ..servo() }, hinge());
     rig.run(3.0, |_| 0.5, -0.6);
     near("twice the resistance", rig.q, 0.42, 1e-6);
-    let mut rig = Rig::new(
-        ServoDrive {
-            dead_band_rad: 0.01,
-            ..servo()
-        },
-        hinge(),
-    );
+    let mut rig = Rig::new(ServoDrive { dead_band_rad: 0.01, ..servo() }, hinge());
     rig.run(3.0, |_| 0.5, -0.6);
     near("dead band", rig.q, 0.45, 1e-6);
 }
@@ -239,10 +194,7 @@ fn integral_does_not_wind_up() {
             braking_current_limit_nm: 0.5,
             ..servo()
         },
-        JointPassive {
-            low_rad: -0.2,
-            ..hinge()
-        },
+        JointPassive { low_rad: -0.2, ..hinge() },
     );
     rig.run(5.0, |_| 0.0, -0.6);
     // 0.1 N·m on the stop: d = 0.91, 0.91/0.09·0.0122·0.91·2770 = 311 N·m/rad
@@ -256,10 +208,7 @@ fn integral_does_not_wind_up() {
 fn low_pass_lags_by_its_phase() {
     // τ = 50 ms at 2 Hz: gain 1/√(1 + 0.3948) = 0.8467, phase atan(0.6283) = 32.1°
     let tau = 0.05;
-    let p = ServoDrive {
-        low_pass_share: filter::lag_share(tau, DT),
-        ..servo()
-    };
+    let p = ServoDrive { low_pass_share: filter::lag_share(tau, DT), ..servo() };
     let w = 2.0 * std::f64::consts::TAU;
     let respond = |p: ServoDrive<f64>| {
         let mut rig = Rig::new(p, hinge());
@@ -283,26 +232,13 @@ fn low_pass_lags_by_its_phase() {
 #[test]
 fn friction_sets_the_steady_speed() {
     // 0.3 N·m against Coulomb 0.1 and viscous 0.05: (0.3 − 0.1)/0.05 = 4 rad/s
-    let free = ServoDrive {
-        kp_nm_per_rad: 0.0,
-        kd_nms_per_rad: 0.0,
-        ..servo()
-    };
-    let mut rig = Rig::new(
-        free,
-        JointPassive {
-            friction_nm: 0.1,
-            damping_nms_per_rad: 0.05,
-            ..hinge()
-        },
-    );
+    let free = ServoDrive { kp_nm_per_rad: 0.0, kd_nms_per_rad: 0.0, ..servo() };
+    let mut rig =
+        Rig::new(free, JointPassive { friction_nm: 0.1, damping_nms_per_rad: 0.05, ..hinge() });
     rig.run(3.0, |_| 0.0, 0.3);
     near("speed", rig.qd, 4.0, 1e-3);
     // 0.02 heavier forwards, lighter backwards
-    let uneven = ServoDrive {
-        friction_asymmetry_nm: 0.02,
-        ..free
-    };
+    let uneven = ServoDrive { friction_asymmetry_nm: 0.02, ..free };
     let rubbing = rig.hinge;
     let mut rig = Rig::new(uneven, rubbing);
     rig.run(3.0, |_| 0.0, 0.3);
@@ -316,16 +252,8 @@ fn friction_sets_the_steady_speed() {
 fn stribeck_holds_more_than_it_rubs() {
     // Coulomb 0.1, 0.05 more at rest: 0.14 N·m is held, 0.16 breaks away, and then accelerates by 0.06 on
     // 0.0122 kg·m²
-    let p = ServoDrive {
-        kp_nm_per_rad: 0.0,
-        kd_nms_per_rad: 0.0,
-        stribeck_nm: 0.05,
-        ..servo()
-    };
-    let rough = JointPassive {
-        friction_nm: 0.1,
-        ..hinge()
-    };
+    let p = ServoDrive { kp_nm_per_rad: 0.0, kd_nms_per_rad: 0.0, stribeck_nm: 0.05, ..servo() };
+    let rough = JointPassive { friction_nm: 0.1, ..hinge() };
     let mut rig = Rig::new(p, rough);
     for k in 0..2000 {
         rig.step(0.0, 0.14 * f64::from(k) / 2000.0); // slowly: a sudden load would swing the bristle through
@@ -347,11 +275,7 @@ fn load_friction_lifts_and_lowers() {
     // 20 % driving, 40 % driven: lifting 0.5 N·m takes 0.5/0.8, as friction is a share of what passes on … to
     // the load: 0.5·1.2 = 0.6; lowering it takes 0.5·(1 − 0.4) = 0.3. Slow ramps: 0.1 rad/s, with viscous 0
     // and kd·0.1 = 0.03 N·m in the loop's torque already.
-    let p = ServoDrive {
-        load_friction_mean: 0.3,
-        load_friction_half_difference: -0.1,
-        ..servo()
-    };
+    let p = ServoDrive { load_friction_mean: 0.3, load_friction_half_difference: -0.1, ..servo() };
     let mut rig = Rig::new(p, hinge());
     rig.run(4.0, |t| 0.1 * t, -0.5);
     near("lifting", rig.motor_nm, 0.6, 0.003);
@@ -373,11 +297,7 @@ fn play_in_the_gear_is_free_and_has_its_width() {
         gear_damping_nms_per_rad: 0.6 * (1000.0_f64 * 0.0022).sqrt(),
         ..servo()
     };
-    let held = JointPassive {
-        friction_nm: 50.0,
-        presliding_rad: 1e-5,
-        ..hinge()
-    };
+    let held = JointPassive { friction_nm: 50.0, presliding_rad: 1e-5, ..hinge() };
     let mut rig = Rig::new(p, held);
     rig.run(2.0, |_| 0.0, 0.05);
     let one = rig.q;
@@ -424,10 +344,7 @@ fn warm_motor_droops_more() {
 
 /// `p` with a loop that is late by `delay_s`.
 fn late(p: ServoDrive<f64>, delay_s: f64) -> ServoDrive<f64> {
-    ServoDrive {
-        loop_delay_steps: delay_s / DT,
-        ..p
-    }
+    ServoDrive { loop_delay_steps: delay_s / DT, ..p }
 }
 
 #[test]
@@ -441,12 +358,8 @@ fn torque_arrives_after_the_loops_delay() {
         near("torque", rig.motor_nm, want, 1e-12);
     }
     // back-EMF is no part of the loop: it brakes at once
-    let coasting = ServoDrive {
-        kp_nm_per_rad: 0.0,
-        kd_nms_per_rad: 0.0,
-        kd_min_nms_per_rad: 0.2,
-        ..servo()
-    };
+    let coasting =
+        ServoDrive { kp_nm_per_rad: 0.0, kd_nms_per_rad: 0.0, kd_min_nms_per_rad: 0.2, ..servo() };
     let mut rig = Rig::new(late(coasting, 0.01), hinge());
     rig.qd = 2.0;
     rig.step(0.0, 0.0);
@@ -460,11 +373,7 @@ fn late_damping_is_stable_up_to_a_quarter_turn() {
     // /s, e^2.8 = 16 in 4 s
     let limit = 0.5 * std::f64::consts::PI * 0.0122 / 0.0205;
     let growth = |kd: f64| {
-        let p = ServoDrive {
-            kp_nm_per_rad: 0.0,
-            kd_nms_per_rad: kd,
-            ..servo()
-        };
+        let p = ServoDrive { kp_nm_per_rad: 0.0, kd_nms_per_rad: kd, ..servo() };
         let mut rig = Rig::new(late(p, 0.02), hinge());
         // in a step of its own: it did not move before
         rig.step(0.0, 0.0);
@@ -514,39 +423,18 @@ fn short_delays_are_smooth() {
     };
     let none = after(0.0);
     let per_s = (after(1e-6) - none) / 1e-6;
-    near(
-        "1 %",
-        (after(1e-5) - none) / 1e-5,
-        per_s,
-        1e-3 * per_s.abs(),
-    );
-    near(
-        "a step",
-        (after(1e-3) - none) / 1e-3,
-        per_s,
-        0.1 * per_s.abs(),
-    );
+    near("1 %", (after(1e-5) - none) / 1e-5, per_s, 1e-3 * per_s.abs());
+    near("a step", (after(1e-3) - none) / 1e-3, per_s, 0.1 * per_s.abs());
 }
 
 #[test]
 fn ripple_repeats_with_the_angle() {
     // held by 15 N·m/rad against 0.05·sin(16 q): 15·(c − q) + 0.05·sin(16·q) = 0
-    let mut rig = Rig::new(
-        ServoDrive {
-            ripple_nm: 0.05,
-            ripple_per_turn: 16.0,
-            ..servo()
-        },
-        hinge(),
-    );
+    let mut rig =
+        Rig::new(ServoDrive { ripple_nm: 0.05, ripple_per_turn: 16.0, ..servo() }, hinge());
     for command in [0.05, 0.8, -1.3] {
         rig.run(2.0, |_| command, 0.0);
-        near(
-            "balance",
-            15.0 * (command - rig.q) + 0.05 * (16.0 * rig.q).sin(),
-            0.0,
-            1e-6,
-        );
+        near("balance", 15.0 * (command - rig.q) + 0.05 * (16.0 * rig.q).sin(), 0.0, 1e-6);
     }
 }
 
@@ -562,11 +450,7 @@ fn working_neighbours_slow_a_joint_down() {
         taper_nms_v_per_rad: 1.54 / 6.8 * 12.0,
         ..servo()
     };
-    let supply = Supply {
-        open_v: 12.0,
-        resistance_ohm: 0.5,
-        share: filter::lag_share(0.005, DT),
-    };
+    let supply = Supply { open_v: 12.0, resistance_ohm: 0.5, share: filter::lag_share(0.005, DT) };
     for (others, want) in [(0.0, 9.3662), (4.0, 7.8052)] {
         let mut rig = Rig::new(p, hinge());
         for _ in 0..2000 {
@@ -619,24 +503,8 @@ fn a_lane_that_does_not_need_a_stage_is_not_touched_by_it() {
         for (i, f) in [DriveFeatures::default(), all].into_iter().enumerate() {
             let (q, qd) = at[i];
             let m = &mut memories[i];
-            let stop = StopAt {
-                law: &stop,
-                free_radps2: 0.0,
-            };
-            let d = step::start(
-                f,
-                &p,
-                &h,
-                m,
-                late.joint(0),
-                &dt,
-                &bus,
-                command,
-                q,
-                qd,
-                0.0,
-                stop,
-            );
+            let stop = StopAt { law: &stop, free_radps2: 0.0 };
+            let d = step::start(f, &p, &h, m, late.joint(0), &dt, &bus, command, q, qd, 0.0, stop);
             let t = d.torque;
             let next = (0.0122 * qd + dt.dt_s * t.now_nm)
                 / (0.0122 + dt.dt_s * (t.damping_nms_per_rad + dt.dt_s * t.stiffness_nm_per_rad));

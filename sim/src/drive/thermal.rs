@@ -9,11 +9,7 @@ use crate::real::Real;
 /// Rise of the winding's temperature after a step at `current_a`, K.
 #[inline(always)]
 pub fn warm_k<R: Real>(p: &ServoDrive<R>, rise_k: R, current_a: R) -> R {
-    filter::low_pass(
-        rise_k,
-        p.thermal_rise_k_per_a2 * current_a * current_a,
-        p.thermal_share,
-    )
+    filter::low_pass(rise_k, p.thermal_rise_k_per_a2 * current_a * current_a, p.thermal_share)
 }
 
 /// Nominal over present winding resistance at a rise of `rise_k`.

@@ -168,8 +168,7 @@ impl Lane {
             self.memory.out.diverged[0] = true;
             return;
         }
-        self.drive
-            .account(&shared.model, &shared.stops, robot, drive);
+        self.drive.account(&shared.model, &shared.stops, robot, drive);
         robot.add_contacts(&mut self.contacts_ns);
     }
 
@@ -244,10 +243,7 @@ fn check(f: DriveFeatures, water: Option<&Water>) -> Result<(), SimError> {
         (f.load_friction, "friction that grows with the load"),
         (f.asymmetry, "friction that depends on the direction"),
         (f.ripple, "torque ripple"),
-        (
-            water.is_some_and(|w| w.links.iter().any(added)),
-            "added mass of water",
-        ),
+        (water.is_some_and(|w| w.links.iter().any(added)), "added mass of water"),
     ];
     match beyond.iter().find(|(has, _)| *has) {
         Some((_, what)) => Err(cannot(what)),

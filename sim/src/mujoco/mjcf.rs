@@ -128,11 +128,7 @@ impl Robot<'_> {
 }
 
 fn at(pose: &Pose) -> String {
-    format!(
-        r#"pos="{}" quat="{}""#,
-        list(&pose.pos_m),
-        list(&pose.quat_wxyz)
-    )
+    format!(r#"pos="{}" quat="{}""#, list(&pose.pos_m), list(&pose.quat_wxyz))
 }
 
 /// `of`: `limit` for a joint's stop, nothing for a contact.

@@ -64,12 +64,7 @@ impl MujocoEngine {
         if terrain.has_patches() {
             return Err(cannot("slippery patches of ground"));
         }
-        let shared = Shared {
-            stops: Stop::all(&model, &config)?,
-            model,
-            config,
-            terrain,
-        };
+        let shared = Shared { stops: Stop::all(&model, &config)?, model, config, terrain };
         let mut engine = Self {
             process: Process::start(&opening(&shared, lanes))?,
             lanes: Vec::with_capacity(lanes),
@@ -156,9 +151,7 @@ impl Engine for MujocoEngine {
     }
 
     fn params(&self, lane: usize) -> &LaneParams {
-        self.pending[lane]
-            .as_ref()
-            .unwrap_or(&self.lanes[lane].params)
+        self.pending[lane].as_ref().unwrap_or(&self.lanes[lane].params)
     }
 
     fn set_params(&mut self, lane: usize, params: &LaneParams) -> Result<(), SimError> {
@@ -185,10 +178,7 @@ impl Engine for MujocoEngine {
         self.take_pending()?;
         let width = self.shared.model.actuated().len();
         for (i, lane) in self.lanes.iter_mut().enumerate() {
-            lane.begin(
-                &targets_rad[i * width..][..width],
-                &wrenches[i * WRENCH..][..WRENCH],
-            );
+            lane.begin(&targets_rad[i * width..][..width], &wrenches[i * WRENCH..][..WRENCH]);
         }
         for substep in 0..self.shared.config.substeps {
             self.substep(f64::from(substep) * self.shared.config.dt_s)?;

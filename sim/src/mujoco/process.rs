@@ -35,11 +35,9 @@ impl Python {
             .spawn()
             .map_err(|error| format!("{PYTHON}: {error}"))?;
         match (child.stdin.take(), child.stdout.take()) {
-            (Some(input), Some(output)) => Ok(Self {
-                child,
-                input: Some(input),
-                output: BufReader::new(output),
-            }),
+            (Some(input), Some(output)) => {
+                Ok(Self { child, input: Some(input), output: BufReader::new(output) })
+            }
             _ => Err("no pipe to MuJoCo".to_owned()),
         }
     }
@@ -128,9 +126,7 @@ impl Process {
         let length = u32::from_le_bytes(length).min(MAX_TEXT);
         let mut text = vec![0; length as usize];
         self.read(&mut text)?;
-        Err(SimError::Mujoco(
-            String::from_utf8_lossy(&text).into_owned(),
-        ))
+        Err(SimError::Mujoco(String::from_utf8_lossy(&text).into_owned()))
     }
 
     /// Fills `answer` with what comes next.

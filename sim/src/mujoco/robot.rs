@@ -96,10 +96,8 @@ impl Robot {
         let ((q, v), (velocities, _)) = (self.base(), self.parts());
         let three = |from: usize| [0, 1, 2].map(|i| self.answer[from + i]);
         if self.free_base {
-            at.world_from_base = Pose {
-                pos_m: three(0),
-                quat_wxyz: [3, 4, 5, 6].map(|i| self.answer[i]),
-            };
+            at.world_from_base =
+                Pose { pos_m: three(0), quat_wxyz: [3, 4, 5, 6].map(|i| self.answer[i]) };
             at.base_vel_mps = three(velocities);
             at.base_angvel_radps = at.world_from_base.rotate(three(velocities + 3));
         }

@@ -26,10 +26,7 @@ pub(super) fn pose(p: &ModelPose) -> Pose {
 pub(super) fn model_pose(p: &Pose) -> ModelPose {
     let q = [p.rotation.w, p.rotation.x, p.rotation.y, p.rotation.z].map(f64::from);
     let length = q.iter().map(|c| c * c).sum::<f64>().sqrt();
-    ModelPose {
-        pos_m: array(p.translation),
-        quat_wxyz: q.map(|c| c / length),
-    }
+    ModelPose { pos_m: array(p.translation), quat_wxyz: q.map(|c| c / length) }
 }
 
 /// Rotation that takes the x axis to the unit vector `axis`.

@@ -103,16 +103,9 @@ impl Skin {
         give_per_kg: impl Fn(RigidBodyHandle) -> Real,
     ) -> Self {
         let robots = (world.colliders.iter()).filter(|(_, c)| c.user_data != GROUND_TAG);
-        let (colliders, give_per_kg) = robots
-            .map(|(handle, c)| (handle, c.parent().map_or(0.0, &give_per_kg)))
-            .unzip();
-        Self {
-            colliders,
-            give_per_kg,
-            mass_kg,
-            touches: Vec::new(),
-            slides: Vec::new(),
-        }
+        let (colliders, give_per_kg) =
+            robots.map(|(handle, c)| (handle, c.parent().map_or(0.0, &give_per_kg))).unzip();
+        Self { colliders, give_per_kg, mass_kg, touches: Vec::new(), slides: Vec::new() }
     }
 
     /// What slides.
@@ -200,11 +193,7 @@ impl Contact<'_> {
         // Taken over from Rapier it begins where it would be after many steps of such a push, so that the
         // force goes on as it was.
         let due_ns = |t: &Touch| {
-            if t.given {
-                t.allowed_ns / PAID
-            } else {
-                t.allowed_ns
-            }
+            if t.given { t.allowed_ns / PAID } else { t.allowed_ns }
         };
         let owed_ns = self.was_ns + self.touches.iter().map(due_ns).sum::<Real>();
         if self.touches.is_empty() || owed_ns <= 0.0 {
@@ -270,10 +259,7 @@ impl PhysicsHooks for Friction<'_> {
             *contact.friction = 0.0;
             return;
         }
-        let sum = contact
-            .solver_contacts
-            .iter()
-            .fold(Vector::ZERO, |sum, c| sum + c.anchor1);
+        let sum = contact.solver_contacts.iter().fold(Vector::ZERO, |sum, c| sum + c.anchor1);
         *contact.friction *= self.grip.factor(sum / count as Real);
     }
 }

@@ -138,8 +138,7 @@ impl Lane {
             return false;
         }
         self.drive.write(&mut self.memory.out);
-        self.contacts
-            .write(&mut self.memory.out, config.control_period_s());
+        self.contacts.write(&mut self.memory.out, config.control_period_s());
         self.memory.out.is_finite()
     }
 

@@ -133,9 +133,7 @@ impl Engine for RapierEngine {
     }
 
     fn params(&self, lane: usize) -> &LaneParams {
-        self.pending[lane]
-            .as_ref()
-            .unwrap_or(&self.lanes[lane].params)
+        self.pending[lane].as_ref().unwrap_or(&self.lanes[lane].params)
     }
 
     fn set_params(&mut self, lane: usize, params: &LaneParams) -> Result<(), SimError> {
@@ -167,10 +165,7 @@ impl Engine for RapierEngine {
         let shared = &self.shared;
         // A joint-less robot has empty rows, which cannot be cut by width.
         let row = |i: usize| {
-            (
-                &targets_rad[i * width..(i + 1) * width],
-                &wrenches[i * WRENCH..(i + 1) * WRENCH],
-            )
+            (&targets_rad[i * width..(i + 1) * width], &wrenches[i * WRENCH..(i + 1) * WRENCH])
         };
         let share = self.lanes.len().div_ceil(self.threads);
         let run = |first: usize, part: &mut [Lane]| {

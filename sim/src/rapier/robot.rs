@@ -59,11 +59,7 @@ impl Robot {
                 .map_or(0.0, |(_, give)| *give as f32)
         });
         Ok(Self {
-            root_com_m: if handles.free_base {
-                masses[0].com_m
-            } else {
-                [0.0; 3]
-            },
+            root_com_m: if handles.free_base { masses[0].com_m } else { [0.0; 3] },
             loads: vec![Load::default(); handles.bodies.len()],
             skin,
             world,
@@ -74,15 +70,8 @@ impl Robot {
 
     /// Moves a freshly built robot (all joints at zero) to `at`.
     pub fn place(&mut self, at: &Coordinates) {
-        let Self {
-            world,
-            handles,
-            root_com_m,
-            ..
-        } = self;
-        let root_pose = at
-            .world_from_base
-            .compose(&ModelPose::from_pos(*root_com_m));
+        let Self { world, handles, root_com_m, .. } = self;
+        let root_pose = at.world_from_base.compose(&ModelPose::from_pos(*root_com_m));
         let arm = at.world_from_base.rotate(*root_com_m);
         let linvel = convert::vector(add(at.base_vel_mps, cross(at.base_angvel_radps, arm)));
         let angvel = convert::vector(at.base_angvel_radps);
@@ -105,9 +94,7 @@ impl Robot {
             }
         }
         multibody.apply_displacements(&moves);
-        multibody
-            .generalized_velocity_mut()
-            .copy_from_slice(&speeds);
+        multibody.generalized_velocity_mut().copy_from_slice(&speeds);
         multibody.forward_kinematics(&world.bodies, true);
         multibody.update_rigid_bodies(&mut world.bodies, true);
     }
@@ -187,10 +174,7 @@ impl Robot {
                 body.add_torque(slide.arm_m.cross(slide.force_n), false);
             }
         }
-        let friction = Friction {
-            grip,
-            slides: self.skin.slides(),
-        };
+        let friction = Friction { grip, slides: self.skin.slides() };
         self.world.step_with_events(&friction, &());
     }
 
@@ -225,10 +209,7 @@ impl Robot {
     }
 
     fn multibody(&self) -> Option<&Multibody> {
-        self.world
-            .multibody_joints
-            .get(self.handles.multibody)
-            .map(|(m, _)| m)
+        self.world.multibody_joints.get(self.handles.multibody).map(|(m, _)| m)
     }
 }
 
@@ -244,13 +225,7 @@ impl Joints for Robot {
 
     /// Spring and damper implicitly, the rest as it is.
     fn load_joint(&mut self, j: usize, torque: &ImplicitTorque<f32>, _motor_nm: f32) {
-        let Self {
-            world,
-            handles,
-            loads,
-            armature_kgm2,
-            ..
-        } = self;
+        let Self { world, handles, loads, armature_kgm2, .. } = self;
         let Some(dof) = handles.dofs[j] else { return };
         let Some(multibody) = multibody_mut(world, handles) else {
             return;
@@ -262,8 +237,7 @@ impl Joints for Robot {
         };
         // Relaxed where the joint is now: what the spring gives there already is in the constant part.
         let here = link.joint.coords()[dof.axis];
-        link.joint
-            .set_spring(dof.axis, torque.stiffness_nm_per_rad, here);
+        link.joint.set_spring(dof.axis, torque.stiffness_nm_per_rad, here);
         let frame = *link.local_to_world() * link.joint.data.local_frame2;
         let along_axis = frame.rotation * Vector::X * torque.now_nm;
         for (body, sign) in [(dof.child, 1.0), (dof.parent, -1.0)] {
@@ -286,8 +260,5 @@ fn multibody_mut<'a>(
     world: &'a mut PhysicsWorld,
     handles: &RobotHandles,
 ) -> Option<&'a mut Multibody> {
-    world
-        .multibody_joints
-        .get_mut(handles.multibody)
-        .map(|(m, _)| m)
+    world.multibody_joints.get_mut(handles.multibody).map(|(m, _)| m)
 }

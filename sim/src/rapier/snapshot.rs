@@ -74,11 +74,7 @@ fn save_lane(
     terrain: &[u8],
 ) -> Result<SavedLane, SimError> {
     let mut world = encode(&lane.robot.world)?;
-    let terrain_at = if terrain.is_empty() {
-        None
-    } else {
-        find(&world, terrain)
-    };
+    let terrain_at = if terrain.is_empty() { None } else { find(&world, terrain) };
     if let Some(at) = terrain_at {
         world.drain(at..at + terrain.len());
     }
@@ -92,13 +88,7 @@ fn save_lane(
 }
 
 fn load_lane(shared: &Shared, saved: SavedLane, terrain: &[u8]) -> Result<Lane, SimError> {
-    let SavedLane {
-        params,
-        memory,
-        mut world,
-        terrain_at,
-        ..
-    } = saved;
+    let SavedLane { params, memory, mut world, terrain_at, .. } = saved;
     params.validate(&shared.model, 0)?;
     if let Some(at) = terrain_at {
         if at > world.len() {

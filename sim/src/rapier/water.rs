@@ -127,17 +127,12 @@ impl Water {
                 inertia[(i, i)] += f64::from(f.added_inertia_kgm2[i]);
             }
             let carried = f64::from(f.immersed * middle);
-            robot.set_mass(
-                l,
-                convert::mass_properties(mass.mass_kg + carried, &inertia),
-            );
+            robot.set_mass(l, convert::mass_properties(mass.mass_kg + carried, &inertia));
         }
         let held = memory.held[l];
         let in_body = held * middle;
-        let acc = into_link(
-            at,
-            [0, 1, 2].map(|i| (at.com_vel_mps[i] - last_vel_mps[i]) / self.dt_s),
-        );
+        let acc =
+            into_link(at, [0, 1, 2].map(|i| (at.com_vel_mps[i] - last_vel_mps[i]) / self.dt_s));
         let v = into_link(at, at.com_vel_mps);
         let w = into_link(at, at.angvel_radps);
         // −M_a·(a − ω × v), of which the body's own mass does −in_body·a

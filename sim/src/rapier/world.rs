@@ -129,11 +129,7 @@ fn insert_ground(world: &mut PhysicsWorld, shared: &Shared) {
             .friction_combine_rule(CoefficientCombineRule::Max)
             .restitution(0.0)
             .active_hooks(ActiveHooks::MODIFY_SOLVER_CONTACTS)
-            .collision_groups(InteractionGroups::new(
-                GROUND,
-                ROBOT,
-                InteractionTestMode::And,
-            ))
+            .collision_groups(InteractionGroups::new(GROUND, ROBOT, InteractionTestMode::And))
             .user_data(GROUND_TAG)
     };
     let plane = |z: f64| {
@@ -162,10 +158,7 @@ pub(super) fn height_field(terrain: &Terrain) -> Option<SharedShape> {
         }
     }
     let size = grid.size_m() as Real;
-    Some(SharedShape::heightfield(
-        heights,
-        Vector::new(size, 1.0, size),
-    ))
+    Some(SharedShape::heightfield(heights, Vector::new(size, 1.0, size)))
 }
 
 struct Builder<'a> {
@@ -243,19 +236,12 @@ impl Builder<'_> {
         let (mut parent, parent_com) = from;
         // Placement of the current frame in the parent body's frame, before the joint moves.
         let mut placed = ModelPose::from_pos(parent_com.map(|c| -c)).compose(parent_from_link);
-        for (k, slot) in joints
-            .iter()
-            .map(Some)
-            .chain(joints.is_empty().then_some(None))
-            .enumerate()
+        for (k, slot) in
+            joints.iter().map(Some).chain(joints.is_empty().then_some(None)).enumerate()
         {
             let last = k + 1 >= joints.len();
             let com = if last { self.masses[i].com_m } else { [0.0; 3] };
-            let builder = if last {
-                self.link_body(i)
-            } else {
-                massless_body()
-            };
+            let builder = if last { self.link_body(i) } else { massless_body() };
             let child = self.insert_body(handles, builder);
             let joint = match slot {
                 Some(&j) => self.moving_joint(j, &placed, com),
@@ -277,13 +263,7 @@ impl Builder<'_> {
                     JointMotion::Slide => 0,
                     JointMotion::Hinge => 3,
                 };
-                handles.dofs[j] = Some(Dof {
-                    link: 0,
-                    axis,
-                    assembly: 0,
-                    child,
-                    parent,
-                });
+                handles.dofs[j] = Some(Dof { link: 0, axis, assembly: 0, child, parent });
             }
             parent = child;
             placed = ModelPose::IDENTITY;
@@ -343,9 +323,7 @@ impl Builder<'_> {
             .restitution(0.0)
             .collision_groups(self.groups(link))
             .user_data(tag);
-        self.world
-            .colliders
-            .insert_with_parent(collider, body, &mut self.world.bodies);
+        self.world.colliders.insert_with_parent(collider, body, &mut self.world.bodies);
     }
 
     /// What the shapes of a link are, and what they touch.
@@ -392,9 +370,7 @@ impl Builder<'_> {
 }
 
 fn body() -> RigidBodyBuilder {
-    RigidBodyBuilder::dynamic()
-        .can_sleep(false)
-        .ccd_enabled(false)
+    RigidBodyBuilder::dynamic().can_sleep(false).ccd_enabled(false)
 }
 
 fn massless_body() -> RigidBodyBuilder {
@@ -417,23 +393,15 @@ fn collider_shape(shape: Shape) -> Option<(SharedShape, Rotation)> {
     let as_is = Rotation::IDENTITY;
     Some(match shape {
         Shape::Sphere { radius_m } => (SharedShape::ball(radius_m as Real), as_is),
-        Shape::Capsule {
-            radius_m,
-            half_length_m,
-        } => (
-            SharedShape::capsule_z(half_length_m as Real, radius_m as Real),
-            as_is,
-        ),
-        Shape::Cylinder {
-            radius_m,
-            half_length_m,
-        } => (
-            SharedShape::cylinder(half_length_m as Real, radius_m as Real),
-            upright,
-        ),
-        Shape::Box {
-            half_size_m: [x, y, z],
-        } => (SharedShape::cuboid(x as Real, y as Real, z as Real), as_is),
+        Shape::Capsule { radius_m, half_length_m } => {
+            (SharedShape::capsule_z(half_length_m as Real, radius_m as Real), as_is)
+        }
+        Shape::Cylinder { radius_m, half_length_m } => {
+            (SharedShape::cylinder(half_length_m as Real, radius_m as Real), upright)
+        }
+        Shape::Box { half_size_m: [x, y, z] } => {
+            (SharedShape::cuboid(x as Real, y as Real, z as Real), as_is)
+        }
         Shape::Ellipsoid { semi_axes_m } => (ellipsoid(semi_axes_m)?, as_is),
         Shape::Plane => return None,
     })
@@ -448,11 +416,7 @@ fn ellipsoid(semi_axes_m: [f64; 3]) -> Option<SharedShape> {
         let polar = std::f64::consts::PI * f64::from(r) / f64::from(RINGS);
         for s in 0..SECTORS {
             let azimuth = std::f64::consts::TAU * f64::from(s) / f64::from(SECTORS);
-            let unit = [
-                polar.sin() * azimuth.cos(),
-                polar.sin() * azimuth.sin(),
-                polar.cos(),
-            ];
+            let unit = [polar.sin() * azimuth.cos(), polar.sin() * azimuth.sin(), polar.cos()];
             points.push(convert::vector([0, 1, 2].map(|i| unit[i] * semi_axes_m[i])));
         }
     }

@@ -111,10 +111,7 @@ mod tests {
 
     #[track_caller]
     fn near(got: f32, want: f64, tolerance: f64) {
-        assert!(
-            (f64::from(got) - want).abs() <= tolerance,
-            "got {got}, want {want}"
-        );
+        assert!((f64::from(got) - want).abs() <= tolerance, "got {got}, want {want}");
     }
 
     #[test]
@@ -126,39 +123,21 @@ mod tests {
             offset_rad: -0.01,
         };
         // 1.02·1 + 0.005·sin 1.5 − 0.01 = 1.014987: 661.67 counts, so 662: 1.015496
-        near(
-            e.read_rad(&w210(), 1.0),
-            662.0 * std::f64::consts::TAU / 4096.0,
-            1e-6,
-        );
+        near(e.read_rad(&w210(), 1.0), 662.0 * std::f64::consts::TAU / 4096.0, 1e-6);
         // at 0: 0.005·sin 0.5 − 0.01 = −0.007603: −4.96 counts
-        near(
-            e.read_rad(&w210(), 0.0),
-            -5.0 * std::f64::consts::TAU / 4096.0,
-            1e-6,
-        );
-        near(
-            EncoderErrors::default().read_rad(&w210(), 0.1),
-            0.099_708_8,
-            1e-6,
-        ); // 65 counts
+        near(e.read_rad(&w210(), 0.0), -5.0 * std::f64::consts::TAU / 4096.0, 1e-6);
+        near(EncoderErrors::default().read_rad(&w210(), 0.1), 0.099_708_8, 1e-6); // 65 counts
     }
 
     #[test]
     fn a_tilted_imu_sees_gravity_elsewhere() {
         // nose-up by 0.1 rad about y: at rest (0, 0, 9.81) shows −9.81·sin 0.1 along x, 9.81·cos 0.1 along z
-        let m = ImuMounting {
-            tilt_rad: [0.0, 0.1, 0.0],
-            ..ImuMounting::default()
-        };
+        let m = ImuMounting { tilt_rad: [0.0, 0.1, 0.0], ..ImuMounting::default() };
         let seen = m.acc_mps2([0.0, 0.0, 9.81]);
         near(seen[0], -9.81 * 0.1_f64.sin(), 1e-5);
         near(seen[2], 9.81 * 0.1_f64.cos(), 1e-5);
         // a turn about the axis of the tilt is seen whole, scaled by its axis
-        let m = ImuMounting {
-            gyro_gain: [0.0, 0.02, 0.0],
-            ..m
-        };
+        let m = ImuMounting { gyro_gain: [0.0, 0.02, 0.0], ..m };
         near(m.gyro_radps([0.0, 2.0, 0.0])[1], 2.04, 1e-6);
     }
 }

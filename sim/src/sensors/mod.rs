@@ -23,10 +23,7 @@ const G_MPS2: f32 = 9.806_65;
 
 /// Position as a servo reports it: the true one plus its mounting offset, rounded to encoder counts, rad.
 pub fn encoder_pos_rad(servo: &ServoParams, true_rad: f32, offset_rad: f32) -> f32 {
-    let errors = EncoderErrors {
-        offset_rad,
-        ..EncoderErrors::default()
-    };
+    let errors = EncoderErrors { offset_rad, ..EncoderErrors::default() };
     errors.read_rad(servo, true_rad)
 }
 
@@ -48,10 +45,7 @@ impl ImuBias {
     /// Normal offsets with the standard deviations of `imu`.
     pub fn draw(imu: &ImuParams, stream: &mut Stream) -> Self {
         let mut axes = |std: f64| [(); 3].map(|()| std as f32 * stream.normal());
-        Self {
-            gyro_radps: axes(imu.gyro_bias_std_radps),
-            acc_mps2: axes(imu.acc_bias_std_mps2),
-        }
+        Self { gyro_radps: axes(imu.gyro_bias_std_radps), acc_mps2: axes(imu.acc_bias_std_mps2) }
     }
 }
 
@@ -130,13 +124,7 @@ mod tests {
     }
 
     fn stream(env: u64) -> Stream {
-        Stream::new(
-            Key {
-                env,
-                ..Key::for_run(5)
-            },
-            Purpose::Sensor,
-        )
+        Stream::new(Key { env, ..Key::for_run(5) }, Purpose::Sensor)
     }
 
     #[test]
@@ -180,22 +168,12 @@ mod tests {
 
     #[test]
     fn bias_is_a_constant_offset_drawn_per_robot() {
-        let imu = ImuParams {
-            gyro_noise_radps_per_sqrt_hz: 0.0,
-            ..imu()
-        };
+        let imu = ImuParams { gyro_noise_radps_per_sqrt_hz: 0.0, ..imu() };
         let bias = ImuBias::draw(&imu, &mut stream(1));
         assert_eq!(bias, ImuBias::draw(&imu, &mut stream(1)));
         assert_ne!(bias, ImuBias::draw(&imu, &mut stream(2)));
         let read = gyro_radps(&imu, &bias, [1.0, 0.0, 0.0], 0.02, &mut stream(3));
-        assert_eq!(
-            read,
-            [
-                1.0 + bias.gyro_radps[0],
-                bias.gyro_radps[1],
-                bias.gyro_radps[2]
-            ]
-        );
+        assert_eq!(read, [1.0 + bias.gyro_radps[0], bias.gyro_radps[1], bias.gyro_radps[2]]);
         // spread over robots: 0.01745 rad/s
         let sum: f64 = (0..2000)
             .flat_map(|e| ImuBias::draw(&imu, &mut stream(e)).gyro_radps)

@@ -107,10 +107,7 @@ settings! {
 impl TerrainConfig {
     /// The defaults with another kind.
     pub fn of(kind: TerrainKind) -> Self {
-        Self {
-            kind,
-            ..Self::default()
-        }
+        Self { kind, ..Self::default() }
     }
 
     /// Checks every field's range.

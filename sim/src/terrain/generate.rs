@@ -83,10 +83,7 @@ pub(super) fn grid(config: &TerrainConfig, seed: u64) -> Result<Option<HeightGri
         }
     }
     // A slope, steps and a map go from edge to edge; everything else ends at 0.
-    if !matches!(
-        config.kind,
-        TerrainKind::Slope | TerrainKind::Steps | TerrainKind::Map
-    ) {
+    if !matches!(config.kind, TerrainKind::Slope | TerrainKind::Steps | TerrainKind::Map) {
         plan.lower_margin(&mut heights);
     }
     let heights_m = heights.iter().map(|&h| h as f32).collect();
@@ -129,12 +126,7 @@ impl Plan {
                 let (sin, cos) = stream.uniform_f64(0.0, TAU).sin_cos();
                 let phase = stream.uniform_f64(0.0, TAU);
                 // amplitude proportional to the wavelength: every wave is equally steep
-                [
-                    cos * TAU / wavelength,
-                    sin * TAU / wavelength,
-                    phase,
-                    wavelength,
-                ]
+                [cos * TAU / wavelength, sin * TAU / wavelength, phase, wavelength]
             })
             .collect();
         let half = self.half_m();
@@ -203,11 +195,7 @@ impl Plan {
             let (x, y) = (x + self.cell_m / 2.0, y + self.cell_m / 2.0);
             let patch =
                 |at: f64| (((at + half) / config.patch_m).max(0.0) as usize).min(across - 1);
-            if slippery[patch(y) * across + patch(x)] {
-                config.patch_friction as f32
-            } else {
-                1.0
-            }
+            if slippery[patch(y) * across + patch(x)] { config.patch_friction as f32 } else { 1.0 }
         })
     }
 

@@ -27,12 +27,7 @@ impl HeightGrid {
     pub(super) fn new(points: usize, cell_m: f64, heights_m: Vec<f32>, friction: Vec<f32>) -> Self {
         debug_assert_eq!(heights_m.len(), points * points);
         debug_assert_eq!(friction.len(), points * points);
-        Self {
-            points,
-            cell_m,
-            heights_m,
-            friction,
-        }
+        Self { points, cell_m, heights_m, friction }
     }
 
     /// Grid points along one edge.
@@ -73,10 +68,7 @@ impl HeightGrid {
         if !((0.0..=last).contains(&gx) && (0.0..=last).contains(&gy)) {
             return None;
         }
-        let (ix, iy) = (
-            (gx as usize).min(self.points - 2),
-            (gy as usize).min(self.points - 2),
-        );
+        let (ix, iy) = ((gx as usize).min(self.points - 2), (gy as usize).min(self.points - 2));
         Some(([ix, iy], [gx - ix as f64, gy - iy as f64]))
     }
 
@@ -89,15 +81,11 @@ impl HeightGrid {
         } else {
             (h(1, 1) - h(0, 1), h(0, 1) - h(0, 0))
         };
-        Some((
-            h(0, 0) + u * du + v * dv,
-            [du / self.cell_m, dv / self.cell_m],
-        ))
+        Some((h(0, 0) + u * du + v * dv, [du / self.cell_m, dv / self.cell_m]))
     }
 
     /// Friction factor of the cell at `(x, y)`; 1 beyond the edge.
     pub(super) fn friction_factor(&self, x_m: f64, y_m: f64) -> f32 {
-        self.cell(x_m, y_m)
-            .map_or(1.0, |([ix, iy], _)| self.friction[iy * self.points + ix])
+        self.cell(x_m, y_m).map_or(1.0, |([ix, iy], _)| self.friction[iy * self.points + ix])
     }
 }

@@ -21,18 +21,10 @@ impl HeightMap {
     /// Reads a file; black of a picture is 0 and white `white_m`, a table is in metres. The lowest point is
     /// then put at 0.
     pub fn read(file: &Path, white_m: f64) -> Result<Self, SimError> {
-        let wrong = |reason: String| SimError::Map {
-            file: file.display().to_string(),
-            reason,
-        };
-        let size = std::fs::metadata(file)
-            .map_err(|e| wrong(e.to_string()))?
-            .len();
+        let wrong = |reason: String| SimError::Map { file: file.display().to_string(), reason };
+        let size = std::fs::metadata(file).map_err(|e| wrong(e.to_string()))?.len();
         if size > FILE_BYTES_MAX {
-            return Err(wrong(format!(
-                "is larger than {} MiB",
-                FILE_BYTES_MAX >> 20
-            )));
+            return Err(wrong(format!("is larger than {} MiB", FILE_BYTES_MAX >> 20)));
         }
         let bytes = std::fs::read(file).map_err(|e| wrong(e.to_string()))?;
         let rows = match file.extension().and_then(|e| e.to_str()) {
@@ -79,15 +71,10 @@ impl HeightMap {
 
 fn table(bytes: &[u8]) -> Result<Vec<Vec<f64>>, String> {
     let text = std::str::from_utf8(bytes).map_err(|_| "is not UTF-8".to_owned())?;
-    let lines = text
-        .lines()
-        .enumerate()
-        .filter(|(_, line)| !line.trim().is_empty());
+    let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
     lines
         .map(|(number, line)| {
-            let values = line
-                .split([',', ';'])
-                .map(|cell| cell.trim().parse::<f64>());
+            let values = line.split([',', ';']).map(|cell| cell.trim().parse::<f64>());
             let values: Result<_, _> = values.collect();
             values.map_err(|_| format!("has a cell in line {} that is no number", number + 1))
         })
@@ -109,19 +96,14 @@ fn picture(bytes: &[u8], white_m: f64) -> Result<Vec<Vec<f64>>, String> {
         _ => 1,
     };
     let channels = info.color_type.samples();
-    if !matches!(
-        info.color_type,
-        png::ColorType::Grayscale | png::ColorType::GrayscaleAlpha
-    ) {
+    if !matches!(info.color_type, png::ColorType::Grayscale | png::ColorType::GrayscaleAlpha) {
         return Err("is coloured; heights are shades of grey".to_owned());
     }
     let grey = |pixel: &[u8]| match wide {
         2 => f64::from(u16::from_be_bytes([pixel[0], pixel[1]])) / 65_535.0,
         _ => f64::from(pixel[0]) / 255.0,
     };
-    let rows = pixels
-        .chunks_exact(info.line_size)
-        .take(info.height as usize);
+    let rows = pixels.chunks_exact(info.line_size).take(info.height as usize);
     let row = |row: &[u8]| {
         let pixels = row.chunks_exact(channels * wide).take(info.width as usize);
         pixels.map(|pixel| white_m * grey(pixel)).collect()
@@ -182,10 +164,7 @@ mod tests {
             ("a.txt", b"", ".png or .csv"),
         ] {
             let (_folder, path) = file(name, bytes);
-            let error = HeightMap::read(&path, 0.1)
-                .unwrap_err()
-                .to_string()
-                .to_lowercase();
+            let error = HeightMap::read(&path, 0.1).unwrap_err().to_string().to_lowercase();
             assert!(error.contains(reason), "{error}");
         }
     }

@@ -29,10 +29,7 @@ pub struct Terrain {
 impl Terrain {
     /// The dry plane z = 0, without end.
     pub fn flat() -> Self {
-        Self {
-            grid: None,
-            water_level_m: None,
-        }
+        Self { grid: None, water_level_m: None }
     }
 
     /// Draws the terrain of `config` from `seed`.
@@ -70,31 +67,20 @@ impl Terrain {
 
     /// Unit normal of the facet at `(x, y)`, world.
     pub fn normal(&self, x_m: f32, y_m: f32) -> [f32; 3] {
-        let slope = self
-            .grid
-            .as_ref()
-            .and_then(|g| g.sample(f64::from(x_m), f64::from(y_m)));
+        let slope = self.grid.as_ref().and_then(|g| g.sample(f64::from(x_m), f64::from(y_m)));
         let [sx, sy] = slope.map_or([0.0, 0.0], |(_, s)| s);
         let length = (sx * sx + sy * sy + 1.0).sqrt();
-        [
-            (-sx / length) as f32,
-            (-sy / length) as f32,
-            (1.0 / length) as f32,
-        ]
+        [(-sx / length) as f32, (-sy / length) as f32, (1.0 / length) as f32]
     }
 
     /// Factor on the robot's friction coefficients at `(x, y)`; 1 but on slippery patches.
     pub fn friction_factor(&self, x_m: f32, y_m: f32) -> f32 {
-        self.grid
-            .as_ref()
-            .map_or(1.0, |g| g.friction_factor(f64::from(x_m), f64::from(y_m)))
+        self.grid.as_ref().map_or(1.0, |g| g.friction_factor(f64::from(x_m), f64::from(y_m)))
     }
 
     /// Whether any place has another friction factor than 1.
     pub fn has_patches(&self) -> bool {
-        self.grid
-            .as_ref()
-            .is_some_and(|g| g.friction().iter().any(|&f| f != 1.0))
+        self.grid.as_ref().is_some_and(|g| g.friction().iter().any(|&f| f != 1.0))
     }
 
     /// A number that differs between terrains (FNV-1a over everything): snapshots keep it, to be restored on

@@ -3,10 +3,7 @@
 use super::*;
 
 fn grid(config: &TerrainConfig, seed: u64) -> HeightGrid {
-    Terrain::generate(config, seed)
-        .unwrap()
-        .grid
-        .expect("a height field")
+    Terrain::generate(config, seed).unwrap().grid.expect("a height field")
 }
 
 fn terrain(kind: TerrainKind) -> Terrain {
@@ -21,12 +18,7 @@ fn near(got: f32, want: f64) {
 fn heights_are_interpolated_on_two_triangles() {
     // One cell of 2 m: corners h00 = 0, h10 = 1, h01 = 2, h11 = 5 (first index x).
     let t = Terrain {
-        grid: Some(HeightGrid::new(
-            2,
-            2.0,
-            vec![0.0, 1.0, 2.0, 5.0],
-            vec![0.5; 4],
-        )),
+        grid: Some(HeightGrid::new(2, 2.0, vec![0.0, 1.0, 2.0, 5.0], vec![0.5; 4])),
         water_level_m: None,
     };
     // u = 0.75, v = 0.25 (right triangle): 0 + 0.75·1 + 0.25·(5 − 1) = 1.75
@@ -39,10 +31,7 @@ fn heights_are_interpolated_on_two_triangles() {
     for (got, want) in n.iter().zip([-1.5 / l, -1.0 / l, 1.0 / l]) {
         near(*got, want);
     }
-    assert_eq!(
-        (t.friction_factor(0.0, 0.0), t.friction_factor(1.5, 0.0)),
-        (0.5, 1.0)
-    );
+    assert_eq!((t.friction_factor(0.0, 0.0), t.friction_factor(1.5, 0.0)), (0.5, 1.0));
     assert_eq!(t.height_m(1.5, 0.0), -APRON_DROP_M as f32);
     assert_eq!(t.height_m(f32::NAN, 0.0), -APRON_DROP_M as f32);
 }
@@ -149,10 +138,7 @@ fn the_shore_goes_from_dry_land_into_the_pool() {
 #[test]
 fn the_ground_grows_harder_from_right_to_left() {
     let graded = |kind| {
-        let config = TerrainConfig {
-            easiest_share: 0.5,
-            ..TerrainConfig::of(kind)
-        };
+        let config = TerrainConfig { easiest_share: 0.5, ..TerrainConfig::of(kind) };
         Terrain::generate(&config, 3).unwrap()
     };
     // 16 m wide: at y = −8 half as hard, at −4 five eighths, at 8 as hard as without
@@ -166,13 +152,8 @@ fn the_ground_grows_harder_from_right_to_left() {
     near(drop(&steps, -4.0), 0.025);
     near(drop(&steps, 8.0), 0.04);
     // rugged, away from its margin: nowhere higher than its share of 4 cm, but nearly so somewhere
-    let rugged = grid(
-        &TerrainConfig {
-            easiest_share: 0.5,
-            ..TerrainConfig::of(TerrainKind::Rugged)
-        },
-        3,
-    );
+    let rugged =
+        grid(&TerrainConfig { easiest_share: 0.5, ..TerrainConfig::of(TerrainKind::Rugged) }, 3);
     let row = |iy: usize| (20..140).map(move |ix| (ix, iy));
     for (iy, most) in [(20, 0.02 * 1.125), (140, 0.02 * 1.875)] {
         let highest = row(iy).map(|(x, y)| rugged.at(x, y)).fold(0.0, f32::max);
@@ -184,26 +165,16 @@ fn the_ground_grows_harder_from_right_to_left() {
 fn water_stands_where_it_should() {
     assert_eq!(terrain(TerrainKind::Rough).water_level_m(), None);
     let pool = terrain(TerrainKind::DeepWater);
-    assert_eq!(
-        (pool.water_level_m(), pool.height_m(3.0, 50.0)),
-        (Some(2.0), 0.0)
-    );
-    let flooded = TerrainConfig {
-        water_level_m: 0.25,
-        ..TerrainConfig::of(TerrainKind::Hills)
-    };
+    assert_eq!((pool.water_level_m(), pool.height_m(3.0, 50.0)), (Some(2.0), 0.0));
+    let flooded = TerrainConfig { water_level_m: 0.25, ..TerrainConfig::of(TerrainKind::Hills) };
     let flooded = Terrain::generate(&flooded, 1).unwrap();
     assert_eq!(flooded.water_level_m(), Some(0.25));
 }
 
 #[test]
 fn same_seed_same_ground_and_the_fingerprint_tells_them_apart() {
-    let drawn = [
-        TerrainKind::Hills,
-        TerrainKind::Rugged,
-        TerrainKind::RoughMedium,
-        TerrainKind::Slippery,
-    ];
+    let drawn =
+        [TerrainKind::Hills, TerrainKind::Rugged, TerrainKind::RoughMedium, TerrainKind::Slippery];
     let make = |kind, seed| Terrain::generate(&TerrainConfig::of(kind), seed).unwrap();
     for kind in drawn {
         assert_eq!(make(kind, 7), make(kind, 7));
@@ -222,31 +193,16 @@ fn same_seed_same_ground_and_the_fingerprint_tells_them_apart() {
 #[test]
 fn refuses_what_is_out_of_range() {
     let message = |config: TerrainConfig| Terrain::generate(&config, 0).unwrap_err().to_string();
-    let tiny = TerrainConfig {
-        cell_m: 0.001,
-        ..TerrainConfig::of(TerrainKind::Rugged)
-    };
+    let tiny = TerrainConfig { cell_m: 0.001, ..TerrainConfig::of(TerrainKind::Rugged) };
     assert!(message(tiny).starts_with("terrain.cell_m = 0.001"));
-    let many = TerrainConfig {
-        size_m: 100.0,
-        cell_m: 0.02,
-        ..TerrainConfig::of(TerrainKind::Rugged)
-    };
+    let many =
+        TerrainConfig { size_m: 100.0, cell_m: 0.02, ..TerrainConfig::of(TerrainKind::Rugged) };
     assert!(message(many).contains("2048 grid points"));
-    let fine_steps = TerrainConfig {
-        size_m: 100.0,
-        ..TerrainConfig::of(TerrainKind::Steps)
-    };
+    let fine_steps = TerrainConfig { size_m: 100.0, ..TerrainConfig::of(TerrainKind::Steps) };
     assert!(message(fine_steps).contains("2048 grid points"));
-    let nan = TerrainConfig {
-        slope_deg: f64::NAN,
-        ..TerrainConfig::of(TerrainKind::Hills)
-    };
+    let nan = TerrainConfig { slope_deg: f64::NAN, ..TerrainConfig::of(TerrainKind::Hills) };
     assert!(message(nan).contains("slope_deg"));
-    let level_shore = TerrainConfig {
-        slope_deg: 0.0,
-        ..TerrainConfig::of(TerrainKind::Shore)
-    };
+    let level_shore = TerrainConfig { slope_deg: 0.0, ..TerrainConfig::of(TerrainKind::Shore) };
     assert!(message(level_shore).contains("shore"));
     assert!(serde_json::from_str::<TerrainConfig>(r#"{ "kind": "lava" }"#).is_err());
     assert!(serde_json::from_str::<TerrainConfig>(r#"{ "depth": 1 }"#).is_err());
@@ -262,10 +218,7 @@ fn a_kind_is_called_the_same_everywhere() {
 
 #[test]
 fn the_mixed_ground_has_one_kind_in_each_square() {
-    let config = TerrainConfig {
-        size_m: 32.0,
-        ..TerrainConfig::of(TerrainKind::Mixed)
-    };
+    let config = TerrainConfig { size_m: 32.0, ..TerrainConfig::of(TerrainKind::Mixed) };
     let t = Terrain::generate(&config, 5).unwrap();
     let along = |x0: f32, y0: f32| -> Vec<f32> {
         (0..120)

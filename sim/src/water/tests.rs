@@ -10,37 +10,20 @@ const LEVEL: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
 #[track_caller]
 fn near(what: &str, got: f64, want: f64, tolerance: f64) {
-    assert!(
-        (got - want).abs() <= tolerance,
-        "{what}: got {got}, want {want} ± {tolerance}"
-    );
+    assert!((got - want).abs() <= tolerance, "{what}: got {got}, want {want} ± {tolerance}");
 }
 
 /// A body of half extents `half` around its origin; nothing else.
 fn body(half: [f64; 3], roundness: f64, displaced_kg: f64) -> WaterLink<f64> {
-    WaterLink {
-        half_m: half,
-        roundness,
-        displaced_kg,
-        ..WaterLink::default()
-    }
+    WaterLink { half_m: half, roundness, displaced_kg, ..WaterLink::default() }
 }
 
 fn still() -> Surface<f64> {
-    Surface {
-        level_m: 0.0,
-        current_mps: [0.0; 3],
-        gravity_mps2: [0.0, 0.0, -G],
-    }
+    Surface { level_m: 0.0, current_mps: [0.0; 3], gravity_mps2: [0.0, 0.0, -G] }
 }
 
 fn level_at(z: f64, vel: [f64; 3]) -> LinkMotion<f64> {
-    LinkMotion {
-        rotation: LEVEL,
-        origin_z_m: z,
-        com_vel_mps: vel,
-        angvel_radps: [0.0; 3],
-    }
+    LinkMotion { rotation: LEVEL, origin_z_m: z, com_vel_mps: vel, angvel_radps: [0.0; 3] }
 }
 
 /// Height and vertical velocity of a body of `mass` kg after `time` s, semi-implicit steps of `dt`; `each`
@@ -66,27 +49,11 @@ fn fall(
 #[test]
 fn terminal_velocity_linear_and_quadratic() {
     // 0.2 kg displacing 0.1: 0.981 N of net weight. Linear 0.5 N·s/m: 1.962 m/s
-    let linear = WaterLink {
-        linear_force: [0.0, 0.0, 0.5],
-        ..body([0.05; 3], 0.0, 0.1)
-    };
-    near(
-        "linear",
-        fall(&linear, 0.2, (-5.0, 0.0), 5.0, |_, _, _| ()).1,
-        -1.962,
-        1e-3,
-    );
+    let linear = WaterLink { linear_force: [0.0, 0.0, 0.5], ..body([0.05; 3], 0.0, 0.1) };
+    near("linear", fall(&linear, 0.2, (-5.0, 0.0), 5.0, |_, _, _| ()).1, -1.962, 1e-3);
     // quadratic 2 N·s²/m²: √(0.981/2) = 0.70036 m/s
-    let quadratic = WaterLink {
-        quadratic_force: [0.0, 0.0, 2.0],
-        ..body([0.05; 3], 0.0, 0.1)
-    };
-    near(
-        "quadratic",
-        fall(&quadratic, 0.2, (-5.0, 0.0), 5.0, |_, _, _| ()).1,
-        -0.700_36,
-        1e-4,
-    );
+    let quadratic = WaterLink { quadratic_force: [0.0, 0.0, 2.0], ..body([0.05; 3], 0.0, 0.1) };
+    near("quadratic", fall(&quadratic, 0.2, (-5.0, 0.0), 5.0, |_, _, _| ()).1, -0.700_36, 1e-4);
     // and upwards, lighter than water: the same way round
     near(
         "rises",
@@ -99,38 +66,17 @@ fn terminal_velocity_linear_and_quadratic() {
 #[test]
 fn box_floats_where_it_displaces_its_weight() {
     // 0.7 of the displaced mass, a box 0.1 m high: 7 cm below the surface, so its centre is at −2 cm
-    let p = WaterLink {
-        heave_ns_per_m: 5.0,
-        ..body([0.2, 0.1, 0.05], 0.0, 1.0)
-    };
-    near(
-        "float line",
-        fall(&p, 0.7, (0.1, 0.0), 20.0, |_, _, _| ()).0,
-        -0.02,
-        1e-5,
-    );
+    let p = WaterLink { heave_ns_per_m: 5.0, ..body([0.2, 0.1, 0.05], 0.0, 1.0) };
+    near("float line", fall(&p, 0.7, (0.1, 0.0), 20.0, |_, _, _| ()).0, -0.02, 1e-5);
 }
 
 #[test]
 fn ball_floats_at_its_cubic() {
     // half the density of water: half under
-    let p = WaterLink {
-        heave_ns_per_m: 5.0,
-        ..body([0.1; 3], 1.0, 1.0)
-    };
-    near(
-        "half",
-        fall(&p, 0.5, (0.3, 0.0), 20.0, |_, _, _| ()).0,
-        0.0,
-        1e-5,
-    );
+    let p = WaterLink { heave_ns_per_m: 5.0, ..body([0.1; 3], 1.0, 1.0) };
+    near("half", fall(&p, 0.5, (0.3, 0.0), 20.0, |_, _, _| ()).0, 0.0, 1e-5);
     // 3x² − 2x³ = 0.7 at x = 0.63668: centre at 0.1 − 0.2·0.63668
-    near(
-        "0.7",
-        fall(&p, 0.7, (0.3, 0.0), 20.0, |_, _, _| ()).0,
-        0.1 - 0.2 * 0.636_68,
-        1e-4,
-    );
+    near("0.7", fall(&p, 0.7, (0.3, 0.0), 20.0, |_, _, _| ()).0, 0.1 - 0.2 * 0.636_68, 1e-4);
 }
 
 #[test]
@@ -138,17 +84,9 @@ fn bobs_at_its_frequency_and_dies_at_its_rate() {
     // box 0.4 × 0.2 × 0.1 m of water 8 kg, itself 5.6 kg: restoring ρ·A·g = 1000·0.08·9.81 = 784.8 N/m. With
     // k_d = 12 N·s/m at 0.7 immersion: decay k_d·0.7/(2m) = 0.75 /s, ω = √(784.8/5.6 − 0.5625) = 11.814
     // rad/s. Small bobs (5 mm).
-    let p = WaterLink {
-        heave_ns_per_m: 12.0,
-        ..body([0.2, 0.1, 0.05], 0.0, 8.0)
-    };
+    let p = WaterLink { heave_ns_per_m: 12.0, ..body([0.2, 0.1, 0.05], 0.0, 8.0) };
     let (period, decay) = bob(&p, 5.6);
-    near(
-        "period",
-        period,
-        2.0 * PI / 11.814,
-        0.01 * 2.0 * PI / 11.814,
-    );
+    near("period", period, 2.0 * PI / 11.814, 0.01 * 2.0 * PI / 11.814);
     near("decay", decay, 0.75, 0.0075);
 }
 
@@ -203,56 +141,24 @@ fn drag_works_in_link_axes() {
     near("force", f.force_n[1], -4.2, 1e-12);
     // world x is the link's −y: −(0.02·3 + 0.2·9)
     near("torque", f.torque_nm[0], -1.86, 1e-12);
-    near(
-        "secant damping",
-        f.damping_ns_per_m[0],
-        0.1 + 1.0 * 2.0,
-        1e-12,
-    );
-    near(
-        "secant damping",
-        f.damping_nms_per_rad[1],
-        0.02 + 0.2 * 3.0,
-        1e-12,
-    );
-    assert_eq!(
-        (f.force_n[0], f.force_n[2], f.torque_nm[1]),
-        (0.0, 0.0, 0.0)
-    );
+    near("secant damping", f.damping_ns_per_m[0], 0.1 + 1.0 * 2.0, 1e-12);
+    near("secant damping", f.damping_nms_per_rad[1], 0.02 + 0.2 * 3.0, 1e-12);
+    assert_eq!((f.force_n[0], f.force_n[2], f.torque_nm[1]), (0.0, 0.0, 0.0));
 }
 
 #[test]
 fn moving_water_takes_along() {
-    let p = WaterLink {
-        quadratic_force: [1.0; 3],
-        ..body([0.05; 3], 0.0, 0.0)
-    };
-    let stream = Surface {
-        current_mps: [0.5, 0.0, 0.0],
-        ..still()
-    };
-    near(
-        "at rest",
-        forces(&p, &level_at(-1.0, [0.0; 3]), &stream).force_n[0],
-        0.25,
-        1e-12,
-    );
-    near(
-        "with it",
-        forces(&p, &level_at(-1.0, [0.5, 0.0, 0.0]), &stream).force_n[0],
-        0.0,
-        1e-12,
-    );
+    let p = WaterLink { quadratic_force: [1.0; 3], ..body([0.05; 3], 0.0, 0.0) };
+    let stream = Surface { current_mps: [0.5, 0.0, 0.0], ..still() };
+    near("at rest", forces(&p, &level_at(-1.0, [0.0; 3]), &stream).force_n[0], 0.25, 1e-12);
+    near("with it", forces(&p, &level_at(-1.0, [0.5, 0.0, 0.0]), &stream).force_n[0], 0.0, 1e-12);
 }
 
 #[test]
 fn centre_of_buoyancy_rights() {
     // 2 cm above the centre of mass, heeled by 0.1 rad about x: −m·g·h·sin 0.1
     let (s, c) = 0.1_f64.sin_cos();
-    let p = WaterLink {
-        buoyancy_m: [0.0, 0.0, 0.02],
-        ..body([0.05; 3], 0.0, 2.0)
-    };
+    let p = WaterLink { buoyancy_m: [0.0, 0.0, 0.02], ..body([0.05; 3], 0.0, 2.0) };
     let at = LinkMotion {
         rotation: [[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]],
         ..level_at(-1.0, [0.0; 3])
@@ -265,18 +171,12 @@ fn centre_of_buoyancy_rights() {
 #[test]
 fn share_under_water() {
     let share = |p: &WaterLink<f64>, rotation, z: f64| {
-        let at = LinkMotion {
-            rotation,
-            ..level_at(z, [0.0; 3])
-        };
+        let at = LinkMotion { rotation, ..level_at(z, [0.0; 3]) };
         forces(p, &at, &still()).immersed
     };
     let flat = body([0.2, 0.1, 0.05], 0.0, 1.0);
     near("box", share(&flat, LEVEL, 0.025), 0.25, 1e-12);
-    assert_eq!(
-        (share(&flat, LEVEL, 0.06), share(&flat, LEVEL, -0.06)),
-        (0.0, 1.0)
-    );
+    assert_eq!((share(&flat, LEVEL, 0.06), share(&flat, LEVEL, -0.06)), (0.0, 1.0));
     // stood on end (x up): 0.4 m high
     let on_end = [[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]];
     near("on end", share(&flat, on_end, 0.1), 0.25, 1e-12);
@@ -306,12 +206,7 @@ fn added_mass_keeps_the_energy_of_the_water() {
         ..level_at(-1.0, [0.0; 3])
     };
     let f = forces(&p, &at, &still());
-    near(
-        "power",
-        dot(f.force_n, at.com_vel_mps) + dot(f.torque_nm, at.angvel_radps),
-        0.0,
-        1e-12,
-    );
+    near("power", dot(f.force_n, at.com_vel_mps) + dot(f.torque_nm, at.angvel_radps), 0.0, 1e-12);
     // Munk's moment: moving askew, a body turns broadside: τ_z = −(m_y − m_x)·v_x·v_y
     let askew = forces(&p, &level_at(-1.0, [0.5, 0.2, 0.0]), &still());
     near("Munk", askew.torque_nm[2], -(1.0 - 0.1) * 0.5 * 0.2, 1e-12);
@@ -330,11 +225,7 @@ fn polymander_has_the_drag_its_file_says() {
     // it floats: 1.43 of its mass displaced
     let displaced: f64 = links.iter().map(|l| l.displaced_kg).sum();
     near("displaced", displaced / model.total_mass_kg(), 1.43, 1e-9);
-    assert!(
-        links
-            .iter()
-            .all(|l| l.half_m.iter().all(|&h| h > 0.002 && h < 0.2))
-    );
+    assert!(links.iter().all(|l| l.half_m.iter().all(|&h| h > 0.002 && h < 0.2)));
 }
 
 #[test]
@@ -356,11 +247,7 @@ fn one_lane_in_single_precision_agrees() {
             com_vel_mps: at.com_vel_mps.map(|x| x as f32),
             angvel_radps: [0.0_f32; 3],
         },
-        &Surface {
-            level_m: 0.0_f32,
-            current_mps: [0.0; 3],
-            gravity_mps2: [0.0, 0.0, -G as f32],
-        },
+        &Surface { level_m: 0.0_f32, current_mps: [0.0; 3], gravity_mps2: [0.0, 0.0, -G as f32] },
     );
     for i in 0..3 {
         near("force", f64::from(g.force_n[i]), f.force_n[i], 1e-5);

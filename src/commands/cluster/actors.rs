@@ -49,9 +49,7 @@ pub struct ActorsArgs {
 pub fn run(args: &ActorsArgs, process: &Process) -> Result<(), Failure> {
     let mut flags = args.config.clone();
     let endpoints = format!("transport.zenoh_connect={:?}", args.connect);
-    flags
-        .overrides
-        .extend(["transport.kind=zenoh".to_owned(), endpoints]);
+    flags.overrides.extend(["transport.kind=zenoh".to_owned(), endpoints]);
     let config = flags.load().or_exit(ExitCode::BadConfig)?;
     let run_id = args.run_id.as_deref().unwrap_or(config.cluster_run_id());
     let name = match &args.name {
@@ -84,9 +82,7 @@ pub fn run(args: &ActorsArgs, process: &Process) -> Result<(), Failure> {
         began: Instant::now(),
         joined: 0,
         alone_said_at: ALONE_SAID_AFTER,
-        slots: (0..count)
-            .map(|index| Slot::new(&config, &name, index))
-            .collect(),
+        slots: (0..count).map(|index| Slot::new(&config, &name, index)).collect(),
     };
     let result = host.watch(&process.stop);
     let patience = STOP_MAX + Duration::from_secs_f64(config.actors.flush_timeout_s);
@@ -131,11 +127,7 @@ impl Slot {
         let restarts = config.actors.restarts_per_minute;
         let mut actor = Watched::new(format!("actor {name}"), restarts);
         actor.call(true);
-        Self {
-            name,
-            actor,
-            last_incarnation: 0,
-        }
+        Self { name, actor, last_incarnation: 0 }
     }
 
     /// By the clock, so that it is larger than any that an earlier supervisor of this host gave out.

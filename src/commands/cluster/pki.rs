@@ -70,14 +70,7 @@ pub fn run(command: &PkiCommand) -> Result<(), Failure> {
             ));
             Ok(())
         }
-        PkiCommand::Issue {
-            dir,
-            role,
-            name,
-            hosts,
-            days,
-            renew,
-        } => {
+        PkiCommand::Issue { dir, role, name, hosts, days, renew } => {
             let role: Role = role.parse().map_err(failure)?;
             if role.listens() && hosts.is_empty() {
                 let message =
@@ -92,9 +85,7 @@ pub fn run(command: &PkiCommand) -> Result<(), Failure> {
                 days: *days,
             };
             let authority = Authority::open(dir).map_err(failure)?;
-            let folder = authority
-                .issue(&request, SystemTime::now(), *renew)
-                .map_err(failure)?;
+            let folder = authority.issue(&request, SystemTime::now(), *renew).map_err(failure)?;
             say::line(format!(
                 "{}: {role} `{}`, valid for {days} days",
                 folder.display(),
@@ -113,9 +104,8 @@ fn issued(dir: &Path) -> Result<Vec<PathBuf>, Failure> {
         Failure::message(ExitCode::NoInput, format!("{}: {error}", dir.display()))
     })?;
     let folders = entries.flatten().map(|entry| entry.path());
-    let mut folders: Vec<PathBuf> = folders
-        .filter(|folder| folder.join(CERTIFICATE_FILE).is_file())
-        .collect();
+    let mut folders: Vec<PathBuf> =
+        folders.filter(|folder| folder.join(CERTIFICATE_FILE).is_file()).collect();
     folders.sort();
     Ok(folders)
 }
@@ -138,9 +128,8 @@ fn renew(dir: &Path, within_days: u32) -> Result<(), Failure> {
     let mut rows = Vec::new();
     for folder in issued(dir)? {
         let name = name_of(&folder);
-        let (until, renewed) = authority
-            .renew(&name, SystemTime::now(), within)
-            .map_err(failure)?;
+        let (until, renewed) =
+            authority.renew(&name, SystemTime::now(), within).map_err(failure)?;
         let what = if renewed { "renewed" } else { "kept" };
         rows.push(vec![name, what.to_owned(), days_left(until)]);
     }

@@ -85,10 +85,7 @@ fn announced(config: &Config) -> Result<String, Failure> {
         }
         _ => (
             ExitCode::NoInput,
-            format!(
-                "the run in {} does not say where its metrics are",
-                folder.display()
-            ),
+            format!("the run in {} does not say where its metrics are", folder.display()),
         ),
     };
     Err(Failure::message(code, message).hint(hint))
@@ -97,25 +94,18 @@ fn announced(config: &Config) -> Result<String, Failure> {
 /// The page at `http://address/metrics`.
 fn fetch(address: &str) -> std::io::Result<String> {
     let mut addresses = address.to_socket_addrs()?;
-    let address = addresses
-        .next()
-        .ok_or_else(|| std::io::Error::other("no such host"))?;
+    let address = addresses.next().ok_or_else(|| std::io::Error::other("no such host"))?;
     let mut stream = TcpStream::connect_timeout(&address, PATIENCE)?;
     stream.set_read_timeout(Some(PATIENCE))?;
     stream.set_write_timeout(Some(PATIENCE))?;
-    write!(
-        stream,
-        "GET /metrics HTTP/1.0\r\nHost: caudata\r\nConnection: close\r\n\r\n"
-    )?;
+    write!(stream, "GET /metrics HTTP/1.0\r\nHost: caudata\r\nConnection: close\r\n\r\n")?;
     let mut answer = String::new();
     stream.take(PAGE_BYTES_MAX).read_to_string(&mut answer)?;
     let (head, body) = answer
         .split_once("\r\n\r\n")
         .ok_or_else(|| std::io::Error::other("not an answer in HTTP"))?;
     if !head.starts_with("HTTP/1.1 200") && !head.starts_with("HTTP/1.0 200") {
-        return Err(std::io::Error::other(
-            head.lines().next().unwrap_or_default().to_owned(),
-        ));
+        return Err(std::io::Error::other(head.lines().next().unwrap_or_default().to_owned()));
     }
     Ok(body.to_owned())
 }
@@ -207,10 +197,7 @@ caudata_policy_staleness_versions 0.25
         assert_eq!(status["lag"], 0.25);
         assert_eq!(status["frames"], json!({"waiting": 12, "stale": 3}));
         assert_eq!(status["advice"], "fewer actors");
-        assert!(
-            status["iteration"].is_null(),
-            "what is absent is not made up"
-        );
+        assert!(status["iteration"].is_null(), "what is absent is not made up");
     }
 
     #[test]

@@ -106,9 +106,7 @@ pub fn run_dir(config: &Config) -> PathBuf {
 
 /// One core stays for the learner.
 fn spare_cores() -> u32 {
-    u32::try_from(caudata_studies::flags::cores().saturating_sub(1))
-        .unwrap_or(1)
-        .max(1)
+    u32::try_from(caudata_studies::flags::cores().saturating_sub(1)).unwrap_or(1).max(1)
 }
 
 /// How more actors come to a learner that listens there.
@@ -132,9 +130,7 @@ fn joining(address: &str) -> String {
 /// An endpoint with this host's name instead of "any address", for others to connect to.
 fn with_own_name(endpoint: &str) -> String {
     let host = caudata_actor::host_name().unwrap_or_else(|_| "HOST".to_owned());
-    endpoint
-        .replace("/0.0.0.0:", &format!("/{host}:"))
-        .replace("/[::]:", &format!("/{host}:"))
+    endpoint.replace("/0.0.0.0:", &format!("/{host}:")).replace("/[::]:", &format!("/{host}:"))
 }
 
 #[cfg(test)]
@@ -157,10 +153,7 @@ mod tests {
     #[test]
     fn others_are_told_a_name_that_leads_here() {
         let host = caudata_actor::host_name().unwrap();
-        assert_eq!(
-            with_own_name("quic/0.0.0.0:7447"),
-            format!("quic/{host}:7447")
-        );
+        assert_eq!(with_own_name("quic/0.0.0.0:7447"), format!("quic/{host}:7447"));
         assert_eq!(with_own_name("quic/learner:7447"), "quic/learner:7447");
         assert!(joining("quic/0.0.0.0:7447").starts_with("actors of other hosts join"));
         assert!(joining("tcp/127.0.0.1:7447").starts_with("more actors of this host join"));

@@ -80,11 +80,8 @@ fn file_name(scenario: &str) -> String {
 
 /// A robot at one step.
 pub fn row(frame: &Frame, pose: &RobotPose) -> Vec<Option<f64>> {
-    let contact: Vec<f32> = frame
-        .foot_force_n
-        .iter()
-        .map(|force_n| f32::from(u8::from(*force_n > 0.0)))
-        .collect();
+    let contact: Vec<f32> =
+        frame.foot_force_n.iter().map(|force_n| f32::from(u8::from(*force_n > 0.0))).collect();
     let parts = [
         &frame.joint_pos_rad[..],
         &frame.joint_vel_radps,
@@ -93,9 +90,5 @@ pub fn row(frame: &Frame, pose: &RobotPose) -> Vec<Option<f64>> {
         &pose.base_quat_wxyz,
         &contact,
     ];
-    parts
-        .concat()
-        .into_iter()
-        .map(|x| Some(f64::from(x)))
-        .collect()
+    parts.concat().into_iter().map(|x| Some(f64::from(x))).collect()
 }

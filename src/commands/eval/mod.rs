@@ -32,12 +32,7 @@ pub struct EvalArgs {
     #[arg(value_name = "P.onnx", required_unless_present = "named")]
     policy: Option<PathBuf>,
     /// The same as an option, which is how it was given once
-    #[arg(
-        long = "policy",
-        value_name = "P.onnx",
-        hide = true,
-        conflicts_with = "policy"
-    )]
+    #[arg(long = "policy", value_name = "P.onnx", hide = true, conflicts_with = "policy")]
     named: Option<PathBuf>,
     /// Under what conditions: flat (the robot's speed, standing, faster), rough (the paper's three grades), omni (75
     /// commands), push, robust (corners of the randomisation), transition (land and water), swim, servo (one limp or stuck), righting (thrown, then walking), steps (of 3 and 5 cm), animal (beside a salamander), paper (all that
@@ -160,14 +155,10 @@ pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
         share.one_more();
     };
     if !args.json {
-        say::line(format!(
-            "policy version {}, no exploration noise",
-            policy.metadata().version,
-        ));
+        say::line(format!("policy version {}, no exploration noise", policy.metadata().version,));
     }
-    let (result, outcomes) = evaluation
-        .run(&go_on, &mut show)
-        .map_err(|error| refused(error, &process.stop))?;
+    let (result, outcomes) =
+        evaluation.run(&go_on, &mut show).map_err(|error| refused(error, &process.stop))?;
     drop(share);
     finish(args, &evaluation, &result, &outcomes)
 }
@@ -179,13 +170,7 @@ fn finish(
     result: &SuiteResult,
     outcomes: &[Outcome],
 ) -> Result<(), Failure> {
-    let Evaluation {
-        config,
-        model,
-        policy,
-        settings,
-        ..
-    } = evaluation;
+    let Evaluation { config, model, policy, settings, .. } = evaluation;
     if let Some(root) = &args.log {
         log::write(root, outcomes, settings.seed, &config.robot_path(), model)?;
     }
@@ -209,10 +194,7 @@ fn finish(
                 say::line(format!("report   {}", path.display()));
             }
             if args.write_summary {
-                say::line(format!(
-                    "summary  {}",
-                    summary_path(args.policy()).display()
-                ));
+                say::line(format!("summary  {}", summary_path(args.policy()).display()));
             }
         }
     }

@@ -43,10 +43,7 @@ pub fn print_end(result: &SuiteResult) {
     }
     if !result.acceptance.is_empty() {
         let head = ["target", "owed", "aim", "measured", "", ""];
-        say::table(
-            &head,
-            result.acceptance.iter().map(|row| target(row).to_vec()),
-        );
+        say::table(&head, result.acceptance.iter().map(|row| target(row).to_vec()));
     }
     if let Some(score) = animal_score(&result.animal) {
         let head = ["quantity", "salamander", "robot", "score", "source"];
@@ -62,10 +59,9 @@ pub fn target(row: &Row) -> [String; 6] {
     let sign = if row.at_least { "≥" } else { "≤" };
     let unit = if row.unit == "1" { "" } else { &row.unit };
     let with_unit = |x: f64| format!("{sign} {x} {unit}").trim_end().to_owned();
-    let measured = row.measured.map_or_else(
-        || "–".to_owned(),
-        |x| format!("{x:.3} {unit}").trim_end().to_owned(),
-    );
+    let measured = row
+        .measured
+        .map_or_else(|| "–".to_owned(), |x| format!("{x:.3} {unit}").trim_end().to_owned());
     let met = match (row.met, row.aim_met) {
         (_, true) => "aim met",
         (true, false) => "met",
@@ -104,11 +100,7 @@ fn pm(x: Estimate, digits: usize) -> String {
 }
 
 fn episodes(r: &ScenarioResult) -> String {
-    let list: Vec<String> = r
-        .falls
-        .iter()
-        .map(|(reason, n)| format!("{reason} {n}"))
-        .collect();
+    let list: Vec<String> = r.falls.iter().map(|(reason, n)| format!("{reason} {n}")).collect();
     let reasons = match list.is_empty() {
         true => String::new(),
         false => format!(" ({})", list.join(", ")),
@@ -146,9 +138,7 @@ fn body(r: &ScenarioResult) {
     }
     if r.gates.is_none() && r.speed_share_least < 1.0 {
         let least = 100.0 * r.speed_share_least;
-        say::line(format!(
-            "  the slowest episode keeps {least:.0} % of the commanded speed"
-        ));
+        say::line(format!("  the slowest episode keeps {least:.0} % of the commanded speed"));
     }
     if let Some(transition) = &r.transition {
         shore(transition);
@@ -161,9 +151,7 @@ fn body(r: &ScenarioResult) {
             "  on its feet within 3 s in {:.1} %, at the end in {:.1} % (after {} s)",
             100.0 * righting.in_time.mean,
             100.0 * righting.upright.mean,
-            righting
-                .righted_s
-                .map_or_else(|| "–".to_owned(), |s| pm(s, 1)),
+            righting.righted_s.map_or_else(|| "–".to_owned(), |s| pm(s, 1)),
         ));
     }
     if let Some(verdict) = verdict(r) {

@@ -54,19 +54,18 @@ pub fn balance(accounts: &[ActorAccount], ledgers: &[LedgerCount]) -> Balance {
         if let (Some(ledger), Some(bye)) = (ledger, account.sent)
             && ledger != bye
         {
-            total.problems.push(format!(
-                "{name}: its ledger says {ledger} sent, its goodbye {bye}"
-            ));
+            total
+                .problems
+                .push(format!("{name}: its ledger says {ledger} sent, its goodbye {bye}"));
         }
         let sent = ledger.or(account.sent).unwrap_or(account.received);
         match sent.checked_sub(account.received) {
-            None => total.problems.push(format!(
-                "{name}: {} received, but only {sent} sent",
-                account.received
-            )),
-            Some(lost) if lost > 0 && account.sent.is_some() => total.problems.push(format!(
-                "{name}: said goodbye, yet {lost} of {sent} chunks did not arrive"
-            )),
+            None => total
+                .problems
+                .push(format!("{name}: {} received, but only {sent} sent", account.received)),
+            Some(lost) if lost > 0 && account.sent.is_some() => total
+                .problems
+                .push(format!("{name}: said goodbye, yet {lost} of {sent} chunks did not arrive")),
             Some(lost) => total.lost += lost,
         }
         total.sent += sent;
@@ -96,23 +95,11 @@ mod tests {
 
     fn account(actor_id: u32, incarnation: u64, sent: Option<u64>, accepted: u64) -> ActorAccount {
         let received = accepted;
-        ActorAccount {
-            actor_id,
-            incarnation,
-            sent,
-            received,
-            accepted,
-            rejected: 0,
-            dropped: 0,
-        }
+        ActorAccount { actor_id, incarnation, sent, received, accepted, rejected: 0, dropped: 0 }
     }
 
     fn ledger(actor_id: u32, incarnation: u64, sent: u64) -> LedgerCount {
-        LedgerCount {
-            actor_id,
-            incarnation,
-            sent: Some(sent),
-        }
+        LedgerCount { actor_id, incarnation, sent: Some(sent) }
     }
 
     #[test]
@@ -131,11 +118,8 @@ mod tests {
     #[test]
     fn a_killed_actor_may_lose_what_was_on_its_way() {
         // Actor 1 was killed after 5 chunks, of which 4 arrived; its next incarnation sent 6.
-        let accounts = [
-            account(0, 0, Some(10), 10),
-            account(1, 0, None, 4),
-            account(1, 1, Some(6), 6),
-        ];
+        let accounts =
+            [account(0, 0, Some(10), 10), account(1, 0, None, 4), account(1, 1, Some(6), 6)];
         let ledgers = [ledger(0, 0, 10), ledger(1, 0, 5), ledger(1, 1, 6)];
         let balance = balance(&accounts, &ledgers);
         assert_eq!((balance.sent, balance.accepted, balance.lost), (21, 20, 1));
@@ -145,10 +129,7 @@ mod tests {
     #[test]
     fn a_chunk_that_vanishes_is_noticed() {
         let gone = balance(&[account(0, 0, Some(10), 9)], &[ledger(0, 0, 10)]);
-        assert!(
-            !gone.holds && gone.problems[0].contains("1 of 10"),
-            "{gone:?}"
-        );
+        assert!(!gone.holds && gone.problems[0].contains("1 of 10"), "{gone:?}");
         let twice = balance(&[account(0, 0, Some(10), 11)], &[ledger(0, 0, 10)]);
         assert!(!twice.holds, "{twice:?}");
         let unequal = balance(&[account(0, 0, Some(10), 10)], &[ledger(0, 0, 11)]);

@@ -30,19 +30,12 @@ pub struct Backoff {
 impl Backoff {
     /// At most `per_minute` restarts in any 60 s.
     pub fn new(per_minute: u32) -> Self {
-        Self {
-            per_minute: per_minute as usize,
-            deaths: VecDeque::new(),
-        }
+        Self { per_minute: per_minute as usize, deaths: VecDeque::new() }
     }
 
     /// The child died at `now` (since the supervisor began).
     pub fn died(&mut self, now: Duration) -> Verdict {
-        while self
-            .deaths
-            .front()
-            .is_some_and(|&death| now.saturating_sub(death) > WINDOW)
-        {
+        while self.deaths.front().is_some_and(|&death| now.saturating_sub(death) > WINDOW) {
             self.deaths.pop_front();
         }
         if self.deaths.len() >= self.per_minute {

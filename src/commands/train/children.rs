@@ -25,17 +25,13 @@ impl Programs {
     /// Those that were installed beside this one.
     pub fn beside_this_one() -> Result<Self, Failure> {
         let own = std::env::current_exe().or_exit(ExitCode::Internal)?;
-        Ok(Self {
-            folder: own.with_file_name(""),
-        })
+        Ok(Self { folder: own.with_file_name("") })
     }
 
     /// Those in `folder`.
     #[cfg(test)]
     pub fn inside(folder: &Path) -> Self {
-        Self {
-            folder: folder.to_owned(),
-        }
+        Self { folder: folder.to_owned() }
     }
 
     /// The executable `name`.
@@ -177,9 +173,8 @@ impl Drop for Process {
 }
 
 fn clone_of(file: &File, log: &Path) -> Result<File, Failure> {
-    file.try_clone().or_exit_with(ExitCode::OsResource, || {
-        format!("cannot share {}", log.display())
-    })
+    file.try_clone()
+        .or_exit_with(ExitCode::OsResource, || format!("cannot share {}", log.display()))
 }
 
 fn read_lines(
@@ -189,21 +184,13 @@ fn read_lines(
 ) -> Result<JoinHandle<()>, Failure> {
     std::thread::Builder::new()
         .name(format!("{name}-stdout"))
-        .spawn(move || {
-            BufReader::new(stdout)
-                .lines()
-                .map_while(Result::ok)
-                .for_each(&mut sink)
-        })
+        .spawn(move || BufReader::new(stdout).lines().map_while(Result::ok).for_each(&mut sink))
         .or_exit(ExitCode::OsResource)
 }
 
 /// How a child ended, as its exit code where it is one of ours.
 pub fn exit_code(status: ExitStatus) -> ExitCode {
-    status
-        .code()
-        .and_then(ExitCode::from_number)
-        .unwrap_or(ExitCode::Internal)
+    status.code().and_then(ExitCode::from_number).unwrap_or(ExitCode::Internal)
 }
 
 /// How a child ended, in words.
@@ -242,10 +229,7 @@ fn last_error(log: &Path, from: u64) -> Option<LastWords> {
         }
         line.strip_prefix("error: ")
     })?;
-    Some(LastWords {
-        error: error.to_owned(),
-        hint,
-    })
+    Some(LastWords { error: error.to_owned(), hint })
 }
 
 #[cfg(test)]

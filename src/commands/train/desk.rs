@@ -35,10 +35,7 @@ impl Desk {
             run: run.to_owned(),
             first: first.clone(),
             record,
-            now: Mutex::new(Now {
-                config: first.clone(),
-                made: Vec::new(),
-            }),
+            now: Mutex::new(Now { config: first.clone(), made: Vec::new() }),
         };
         desk.begin(u64::MAX);
         Ok(desk)
@@ -48,18 +45,14 @@ impl Desk {
     fn begin(&self, iteration: u64) {
         let all = self.record.change.iter();
         let before = all.filter(|change| change.iteration < iteration);
-        let made = before.map(|change| Changed {
-            iteration: change.iteration,
-            set: change.set.clone(),
-        });
+        let made =
+            before.map(|change| Changed { iteration: change.iteration, set: change.set.clone() });
         let config = match iteration.checked_sub(1) {
             Some(before) => self.record.at(&self.first, before).ok(),
             None => None,
         };
-        *self.now() = Now {
-            config: config.unwrap_or_else(|| self.first.clone()),
-            made: made.collect(),
-        };
+        *self.now() =
+            Now { config: config.unwrap_or_else(|| self.first.clone()), made: made.collect() };
     }
 
     /// Asks the learner for a change; answers the request, a file that is gone once it is taken.

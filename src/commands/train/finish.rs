@@ -91,27 +91,14 @@ pub fn evaluate(
         Failure::message(ExitCode::Unavailable, message)
     })?;
     let actors = match &outcome.finished.actors_policy {
-        Some(ran) => Some(ActorsHash::new(
-            ran,
-            hash_on_server(stream, ran.version, outcome)?,
-        )),
+        Some(ran) => Some(ActorsHash::new(ran, hash_on_server(stream, ran.version, outcome)?)),
         None => None,
     };
-    let [runs, judged] = [
-        config.evaluation.robot_run_s > 0.0,
-        config.evaluation.episodes > 0,
-    ];
-    let mut share = say::Share::new(
-        "parts of the evaluation",
-        usize::from(runs) + usize::from(judged),
-    );
+    let [runs, judged] = [config.evaluation.robot_run_s > 0.0, config.evaluation.episodes > 0];
+    let mut share =
+        say::Share::new("parts of the evaluation", usize::from(runs) + usize::from(judged));
     let robot = match runs {
-        true => Some(run_robot(
-            config,
-            folder,
-            &outcome.server_addr.to_string(),
-            stop,
-        )?),
+        true => Some(run_robot(config, folder, &outcome.server_addr.to_string(), stop)?),
         false => None,
     };
     if runs {
@@ -129,10 +116,7 @@ pub fn evaluate(
     let finished = outcome.finished.clone();
     let robot_hash = robot.as_ref().map(|robot| robot.policy_sha256.clone());
     let hashes = [policy.sha256_hex(), on_server.clone()];
-    let same = hashes
-        .iter()
-        .chain(&robot_hash)
-        .all(|hash| *hash == finished.policy_sha256)
+    let same = hashes.iter().chain(&robot_hash).all(|hash| *hash == finished.policy_sha256)
         && actors.as_ref().is_none_or(|actors| actors.same);
     Ok(Report {
         run_id: folder.run_id().to_owned(),
@@ -193,10 +177,7 @@ impl Report {
     /// everywhere.
     pub fn verdict(&self) -> Result<(), Failure> {
         if let Some(problem) = self.accounting.problems.first() {
-            return Err(Failure::message(
-                ExitCode::Internal,
-                format!("accounting: {problem}"),
-            ));
+            return Err(Failure::message(ExitCode::Internal, format!("accounting: {problem}")));
         }
         if !self.policy.same {
             let message = "the policy is not the same everywhere; report.json has the hashes";
@@ -228,11 +209,7 @@ pub fn print(report: &Report) {
         account.rejected,
         account.dropped,
         account.lost,
-        if account.holds {
-            "adds up"
-        } else {
-            "does NOT add up"
-        }
+        if account.holds { "adds up" } else { "does NOT add up" }
     ));
     for line in &account.incomplete {
         say::line(format!("warning: rollouts: {line}"));
@@ -248,27 +225,15 @@ pub fn print(report: &Report) {
         "policy version {}, sha256 {} {}",
         report.policy.version,
         report.policy.learner,
-        if report.policy.same {
-            "(the same everywhere)"
-        } else {
-            "(NOT the same everywhere)"
-        }
+        if report.policy.same { "(the same everywhere)" } else { "(NOT the same everywhere)" }
     ));
     if let Some(actors) = &report.policy.actors {
         say::line(format!(
             "actors ran version {}, sha256 {} ({}{})",
             actors.version,
             actors.actors,
-            if actors.same {
-                "as the learner made it"
-            } else {
-                "NOT as it was made"
-            },
-            if actors.server.is_some() {
-                " and the server holds it"
-            } else {
-                ""
-            },
+            if actors.same { "as the learner made it" } else { "NOT as it was made" },
+            if actors.server.is_some() { " and the server holds it" } else { "" },
         ));
     }
     if let Some(evaluation) = &report.evaluation {
@@ -320,11 +285,7 @@ mod tests {
     #[test]
     fn improvement_by_hand() {
         // (2 − 1)/√(0.3² + 0.4²) = 1/0.5 = 2.
-        let at = |mean, standard_error| MeanSe {
-            mean,
-            standard_error,
-            n: 10,
-        };
+        let at = |mean, standard_error| MeanSe { mean, standard_error, n: 10 };
         assert_eq!(
             improvement("return", 1, at(1.0, 0.3), at(2.0, 0.4)),
             "return, first tenth 1.0 ± 0.3, last tenth 2.0 ± 0.4: +2.0 standard errors"
@@ -333,12 +294,8 @@ mod tests {
 
     #[test]
     fn a_run_that_went_on_tells_its_own_part_from_the_whole() {
-        let finished = Finished {
-            iteration: 7,
-            steps_total: 700,
-            wall_s: 7.0,
-            ..Finished::default()
-        };
+        let finished =
+            Finished { iteration: 7, steps_total: 700, wall_s: 7.0, ..Finished::default() };
         let line = "trained 7 iterations, 700 environment steps, in 0:07";
         assert_eq!(trained(&finished, 0), line);
         let line = "trained 3 iterations more in 0:07: 7 iterations, 700 environment steps in all";
@@ -392,10 +349,7 @@ mod tests {
             &report["policy"]["actors"],
             &report["evaluation"],
         ];
-        for key in objects
-            .iter()
-            .flat_map(|object| object.as_object().unwrap().keys())
-        {
+        for key in objects.iter().flat_map(|object| object.as_object().unwrap().keys()) {
             assert!(
                 page.contains(&format!("`{key}`")),
                 "docs/reference/json.md does not name `{key}`"

@@ -57,11 +57,8 @@ impl RunFolder {
         let folder = Self::reopen(Some(root), root, wait)?;
         if folder.run_id != run_id {
             let message = format!("{} holds the run `{}`", root.display(), folder.run_id);
-            return Err(
-                Failure::message(ExitCode::CannotCreate, message).hint(format!(
-                    "`{run_id}` needs a folder of its own: cluster.run_dir"
-                )),
-            );
+            return Err(Failure::message(ExitCode::CannotCreate, message)
+                .hint(format!("`{run_id}` needs a folder of its own: cluster.run_dir")));
         }
         Ok(folder)
     }
@@ -71,18 +68,8 @@ impl RunFolder {
         let new = !root.exists();
         files::make_folder(&root)?;
         let owner = owned(&root, Duration::ZERO, &mut |_| false)?;
-        let folder = Self {
-            root,
-            run_id,
-            new,
-            _owner: owner,
-        };
-        for part in [
-            folder.logs(),
-            folder.ledgers(),
-            folder.checkpoints(),
-            folder.curves(),
-        ] {
+        let folder = Self { root, run_id, new, _owner: owner };
+        for part in [folder.logs(), folder.ledgers(), folder.checkpoints(), folder.curves()] {
             files::make_folder(&part)?;
         }
         folder.write("run_id.txt", folder.run_id.as_bytes())?;
@@ -104,9 +91,8 @@ impl RunFolder {
         if !id_path.is_file() {
             files::run_folder(&root)?;
         }
-        let run_id = fs::read_to_string(&id_path).or_exit_with(ExitCode::NoInput, || {
-            format!("cannot read {}", id_path.display())
-        })?;
+        let run_id = fs::read_to_string(&id_path)
+            .or_exit_with(ExitCode::NoInput, || format!("cannot read {}", id_path.display()))?;
         let folder = Self {
             _owner: owned(&root, OWNER_PATIENCE, wait)?,
             root: absolute(&root)?,
@@ -257,34 +243,20 @@ fn git(arguments: &[&str]) -> Option<String> {
     let beside = std::env::current_exe().ok()?;
     let places = [beside.parent()?.to_owned(), PathBuf::from(".")];
     places.iter().find_map(|place| {
-        let output = Command::new("git")
-            .arg("-C")
-            .arg(place)
-            .args(arguments)
-            .output()
-            .ok()?;
-        output
-            .status
-            .success()
-            .then(|| String::from_utf8_lossy(&output.stdout).into_owned())
+        let output = Command::new("git").arg("-C").arg(place).args(arguments).output().ok()?;
+        output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
     })
 }
 
 fn absolute(path: &Path) -> Result<PathBuf, Failure> {
-    std::path::absolute(path).or_exit_with(ExitCode::CannotCreate, || {
-        format!("no such path: {}", path.display())
-    })
+    std::path::absolute(path)
+        .or_exit_with(ExitCode::CannotCreate, || format!("no such path: {}", path.display()))
 }
 
 /// The newest folder that can be resumed. Names begin with the time, so that the last in order is the newest.
 pub fn newest(out_dir: &Path) -> Option<PathBuf> {
-    let folders = fs::read_dir(out_dir)
-        .ok()?
-        .flatten()
-        .map(|entry| entry.path());
-    folders
-        .filter(|path| path.join("run_id.txt").exists())
-        .max()
+    let folders = fs::read_dir(out_dir).ok()?.flatten().map(|entry| entry.path());
+    folders.filter(|path| path.join("run_id.txt").exists()).max()
 }
 
 /// `20261121-083312` (UTC): sorts by time and needs no escaping anywhere.
@@ -333,15 +305,9 @@ mod tests {
         assert!(learner.is_none());
         drop(made);
         let again = RunFolder::reopen(None, dir.path(), &mut |_| false).unwrap();
-        assert_eq!(
-            (again.run_id(), again.root()),
-            (run_id.as_str(), root.as_path())
-        );
+        assert_eq!((again.run_id(), again.root()), (run_id.as_str(), root.as_path()));
         let made = again.clone();
-        assert_eq!(
-            (again.next_incarnation(3), again.next_incarnation(30)),
-            (5, 0)
-        );
+        assert_eq!((again.next_incarnation(3), again.next_incarnation(30)), (5, 0));
         let taken = RunFolder::create(Some(made.root()), dir.path(), "walk").unwrap_err();
         assert_eq!(taken.code(), ExitCode::CannotCreate);
         made.disown(true);

@@ -25,10 +25,7 @@ impl FromStr for Origin {
     fn from_str(text: &str) -> Result<Self, String> {
         let wrong = || "must be RUN@ITERATION, for instance runs/walk@100".to_owned();
         let (run, iteration) = text.rsplit_once('@').ok_or_else(wrong)?;
-        Ok(Self {
-            run: run.into(),
-            iteration: iteration.parse().map_err(|_| wrong())?,
-        })
+        Ok(Self { run: run.into(), iteration: iteration.parse().map_err(|_| wrong())? })
     }
 }
 
@@ -51,9 +48,7 @@ impl<'a> Fork<'a> {
         let mut source = Source::file(&origin.run.join("config.toml"));
         let before = Config::load(&source).or_exit(ExitCode::NoInput)?;
         let mut changes = Changes::of_run(&origin.run, &before).or_exit(ExitCode::BadInput)?;
-        let until = changes
-            .change
-            .partition_point(|c| c.iteration <= origin.iteration);
+        let until = changes.change.partition_point(|c| c.iteration <= origin.iteration);
         changes.change.truncate(until);
         let mut set = Vec::new();
         for over in overrides {
@@ -70,11 +65,7 @@ impl<'a> Fork<'a> {
             changes.change.push(Change { iteration, set });
             changes.at(&config, u64::MAX).or_exit(ExitCode::BadConfig)?;
         }
-        let fork = Self {
-            origin,
-            config,
-            changes,
-        };
+        let fork = Self { origin, config, changes };
         let checkpoint = fork.checkpoint(&origin.run);
         if !checkpoint.is_dir() {
             let message = format!("{} is not there", checkpoint.display());
@@ -146,9 +137,7 @@ pub fn same_training(before: &Config, now: &Config) -> Result<(), Failure> {
 
 /// The keys of decisive sections whose values differ, in words.
 fn differing(before: &Config, now: &Config) -> Vec<String> {
-    const DECISIVE: [&str; 6] = [
-        "run.seed", "actors.", "learner.", "engine.", "terrain.", "task.",
-    ];
+    const DECISIVE: [&str; 6] = ["run.seed", "actors.", "learner.", "engine.", "terrain.", "task."];
     let (before, now) = (before.entries(), now.entries());
     let value = |entries: &[(String, String)], key: &str| {
         let found = entries.iter().find(|(name, _)| name == key);
@@ -199,14 +188,8 @@ mod tests {
     #[test]
     fn the_key_that_keeps_a_run_from_going_on_is_named() {
         let config = |set: &str| Config::load(&Source::default().set(set)).unwrap();
-        let (before, now) = (
-            config("learner.ppo.gamma=0.97"),
-            config("learner.ppo.gamma=0.9"),
-        );
-        assert_eq!(
-            differing(&before, &now),
-            ["learner.ppo.gamma was 0.97 and is 0.9"]
-        );
+        let (before, now) = (config("learner.ppo.gamma=0.97"), config("learner.ppo.gamma=0.9"));
+        assert_eq!(differing(&before, &now), ["learner.ppo.gamma was 0.97 and is 0.9"]);
         assert!(differing(&before, &config("learner.ppo.gamma=0.97")).is_empty());
     }
 }

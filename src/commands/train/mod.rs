@@ -165,10 +165,7 @@ fn live_page(
         take: Box::new(take),
         beside: Box::new(move |other| runs::beside(&run, other).map_err(|why| why.to_string())),
     };
-    match args
-        .page
-        .serve(show, Some(training), &|line| view.note(line))
-    {
+    match args.page.serve(show, Some(training), &|line| view.note(line)) {
         Ok(page) => {
             view.note(&format!("live at {}", page.address()));
             view.note(&format!("change it at {}", page.changing_address()));
@@ -187,12 +184,7 @@ fn live_page(
 /// Where one is missing.
 pub fn programs() -> Result<Programs, Failure> {
     let programs = Programs::beside_this_one()?;
-    for name in [
-        "caudata-policy-server",
-        "caudata-learner",
-        "caudata-actor",
-        "caudata-robot",
-    ] {
+    for name in ["caudata-policy-server", "caudata-learner", "caudata-actor", "caudata-robot"] {
         programs.find(name)?;
     }
     Ok(programs)
@@ -239,19 +231,14 @@ fn prepare(
     if !config.terrain.map.as_os_str().is_empty() {
         config.terrain.map = std::path::absolute(&config.terrain.map).or_exit(ExitCode::NoInput)?;
     }
-    folder.write(
-        "config.toml",
-        config.to_toml().or_exit(ExitCode::BadConfig)?.as_bytes(),
-    )?;
+    folder.write("config.toml", config.to_toml().or_exit(ExitCode::BadConfig)?.as_bytes())?;
     Ok((config, folder, resume))
 }
 
 /// A record of changes that fits a configuration, as it is to lie in the run folder.
 fn record(path: &Path, config: &Config) -> Result<String, Failure> {
     let found = path.metadata().map(|_| ());
-    found.or_exit_with(ExitCode::NoInput, || {
-        format!("cannot read {}", path.display())
-    })?;
+    found.or_exit_with(ExitCode::NoInput, || format!("cannot read {}", path.display()))?;
     let record = Changes::read(path, config).or_exit(ExitCode::BadConfig)?;
     record.to_toml().or_exit(ExitCode::Internal)
 }
@@ -259,25 +246,17 @@ fn record(path: &Path, config: &Config) -> Result<String, Failure> {
 /// Preset, file and overrides as the flags say; with `resumed`, that file instead of preset and file.
 fn source(args: &TrainArgs, resumed: Option<&Path>) -> Source {
     let mut source = match resumed {
-        Some(path) => Source {
-            overrides: args.config.assignments(),
-            ..Source::file(path)
-        },
+        Some(path) => Source { overrides: args.config.assignments(), ..Source::file(path) },
         None => args.config.source(),
     };
     source.or_preset("quick");
     let mut set = |key: &str, value: Option<String>| {
-        source
-            .overrides
-            .extend(value.map(|value| format!("{key}={value}")));
+        source.overrides.extend(value.map(|value| format!("{key}={value}")));
     };
     set("actors.count", args.actors.map(|n| n.to_string()));
     set("run.iterations", args.iterations.map(|n| n.to_string()));
     set("run.seed", args.seed.map(|seed| seed.to_string()));
-    set(
-        "transport.kind",
-        args.transport.map(|kind| kind.name().to_owned()),
-    );
+    set("transport.kind", args.transport.map(|kind| kind.name().to_owned()));
     source
 }
 
@@ -286,9 +265,7 @@ fn after_training(failure: Failure, folder: &RunFolder) -> Failure {
     let policy = folder.policy().display().to_string();
     failure
         .context("training is complete, its evaluation is not")
-        .hint(format!(
-            "the policy is {policy}; measure it with: caudata eval {policy}"
-        ))
+        .hint(format!("the policy is {policy}; measure it with: caudata eval {policy}"))
 }
 
 /// Says where the run stands and how to go on.
@@ -336,10 +313,7 @@ mod tests {
     fn flags_become_overrides_and_quick_is_the_default() {
         let source = source(&args("--actors 3 --transport zenoh --set run.name=a"), None);
         assert_eq!(source.preset.as_deref(), Some("quick"));
-        assert_eq!(
-            source.overrides,
-            ["run.name=a", "actors.count=3", "transport.kind=zenoh"]
-        );
+        assert_eq!(source.overrides, ["run.name=a", "actors.count=3", "transport.kind=zenoh"]);
     }
 
     #[test]
@@ -355,14 +329,9 @@ mod tests {
 
     #[test]
     fn a_resumed_run_takes_its_own_configuration_and_the_flags_on_top() {
-        let source = source(
-            &args("--iterations 9 --preset flat"),
-            Some(Path::new("r/config.toml")),
-        );
-        assert_eq!(
-            (source.preset, source.file),
-            (None, Some("r/config.toml".into()))
-        );
+        let source =
+            source(&args("--iterations 9 --preset flat"), Some(Path::new("r/config.toml")));
+        assert_eq!((source.preset, source.file), (None, Some("r/config.toml".into())));
         assert_eq!(source.overrides, ["run.iterations=9"]);
     }
 }

@@ -49,36 +49,16 @@ pub fn run_robot(
     simulator.signal(Signal::SIGTERM);
     simulator.finish(Duration::from_secs(5));
     let summary = summary?;
-    let policy_sha256 = summary["policy_sha256"]
-        .as_str()
-        .unwrap_or_default()
-        .to_owned();
-    Ok(RobotRun {
-        policy_sha256,
-        log,
-        summary,
-    })
+    let policy_sha256 = summary["policy_sha256"].as_str().unwrap_or_default().to_owned();
+    Ok(RobotRun { policy_sha256, log, summary })
 }
 
 fn start_simulator(folder: &RunFolder) -> Result<(Process, SocketAddr), Failure> {
     let mut command = Command::new(std::env::current_exe().or_exit(ExitCode::Internal)?);
-    command.args([
-        "sim",
-        "robot",
-        "--addr",
-        "127.0.0.1:0",
-        "--log-filter",
-        "info",
-    ]);
+    command.args(["sim", "robot", "--addr", "127.0.0.1:0", "--log-filter", "info"]);
     command.arg("--config").arg(folder.config());
     let log = folder.logs().join("sim_robot.log");
-    start_service(
-        "the simulated robot",
-        "robot_link",
-        command,
-        &log,
-        SIMULATOR_START_MAX,
-    )
+    start_service("the simulated robot", "robot_link", command, &log, SIMULATOR_START_MAX)
 }
 
 fn run_client(
@@ -94,14 +74,9 @@ fn run_client(
     command.args(["run", "--json", "--policy-server", server]);
     command.args(["--stream", config.policy_server.stream_of(folder.run_id())]);
     command.arg("--robot").arg(&config.robot);
-    command
-        .arg("--state")
-        .arg(folder.root().join("robot_state"));
+    command.arg("--state").arg(folder.root().join("robot_state"));
     command.args(["--bus", &format!("sim:{simulator}")]);
-    command.args([
-        "--command",
-        &format!("{},0,0", evaluation.robot_command_mps),
-    ]);
+    command.args(["--command", &format!("{},0,0", evaluation.robot_command_mps)]);
     command.args(["--seconds", &evaluation.robot_run_s.to_string()]);
     command.args(["--terrain", "flat"]);
     command.arg("--log-dir").arg(log);
@@ -121,10 +96,8 @@ fn run_client(
         return Err(failed_child(&client, code, &how));
     }
     let line = last.lock().unwrap_or_else(PoisonError::into_inner).clone();
-    serde_json::from_str(&line).or_exit_with(
-        ExitCode::Protocol,
-        || "the robot client did not print its summary",
-    )
+    serde_json::from_str(&line)
+        .or_exit_with(ExitCode::Protocol, || "the robot client did not print its summary")
 }
 
 /// `robot`, or `robot-2`, `robot-3` … when a resumed run has walked before.
@@ -133,10 +106,7 @@ fn free_name(path: &Path) -> PathBuf {
     if !path.exists() {
         return path.to_owned();
     }
-    (2..)
-        .map(numbered)
-        .find(|path| !path.exists())
-        .unwrap_or_else(|| path.to_owned())
+    (2..).map(numbered).find(|path| !path.exists()).unwrap_or_else(|| path.to_owned())
 }
 
 impl RobotRun {
@@ -149,10 +119,7 @@ impl RobotRun {
         let ended = summary["ended"].as_str().unwrap_or("unknown");
         say::line(format!(
             "simulated robot: walked {walked:.1} s, {}, commanded {commanded:.2} m/s forward; ended by: {ended}",
-            match (
-                number(&summary["distance_m"]),
-                number(&summary["achieved"]["vx_mps"])
-            ) {
+            match (number(&summary["distance_m"]), number(&summary["achieved"]["vx_mps"])) {
                 (Some(distance), Some(vx)) => format!("{distance:.2} m, {vx:.3} m/s"),
                 _ => "no pose known".into(),
             }

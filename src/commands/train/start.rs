@@ -113,9 +113,7 @@ pub fn start_server(
     addr: SocketAddr,
 ) -> Result<(Process, SocketAddr), Failure> {
     let mut command = Command::new(programs.find("caudata-policy-server")?);
-    command
-        .arg("--data")
-        .arg(folder.root().join(&config.policy_server.dir));
+    command.arg("--data").arg(folder.root().join(&config.policy_server.dir));
     command.args(["--addr", &addr.to_string()]);
     command.args(["--keep", &config.policy_server.keep_versions.to_string()]);
     if let Some(certificates) = server_certificates(config) {
@@ -123,13 +121,7 @@ pub fn start_server(
     }
     add_telemetry(&mut command, config, true);
     let log = folder.logs().join("policy_server.log");
-    start_service(
-        "the policy server",
-        "policy_server",
-        command,
-        &log,
-        SERVER_START_MAX,
-    )
+    start_service("the policy server", "policy_server", command, &log, SERVER_START_MAX)
 }
 
 /// The certificates of a policy server that others than this host reach.
@@ -180,23 +172,13 @@ pub fn start_learner(
             let _ = lines.send(line);
         }
     });
-    Process::start(
-        "the learner",
-        command,
-        &folder.logs().join("learner.log"),
-        Some(sink),
-    )
+    Process::start("the learner", command, &folder.logs().join("learner.log"), Some(sink))
 }
 
 /// Log flags, and with `own_metrics` a metrics endpoint on any free port of the configured address.
 pub fn add_telemetry(command: &mut Command, config: &Config, own_metrics: bool) {
     let telemetry = &config.telemetry;
-    command.args([
-        "--log-format",
-        telemetry.log_format.name(),
-        "--log-filter",
-        &telemetry.log,
-    ]);
+    command.args(["--log-format", telemetry.log_format.name(), "--log-filter", &telemetry.log]);
     if own_metrics && telemetry.metrics {
         let any_port = SocketAddr::new(telemetry.metrics_addr.ip(), 0);
         command.args(["--metrics-addr", &any_port.to_string()]);

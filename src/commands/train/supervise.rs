@@ -135,9 +135,8 @@ impl<'a> Supervisor<'a> {
             learner_pulse.clone(),
         )?;
         let restarts = config.actors.restarts_per_minute;
-        let actors = (0..plan.actors)
-            .map(|id| Watched::new(format!("actor {id}"), restarts))
-            .collect();
+        let actors =
+            (0..plan.actors).map(|id| Watched::new(format!("actor {id}"), restarts)).collect();
         Ok(Self {
             programs,
             config,
@@ -411,8 +410,7 @@ impl<'a> Supervisor<'a> {
         let how = children::describe(status);
         match self.server_backoff.died(self.began.elapsed()) {
             Verdict::RestartAfter(pause) => {
-                self.view
-                    .warn(&format!("the policy server {how}; it is started again"));
+                self.view.warn(&format!("the policy server {how}; it is started again"));
                 std::thread::sleep(pause);
                 let restarted =
                     start_server(self.programs, self.config, self.folder, self.server_addr);

@@ -56,9 +56,7 @@ impl Tracker {
         let python = std::env::var_os(PYTHON).unwrap_or_else(|| "python3".into());
         Self::start(&python, folder, to, view)
             .inspect_err(|why| {
-                view.warn(&format!(
-                    "there is no tracker: {why}; {PYTHON} names its Python"
-                ))
+                view.warn(&format!("there is no tracker: {why}; {PYTHON} names its Python"))
             })
             .ok()
     }
@@ -75,24 +73,14 @@ impl Tracker {
                 }
             })
             .or_exit(ExitCode::OsResource)?;
-        Ok(Self {
-            over: Some(over),
-            watch: Some(watch),
-        })
+        Ok(Self { over: Some(over), watch: Some(watch) })
     }
 }
 
 /// Starts the tracker; what it prints goes to `view`.
 fn process(python: &OsStr, folder: &RunFolder, to: &str, view: &View) -> Result<Process, Failure> {
     let mut command = Command::new(python);
-    command.args([
-        "-m",
-        "caudata.track",
-        "--to",
-        to,
-        "--patience",
-        TRACKER_PATIENCE_S,
-    ]);
+    command.args(["-m", "caudata.track", "--to", to, "--patience", TRACKER_PATIENCE_S]);
     command.arg(folder.root()).arg("--until-told");
     let view = view.clone();
     let sink: LineSink = Box::new(move |line| view.note(&line));
@@ -171,10 +159,7 @@ mod tests {
                 "echo \"error: No module named 'wandb'\" >&2; exit 69",
                 "the tracker: No module named 'wandb'",
             ),
-            (
-                "echo 'no module caudata' >&2; exit 1",
-                "exit code 1: `pip install caudata` there",
-            ),
+            ("echo 'no module caudata' >&2; exit 1", "exit code 1: `pip install caudata` there"),
         ] {
             let (_dir, folder, python) = stage(script);
             let process = process(python.as_ref(), &folder, "wandb", &VIEW).unwrap();

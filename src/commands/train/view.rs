@@ -53,10 +53,7 @@ impl View {
             (_, Event::Started(started)) => self.started(started),
             (_, Event::Iteration(iteration)) => self.iteration(iteration),
             (_, Event::Changed(Changed { iteration, set })) => {
-                self.note(&format!(
-                    "changed after iteration {iteration}: {}",
-                    set.join(", ")
-                ));
+                self.note(&format!("changed after iteration {iteration}: {}", set.join(", ")));
             }
             (_, Event::Warning(warning)) => self.warn(&warning.message),
             (_, Event::Checkpoint(_) | Event::Published(_) | Event::Finished(_)) => {}
@@ -91,9 +88,7 @@ impl View {
         let View::Json = self else {
             return self.note(&format!("warning: {text}"));
         };
-        let warning = Event::Warning(Warning {
-            message: text.to_owned(),
-        });
+        let warning = Event::Warning(Warning { message: text.to_owned() });
         if let Ok(line) = serde_json::to_string(&warning) {
             say::line(line);
         }
@@ -198,12 +193,8 @@ mod tests {
 
     #[test]
     fn a_summary_speaks_of_episodes_once_there_are_any() {
-        let mut iteration = Iteration {
-            steps_per_s: 3041.2,
-            kl: 0.0092,
-            eta_s: 130.0,
-            ..Default::default()
-        };
+        let mut iteration =
+            Iteration { steps_per_s: 3041.2, kl: 0.0092, eta_s: 130.0, ..Default::default() };
         iteration.mean_step_reward = 0.0123;
         assert_eq!(
             summary(&iteration),

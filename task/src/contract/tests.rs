@@ -109,9 +109,7 @@ fn every_change_is_named_and_changes_the_hash() {
             c.observation = ObservationLayout::new(ACT_DIM, &FEET.map(str::to_owned), true)
         }),
         (D::Imu, |c| c.imu.as_mut().unwrap().link = "head".to_owned()),
-        (D::Imu, |c| {
-            c.imu.as_mut().unwrap().quat_wxyz = [0.0, 0.0, 0.0, 1.0]
-        }),
+        (D::Imu, |c| c.imu.as_mut().unwrap().quat_wxyz = [0.0, 0.0, 0.0, 1.0]),
         (D::Phase, |c| c.phase.swing_height_m = 0.06),
         (D::CommandRange, |c| c.command.vx_mps = [0.0, 0.3]),
     ];
@@ -144,10 +142,7 @@ fn several_differences_are_all_named_most_telling_first() {
     other.robot_hash = "00".repeat(32);
     other.joint_names.swap(4, 5);
     other.action.scale = 1.0;
-    assert_eq!(
-        contract().differences(&other),
-        [D::JointOrder, D::Action, D::RobotModel]
-    );
+    assert_eq!(contract().differences(&other), [D::JointOrder, D::Action, D::RobotModel]);
 }
 
 #[test]
@@ -212,35 +207,16 @@ fn the_height_from_which_on_it_swims_is_written_where_it_is_observed() {
         observation: ObservationLayout::new(ACT_DIM, &FEET.map(str::to_owned), true),
         ..contract()
     };
-    let at = |height_m| PolicyContract {
-        afloat_above_m: Some(height_m),
-        ..old.clone()
-    };
+    let at = |height_m| PolicyContract { afloat_above_m: Some(height_m), ..old.clone() };
     old.validate().unwrap();
     at(0.08).validate().unwrap();
     assert!(at(f32::NAN).validate().is_err());
-    let on_land = PolicyContract {
-        afloat_above_m: Some(0.08),
-        ..contract()
-    };
-    assert!(
-        on_land
-            .validate()
-            .unwrap_err()
-            .to_string()
-            .contains("afloat_above_m")
-    );
+    let on_land = PolicyContract { afloat_above_m: Some(0.08), ..contract() };
+    assert!(on_land.validate().unwrap_err().to_string().contains("afloat_above_m"));
     // it runs all the same, and whoever asks is told; an old file does not say
-    assert_eq!(
-        at(0.08).differences(&at(0.09)),
-        [ContractDifference::Afloat]
-    );
+    assert_eq!(at(0.08).differences(&at(0.09)), [ContractDifference::Afloat]);
     assert!(!ContractDifference::Afloat.is_breaking());
     assert!(at(0.08).differences(&old).is_empty());
-    assert!(
-        at(0.08)
-            .canonical_json()
-            .contains(r#""afloat_above_m":0.08"#)
-    );
+    assert!(at(0.08).canonical_json().contains(r#""afloat_above_m":0.08"#));
     assert!(!old.canonical_json().contains("afloat"));
 }

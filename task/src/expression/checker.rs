@@ -23,11 +23,7 @@ pub(super) struct Checker<'a> {
 
 impl<'a> Checker<'a> {
     pub fn new(names: Option<Names<'a>>) -> Self {
-        Self {
-            names,
-            steps: Vec::new(),
-            simulated: None,
-        }
+        Self { names, steps: Vec::new(), simulated: None }
     }
 
     pub fn finish(self, typed: Typed) -> Program {
@@ -57,10 +53,7 @@ impl<'a> Checker<'a> {
         match tree {
             Tree::Number(value) => {
                 self.steps.push(Step::Number(*value));
-                Ok(Typed {
-                    shape: Shape::Scalar,
-                    unit: None,
-                })
+                Ok(Typed { shape: Shape::Scalar, unit: None })
             }
             Tree::Name(name) => {
                 let signal = self.signal(name)?;
@@ -77,15 +70,9 @@ impl<'a> Checker<'a> {
             Tree::Power(of, power) => {
                 let of = self.compile(of)?;
                 let len = self.len(of.shape);
-                let step = Step::Power {
-                    power: i32::from(*power),
-                    len,
-                };
+                let step = Step::Power { power: i32::from(*power), len };
                 self.steps.push(step);
-                Ok(Typed {
-                    unit: of.unit.map(|unit| unit.power(2 * power)),
-                    ..of
-                })
+                Ok(Typed { unit: of.unit.map(|unit| unit.power(2 * power)), ..of })
             }
             Tree::Binary(infix, left, right) => {
                 let (left, right) = (self.compile(left)?, self.compile(right)?);
@@ -98,10 +85,7 @@ impl<'a> Checker<'a> {
     fn signal(&mut self, name: &str) -> Result<Signal, Reason> {
         let signal = Signal::named(name).ok_or_else(|| {
             let known: Vec<&str> = SIGNALS.iter().map(|row| row.name).collect();
-            format!(
-                "names `{name}`, which is no signal; there are: {}",
-                known.join(", ")
-            )
+            format!("names `{name}`, which is no signal; there are: {}", known.join(", "))
         })?;
         if signal.info().known == Known::Simulated {
             self.simulated.get_or_insert(signal);
@@ -115,10 +99,7 @@ impl<'a> Checker<'a> {
             let at = axis(member).filter(|_| of.shape == Shape::Three);
             let at = at.ok_or_else(|| format!("has `.{member}` behind what has no such part"))?;
             self.steps.push(Step::Element { at, of: 3 });
-            return Ok(Typed {
-                shape: Shape::Scalar,
-                ..of
-            });
+            return Ok(Typed { shape: Shape::Scalar, ..of });
         };
         let signal = self.signal(name)?;
         let among = |names: &[String], what: &str| {
@@ -139,10 +120,7 @@ impl<'a> Checker<'a> {
             (Shape::Feet, Some(names)) => among(names.feet, "foot")?,
         };
         self.steps.push(Step::Pick(signal, at));
-        Ok(Typed {
-            shape: Shape::Scalar,
-            ..typed(signal)
-        })
+        Ok(Typed { shape: Shape::Scalar, ..typed(signal) })
     }
 
     fn infix(&mut self, infix: Infix, left: Typed, right: Typed) -> Result<Typed, Reason> {
@@ -191,16 +169,11 @@ impl<'a> Checker<'a> {
         let function = FUNCTIONS.iter().find(|row| row.name == name);
         let function = function.ok_or_else(|| {
             let known: Vec<&str> = FUNCTIONS.iter().map(|row| row.name).collect();
-            format!(
-                "calls `{name}`, which is no function; there are: {}",
-                known.join(", ")
-            )
+            format!("calls `{name}`, which is no function; there are: {}", known.join(", "))
         })?;
         let (needs, given) = (function.arguments, arguments.len());
         if needs != given {
-            return Err(format!(
-                "calls `{name}` with {given} arguments, it takes {needs}"
-            ));
+            return Err(format!("calls `{name}` with {given} arguments, it takes {needs}"));
         }
         match function.act {
             Act::Where => self.choose(arguments),
@@ -212,11 +185,7 @@ impl<'a> Checker<'a> {
             }
             Act::Min | Act::Max => {
                 let (left, right) = (self.compile(&arguments[0])?, self.compile(&arguments[1])?);
-                let pair = if function.act == Act::Min {
-                    Pair::Min
-                } else {
-                    Pair::Max
-                };
+                let pair = if function.act == Act::Min { Pair::Min } else { Pair::Max };
                 self.bounded(pair, name, left, right)
             }
             act => {
@@ -257,25 +226,16 @@ impl<'a> Checker<'a> {
                     ));
                 }
                 self.steps.push(Step::Each { act, len });
-                Ok(Typed {
-                    unit: Some(Unit::ONE),
-                    ..of
-                })
+                Ok(Typed { unit: Some(Unit::ONE), ..of })
             }
             Act::Abs | Act::Sqrt => {
                 self.steps.push(Step::Each { act, len });
                 let halves = if act == Act::Sqrt { 1 } else { 2 };
-                Ok(Typed {
-                    unit: of.unit.map(|unit| unit.power(halves)),
-                    ..of
-                })
+                Ok(Typed { unit: of.unit.map(|unit| unit.power(halves)), ..of })
             }
             _ => {
                 self.steps.push(Step::Reduce { act, len });
-                Ok(Typed {
-                    shape: Shape::Scalar,
-                    ..of
-                })
+                Ok(Typed { shape: Shape::Scalar, ..of })
             }
         }
     }
@@ -283,10 +243,7 @@ impl<'a> Checker<'a> {
 
 fn typed(signal: Signal) -> Typed {
     let info = signal.info();
-    Typed {
-        shape: info.shape,
-        unit: Some(info.unit),
-    }
+    Typed { shape: info.shape, unit: Some(info.unit) }
 }
 
 fn axis(name: &str) -> Option<usize> {

@@ -34,10 +34,7 @@ pub(super) fn parse(text: &str) -> Result<Tree, String> {
     if text.len() > TEXT_MAX {
         return Err(format!("is longer than {TEXT_MAX} bytes"));
     }
-    let mut parser = Parser {
-        rest: text,
-        depth: 0,
-    };
+    let mut parser = Parser { rest: text, depth: 0 };
     let tree = parser.comparison()?;
     match parser.peek() {
         None => Ok(tree),

@@ -20,23 +20,14 @@ impl Source for State {
 }
 
 fn names() -> ([String; 2], [String; 3]) {
-    (
-        ["hip", "knee"].map(str::to_owned),
-        ["L", "M", "R"].map(str::to_owned),
-    )
+    (["hip", "knee"].map(str::to_owned), ["L", "M", "R"].map(str::to_owned))
 }
 
 fn value(text: &str) -> Vec<f32> {
     let (joints, feet) = names();
-    let names = Names {
-        joints: &joints,
-        feet: &feet,
-    };
+    let names = Names { joints: &joints, feet: &feet };
     let program = compile(text, names).unwrap_or_else(|e| panic!("{text} {e}"));
-    let state = State {
-        joints: vec![2.0, -3.0],
-        feet: vec![0.0, 0.02, 0.05],
-    };
+    let state = State { joints: vec![2.0, -3.0], feet: vec![0.0, 0.02, 0.05] };
     let mut stack = Vec::new();
     let values = program.run(&state, &mut stack).to_vec();
     assert_eq!(values.len(), program.len(), "{text}");
@@ -68,24 +59,15 @@ fn arithmetic_by_hand() {
         ("foot_height > 0.03", vec![0.0, 0.0, 1.0]),
         ("foot_height.M <= 0.02", vec![1.0]),
         // the side that is not taken is 1/0
-        (
-            "where(foot_height > 0, 1 / foot_height, -1)",
-            vec![-1.0, 50.0, 20.0],
-        ),
-        (
-            "exp(-(command_vx - velocity.x)^2 / 0.04)",
-            vec![(-1.0f32).exp()],
-        ),
+        ("where(foot_height > 0, 1 / foot_height, -1)", vec![-1.0, 50.0, 20.0]),
+        ("exp(-(command_vx - velocity.x)^2 / 0.04)", vec![(-1.0f32).exp()]),
         ("(2 * velocity).y", vec![0.2]),
         ("sqrt(0 - 4)", vec![0.0]),
     ] {
         let found = value(text);
         assert_eq!(found.len(), expected.len(), "{text}");
         for (found, expected) in found.iter().zip(expected) {
-            assert!(
-                (found - expected).abs() < 1e-5,
-                "{text} is {found}, not {expected}"
-            );
+            assert!((found - expected).abs() < 1e-5, "{text} is {found}, not {expected}");
         }
     }
 }
@@ -113,15 +95,9 @@ fn what_is_wrong_is_said() {
         assert!(error.contains(reason), "{text}: {error}");
     }
     let (joints, feet) = names();
-    let names = Names {
-        joints: &joints,
-        feet: &feet,
-    };
+    let names = Names { joints: &joints, feet: &feet };
     let error = compile("torque.elbow", names).unwrap_err();
-    assert!(
-        error.contains("no such joint; it has: hip, knee"),
-        "{error}"
-    );
+    assert!(error.contains("no such joint; it has: hip, knee"), "{error}");
     // without a robot nobody knows
     check("torque.elbow").unwrap();
     let deep = format!("{}1{}", "(".repeat(60), ")".repeat(60));
@@ -148,10 +124,7 @@ fn units_follow_and_plain_numbers_take_what_is_needed() {
 #[test]
 fn what_only_the_simulation_knows_is_noticed() {
     let (joints, feet) = names();
-    let names = Names {
-        joints: &joints,
-        feet: &feet,
-    };
+    let names = Names { joints: &joints, feet: &feet };
     let sensed = compile("gyro.x * gravity.y + joint_vel.hip", names);
     // gyro and joint velocities are both 1/s
     assert_eq!(sensed.unwrap().simulated(), None);

@@ -12,24 +12,18 @@ impl Unit {
 
     /// m^a·kg^b·s^c.
     pub const fn of(metres: i16, kilograms: i16, seconds: i16) -> Self {
-        Self {
-            doubled: [2 * metres, 2 * kilograms, 2 * seconds],
-        }
+        Self { doubled: [2 * metres, 2 * kilograms, 2 * seconds] }
     }
 
     /// The product with `other` to the power of `sign`.
     pub(super) fn times(self, other: Self, sign: i16) -> Self {
         let at = |i: usize| self.doubled[i].saturating_add(other.doubled[i].saturating_mul(sign));
-        Self {
-            doubled: [at(0), at(1), at(2)],
-        }
+        Self { doubled: [at(0), at(1), at(2)] }
     }
 
     /// To the power of half of `halves`.
     pub(super) fn power(self, halves: i16) -> Self {
-        Self {
-            doubled: self.doubled.map(|e| e.saturating_mul(halves) / 2),
-        }
+        Self { doubled: self.doubled.map(|e| e.saturating_mul(halves) / 2) }
     }
 }
 

@@ -181,14 +181,12 @@ reward_terms! {
 
 fn check_weight(sense: Sense, weight: f32, field: &'static str) -> Result<(), TaskError> {
     let (right, reason) = match sense {
-        Sense::Reward => (
-            (0.0..=1e4).contains(&weight),
-            "this term rewards, its weight must be 0 to 10000",
-        ),
-        Sense::Cost => (
-            (-1e4..=0.0).contains(&weight),
-            "this term costs, its weight must be -10000 to 0",
-        ),
+        Sense::Reward => {
+            ((0.0..=1e4).contains(&weight), "this term rewards, its weight must be 0 to 10000")
+        }
+        Sense::Cost => {
+            ((-1e4..=0.0).contains(&weight), "this term costs, its weight must be -10000 to 0")
+        }
     };
     require_all(&[(right, field, &weight, reason)])
 }
@@ -214,11 +212,7 @@ pub fn evaluate(
     if !own.is_empty() {
         let signals = StateSignals::new(input, config.contact_force_n);
         for (which, term) in config.term.iter().enumerate() {
-            let sense = if term.weight < 0.0 {
-                Sense::Cost
-            } else {
-                Sense::Reward
-            };
+            let sense = if term.weight < 0.0 { Sense::Cost } else { Sense::Reward };
             let value = own.value(which, &signals);
             contributions[TERM_COUNT + which] =
                 dt_s * sense.scale(cost_scale) * term.weight * value;
@@ -298,10 +292,7 @@ impl RewardConfig {
         let above_zero = |value: f32| value > 0.0 && value <= 1e6;
         let reason = "must be above 0 and at most 1000000";
         let share = self.soft_limit_share > 0.0 && self.soft_limit_share <= 1.0;
-        let wave = self
-            .wave_amplitude_rad
-            .iter()
-            .all(|a| (0.0..=2.0).contains(a));
+        let wave = self.wave_amplitude_rad.iter().all(|a| (0.0..=2.0).contains(a));
         checks! {
             self, "reward.";
             lin_vel_sigma: above_zero(self.lin_vel_sigma), reason;
@@ -327,9 +318,7 @@ impl RewardConfig {
     }
 
     fn own(&self) -> impl Iterator<Item = (&str, &str)> {
-        self.term
-            .iter()
-            .map(|term| (term.name.as_str(), term.value.as_str()))
+        self.term.iter().map(|term| (term.name.as_str(), term.value.as_str()))
     }
 
     /// The terms of the task file, compiled for a robot.
@@ -343,9 +332,7 @@ impl RewardConfig {
     /// Names of all terms, in the order of all per-term arrays: those of the table, then its own.
     pub fn term_names(&self) -> Vec<String> {
         let built_in = TERMS.iter().map(|term| term.name.to_owned());
-        built_in
-            .chain(self.term.iter().map(|term| term.name.clone()))
-            .collect()
+        built_in.chain(self.term.iter().map(|term| term.name.clone())).collect()
     }
 }
 

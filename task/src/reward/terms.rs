@@ -77,9 +77,7 @@ pub fn target_limits(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     (0..joints.len())
         .map(|i| {
             let target = input.target_rad[i];
-            (target - joints.upper_rad[i])
-                .max(joints.lower_rad[i] - target)
-                .max(0.0)
+            (target - joints.upper_rad[i]).max(joints.lower_rad[i] - target).max(0.0)
         })
         .sum()
 }

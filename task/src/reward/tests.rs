@@ -99,17 +99,10 @@ fn with(index: usize, value: f32) -> [f32; ACT_DIM] {
 fn tracking_of_velocity() {
     check(terms::tracking_lin_vel, &rest(), 1.0);
     // Command (0.3, −0.1), velocity (0.1, 0.1): 0.2² + 0.2² = 0.08; exp(−0.08/0.25) = 0.726149
-    let input = RewardInput {
-        command: [0.3, -0.1, 9.0],
-        com_vel_mps: [0.1, 0.1, 9.0],
-        ..rest()
-    };
+    let input = RewardInput { command: [0.3, -0.1, 9.0], com_vel_mps: [0.1, 0.1, 9.0], ..rest() };
     check(terms::tracking_lin_vel, &input, 0.726_149);
     // Standing under a 0.3 m/s command: exp(−0.09/0.25) = 0.697676: 70 % for doing nothing.
-    let input = RewardInput {
-        command: [0.3, 0.0, 0.0],
-        ..rest()
-    };
+    let input = RewardInput { command: [0.3, 0.0, 0.0], ..rest() };
     check(terms::tracking_lin_vel, &input, 0.697_676);
     // Told to hold a course and turned a quarter to the left of it, 0.3 m/s forward are 0 along the course
     // and 0.3 across: 0.3² + 0.3² = 0.18; exp(−0.18/0.25) = 0.486752
@@ -125,11 +118,7 @@ fn tracking_of_velocity() {
 #[test]
 fn tracking_of_yaw_rate() {
     // (0.5 − (−0.25))² = 0.5625; exp(−0.5625/0.25) = exp(−2.25) = 0.105399
-    let input = RewardInput {
-        command: [9.0, 9.0, 0.5],
-        yaw_rate_radps: -0.25,
-        ..rest()
-    };
+    let input = RewardInput { command: [9.0, 9.0, 0.5], yaw_rate_radps: -0.25, ..rest() };
     check(terms::tracking_yaw_rate, &input, 0.105_399);
 }
 
@@ -155,14 +144,7 @@ fn phase_of_the_feet() {
 fn power_counts_braking_as_well() {
     let power: [f32; ACT_DIM] = std::array::from_fn(|i| if i % 2 == 0 { 0.5 } else { -0.25 });
     // 8·0.5 + 8·0.25 = 6 W
-    check(
-        terms::power,
-        &RewardInput {
-            mech_power_w: &power,
-            ..rest()
-        },
-        6.0,
-    );
+    check(terms::power, &RewardInput { mech_power_w: &power, ..rest() }, 6.0);
 }
 
 #[test]
@@ -171,15 +153,9 @@ fn bend_of_the_body() {
     // joints 0 and 5 are the body's, joint 9 is a knee: 0.3² + 0.2² = 0.13
     let mut pos = NOMINAL;
     (pos[0], pos[5], pos[9]) = (pos[0] - 0.3, pos[5] + 0.2, pos[9] + 1.0);
-    let bent = RewardInput {
-        joint_pos_rad: &pos,
-        ..rest()
-    };
+    let bent = RewardInput { joint_pos_rad: &pos, ..rest() };
     check(terms::bend, &bent, 0.13);
-    let afloat = RewardInput {
-        afloat: 1.0,
-        ..bent
-    };
+    let afloat = RewardInput { afloat: 1.0, ..bent };
     check(terms::bend, &afloat, 0.0);
 }
 
@@ -187,29 +163,10 @@ fn bend_of_the_body() {
 fn action_rate_torque_and_acceleration() {
     let (a, b) = (with(3, 0.5), with(3, -0.1));
     // 0.6² = 0.36
-    check(
-        terms::action_rate,
-        &RewardInput {
-            action: &a,
-            previous_action: &b,
-            ..rest()
-        },
-        0.36,
-    );
-    check(
-        terms::torque,
-        &RewardInput {
-            motor_torque_nm: &a,
-            ..rest()
-        },
-        0.25,
-    );
+    check(terms::action_rate, &RewardInput { action: &a, previous_action: &b, ..rest() }, 0.36);
+    check(terms::torque, &RewardInput { motor_torque_nm: &a, ..rest() }, 0.25);
     // 0.6 rad/s in 0.02 s: 30 rad/s²; 900
-    let input = RewardInput {
-        joint_vel_radps: &a,
-        previous_joint_vel_radps: &b,
-        ..rest()
-    };
+    let input = RewardInput { joint_vel_radps: &a, previous_joint_vel_radps: &b, ..rest() };
     check(terms::joint_acceleration, &input, 900.0);
 }
 
@@ -219,14 +176,7 @@ fn joint_limits_start_at_the_soft_share() {
     // Range ±1, soft ±0.95: −0.99 is 0.04 beyond, 1.05 is 0.1 beyond.
     let mut pos = ZEROS;
     (pos[0], pos[15], pos[7]) = (-0.99, 1.05, 0.94);
-    check(
-        terms::joint_limits,
-        &RewardInput {
-            joint_pos_rad: &pos,
-            ..rest()
-        },
-        0.14,
-    );
+    check(terms::joint_limits, &RewardInput { joint_pos_rad: &pos, ..rest() }, 0.14);
 }
 
 #[test]
@@ -244,56 +194,23 @@ fn slip_counts_only_feet_in_contact() {
 #[test]
 fn posture_terms() {
     // Rolled by 30°: g_y² = 0.25.
-    let input = RewardInput {
-        gravity: [0.0, -0.5, -0.866_025],
-        ..rest()
-    };
+    let input = RewardInput { gravity: [0.0, -0.5, -0.866_025], ..rest() };
     check(terms::orientation, &input, 0.25);
     // 2 N of 5 N; 50 N is cut at 1.
-    check(
-        terms::trunk_contact,
-        &RewardInput {
-            trunk_force_n: 2.0,
-            ..rest()
-        },
-        0.4,
-    );
-    check(
-        terms::trunk_contact,
-        &RewardInput {
-            trunk_force_n: 50.0,
-            ..rest()
-        },
-        1.0,
-    );
-    let input = RewardInput {
-        com_vel_mps: [9.0, 9.0, -0.3],
-        ..rest()
-    };
+    check(terms::trunk_contact, &RewardInput { trunk_force_n: 2.0, ..rest() }, 0.4);
+    check(terms::trunk_contact, &RewardInput { trunk_force_n: 50.0, ..rest() }, 1.0);
+    let input = RewardInput { com_vel_mps: [9.0, 9.0, -0.3], ..rest() };
     check(terms::vertical_velocity, &input, 0.09);
-    let input = RewardInput {
-        gyro_radps: [0.6, -0.8, 9.0],
-        ..rest()
-    };
+    let input = RewardInput { gyro_radps: [0.6, -0.8, 9.0], ..rest() };
     check(terms::rocking, &input, 1.0);
 }
 
 #[test]
 fn stand_still_only_when_told_to_stand() {
     // 16·|0 − 0.1| = 1.6 rad
-    let input = RewardInput {
-        joint_pos_rad: &ZEROS,
-        ..rest()
-    };
+    let input = RewardInput { joint_pos_rad: &ZEROS, ..rest() };
     check(terms::stand_still, &input, 0.0);
-    check(
-        terms::stand_still,
-        &RewardInput {
-            standing: true,
-            ..input
-        },
-        1.6,
-    );
+    check(terms::stand_still, &RewardInput { standing: true, ..input }, 1.6);
 }
 
 #[test]
@@ -347,24 +264,9 @@ fn a_wrong_sign_or_scale_is_refused_by_name() {
     );
     config = RewardConfig::default();
     config.weights.phase = -1.0;
-    assert!(
-        config
-            .validate()
-            .unwrap_err()
-            .to_string()
-            .contains("reward.weights.phase")
-    );
-    config = RewardConfig {
-        phase_sigma: 0.0,
-        ..RewardConfig::default()
-    };
-    assert!(
-        config
-            .validate()
-            .unwrap_err()
-            .to_string()
-            .contains("reward.phase_sigma")
-    );
+    assert!(config.validate().unwrap_err().to_string().contains("reward.weights.phase"));
+    config = RewardConfig { phase_sigma: 0.0, ..RewardConfig::default() };
+    assert!(config.validate().unwrap_err().to_string().contains("reward.phase_sigma"));
 }
 
 #[test]
@@ -373,10 +275,7 @@ fn targets_beyond_the_limits_cost_what_they_are_beyond_them() {
     // Limits ±1: 1.5 is half a radian beyond the upper one, −3 two beyond the lower one, 0.99 within.
     let mut target = ZEROS;
     (target[0], target[5], target[9]) = (1.5, -3.0, 0.99);
-    let input = RewardInput {
-        target_rad: &target,
-        ..rest()
-    };
+    let input = RewardInput { target_rad: &target, ..rest() };
     check(terms::target_limits, &input, 2.5);
 }
 
@@ -385,29 +284,17 @@ fn in_water_legs_fold_instead_of_stepping() {
     // The nominal pose is 0.1 rad in each of the 8 leg joints, the swimming pose 0.6: 1 − 0.5/π = 0.840845
     // for each.
     let fold = [0.6; ACT_DIM];
-    let input = RewardInput {
-        submerged: 1.0,
-        afloat: 1.0,
-        swimming_rad: &fold,
-        ..rest()
-    };
+    let input = RewardInput { submerged: 1.0, afloat: 1.0, swimming_rad: &fold, ..rest() };
     check(terms::leg_fold, &input, 0.840_845);
     // One leg that is 2.4 rad off in one joint and 4.4 in the other, (6·0.840845 + 0.236056 + 0)/8 =
     // 0.660141: it hides nothing from the other six.
     let mut one_off = input.joint_pos_rad.to_vec();
     (one_off[8], one_off[9]) = (3.0, 5.0);
-    let one_leg = RewardInput {
-        joint_pos_rad: &one_off,
-        ..input
-    };
+    let one_leg = RewardInput { joint_pos_rad: &one_off, ..input };
     check(terms::leg_fold, &one_leg, 0.660_141);
     // Each of the styles pays in full where it is not asked for, so that nothing is lost or won by going from
     // one to the other.
-    let input = RewardInput {
-        on_ground: [0.0; FEET].into(),
-        foot_height_m: &[0.3; FEET],
-        ..input
-    };
+    let input = RewardInput { on_ground: [0.0; FEET].into(), foot_height_m: &[0.3; FEET], ..input };
     check(terms::phase, &input, 1.0);
     let on_land = RewardInput {
         submerged: 0.0,
@@ -434,11 +321,8 @@ fn in_water_legs_fold_instead_of_stepping() {
 
 #[test]
 fn costs_grow_over_the_run_and_rewards_do_not() {
-    let config = RewardConfig {
-        costs_at_start: 0.2,
-        costs_full_after_env_steps: 1000,
-        ..matched()
-    };
+    let config =
+        RewardConfig { costs_at_start: 0.2, costs_full_after_env_steps: 1000, ..matched() };
     // Halfway: 0.2 + 0.8·0.5.
     let scales = [0, 500, 1000, 5000].map(|steps| config.cost_scale(steps));
     for (found, expected) in scales.iter().zip([0.2, 0.6, 1.0, 1.0]) {
@@ -446,10 +330,7 @@ fn costs_grow_over_the_run_and_rewards_do_not() {
     }
     assert_eq!(RewardConfig::default().cost_scale(0), 1.0);
     // 10 W cost 0.02·3e-3·10 = 6e-4, at 0.2 of the costs 1.2e-4; tracking pays 0.02 either way.
-    let input = RewardInput {
-        mech_power_w: &with(3, 10.0),
-        ..rest()
-    };
+    let input = RewardInput { mech_power_w: &with(3, 10.0), ..rest() };
     let at = |name: &str| TERMS.iter().position(|t| t.name == name).unwrap();
     for (scale, power) in [(1.0, -6e-4), (0.2, -1.2e-4)] {
         let mut parts = PerTerm::filled(0, 0.0);
@@ -485,34 +366,17 @@ fn in_water_the_body_makes_a_wave_that_travels_to_the_tail() {
     };
     assert!((terms::body_wave(&config, &input) - 1.0).abs() < 1e-5);
     // A straight body: four joints are off by 0.1, (4 + 4·exp(−0.1²/0.3))/8 = 0.983608.
-    let straight = RewardInput {
-        joint_pos_rad: &ZEROS,
-        ..input
-    };
+    let straight = RewardInput { joint_pos_rad: &ZEROS, ..input };
     assert!((terms::body_wave(&config, &straight) - 0.983_608).abs() < 1e-5);
     // Turning to the left at 0.5 rad/s, each joint lags by 0.2·0.5 = 0.1 rad.
-    let turning = RewardConfig {
-        wave_turn_rad: 0.2,
-        ..config.clone()
-    };
+    let turning = RewardConfig { wave_turn_rad: 0.2, ..config.clone() };
     let bent = wave.map(|q| q - 0.1);
-    let to_the_left = RewardInput {
-        command: [0.15, 0.0, 0.5],
-        joint_pos_rad: &bent,
-        ..input
-    };
+    let to_the_left = RewardInput { command: [0.15, 0.0, 0.5], joint_pos_rad: &bent, ..input };
     assert!((terms::body_wave(&turning, &to_the_left) - 1.0).abs() < 1e-5);
     // Standing asks for a straight body; on land none is asked for, and it pays in full.
-    let standing = RewardInput {
-        standing: true,
-        ..straight
-    };
+    let standing = RewardInput { standing: true, ..straight };
     assert!((terms::body_wave(&config, &standing) - 1.0).abs() < 1e-6);
-    let on_land = RewardInput {
-        submerged: 0.0,
-        afloat: 0.0,
-        ..input
-    };
+    let on_land = RewardInput { submerged: 0.0, afloat: 0.0, ..input };
     assert_eq!(terms::body_wave(&config, &on_land), 1.0);
 }
 
@@ -528,10 +392,7 @@ fn terms_of_ones_own_count_with_the_others() {
         ]"#;
     let config: RewardConfig = toml::from_str(text).unwrap();
     config.validate().unwrap();
-    assert_eq!(
-        config.term_names()[TERM_COUNT..],
-        ["crouch", "knees", "broken"]
-    );
+    assert_eq!(config.term_names()[TERM_COUNT..], ["crouch", "knees", "broken"]);
     let names = Names {
         joints: &std::array::from_fn::<_, ACT_DIM, _>(|i| format!("j{i}")),
         feet: &["FL", "FR", "HL", "HR"].map(str::to_owned),
@@ -539,10 +400,7 @@ fn terms_of_ones_own_count_with_the_others() {
     let mut own = config.programs(names).unwrap();
     let mut pos = NOMINAL;
     pos[3] += 0.4;
-    let input = RewardInput {
-        joint_pos_rad: &pos,
-        ..rest()
-    };
+    let input = RewardInput { joint_pos_rad: &pos, ..rest() };
     let mut parts = PerTerm::default();
     let scale = config.cost_scale(0);
     let total = evaluate(&config, &mut own, &input, 0.02, scale, &mut parts);
@@ -558,15 +416,9 @@ fn wrong_terms_are_refused_when_the_file_is_read() {
     for (term, reason) in [
         ("name = \"power\", value = \"1\"", "name of another term"),
         ("name = \"a b\", value = \"1\"", "letters, digits and _"),
-        (
-            "name = \"a\", value = \"torque\"",
-            "per joint, not one number",
-        ),
+        ("name = \"a\", value = \"torque\"", "per joint, not one number"),
         ("name = \"a\", value = \"speed\"", "no signal"),
-        (
-            "name = \"a\", value = \"1\", weight = 1e9",
-            "-10000 to 10000",
-        ),
+        ("name = \"a\", value = \"1\", weight = 1e9", "-10000 to 10000"),
     ] {
         let config: RewardConfig = toml::from_str(&format!("term = [{{ {term} }}]")).unwrap();
         let error = config.validate().unwrap_err().to_string();

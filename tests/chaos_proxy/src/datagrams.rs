@@ -156,15 +156,8 @@ fn way(
         let loss = weather.loss_percent.load(Ordering::Relaxed);
         let lost = weather.cut.load(Ordering::Relaxed) || dice.below(100) < loss;
         let delay = Duration::from_millis(weather.delay_ms.load(Ordering::Relaxed));
-        let taken = !lost
-            && sender
-                .try_send((Instant::now() + delay, datagram.to_vec()))
-                .is_ok();
-        let counter = if taken {
-            &weather.passed
-        } else {
-            &weather.lost
-        };
+        let taken = !lost && sender.try_send((Instant::now() + delay, datagram.to_vec())).is_ok();
+        let counter = if taken { &weather.passed } else { &weather.lost };
         counter.fetch_add(1, Ordering::Relaxed);
     }
 }

@@ -47,12 +47,7 @@ impl Wire {
                 };
                 let twin = |stream: &TcpStream| stream.try_clone().unwrap();
                 carry(twin(&client), twin(&server), delay_ms.clone(), lie.clone());
-                carry(
-                    twin(&server),
-                    twin(&client),
-                    delay_ms.clone(),
-                    Lie::default(),
-                );
+                carry(twin(&server), twin(&client), delay_ms.clone(), Lie::default());
                 open.lock().unwrap().extend([client, server]);
             }
         });
@@ -106,10 +101,7 @@ fn carry(mut from: TcpStream, mut into: TcpStream, delay_ms: Arc<AtomicU64>, lie
                 bytes[at..at + these.len()].copy_from_slice(&these);
             }
             let delay = Duration::from_millis(delay_ms.load(Ordering::SeqCst));
-            if sender
-                .send((Instant::now() + delay, bytes[..n].to_vec()))
-                .is_err()
-            {
+            if sender.send((Instant::now() + delay, bytes[..n].to_vec())).is_err() {
                 break;
             }
         }

@@ -55,9 +55,7 @@ extern "C" fn one(data: *const u8, size: usize) -> c_int {
 pub fn knock(flags: &[String], corpora: &[&Path], mut door: impl FnMut(&[u8])) {
     let door: *mut Door<'_> = &mut door;
     // SAFETY: only the lifetime is forgotten; `door` outlives the call below, after which nothing is called.
-    DOOR.set(Some(unsafe {
-        std::mem::transmute::<*mut Door<'_>, *mut Door<'static>>(door)
-    }));
+    DOOR.set(Some(unsafe { std::mem::transmute::<*mut Door<'_>, *mut Door<'static>>(door) }));
     let mut told = vec!["fuzz".to_owned()];
     told.extend_from_slice(flags);
     told.extend(corpora.iter().map(|p| p.display().to_string()));
@@ -75,14 +73,8 @@ fn tables() -> (&'static [u8], &'static [Branch]) {
     // SAFETY: both sections are arrays that the compiler laid out, one element for each branch, in one order;
     // nothing writes them while this thread is here but this thread.
     let tables = unsafe {
-        let (a, b) = (
-            &raw const __start___sancov_cntrs,
-            &raw const __stop___sancov_cntrs,
-        );
-        let (c, d) = (
-            &raw const __start___sancov_pcs,
-            &raw const __stop___sancov_pcs,
-        );
+        let (a, b) = (&raw const __start___sancov_cntrs, &raw const __stop___sancov_cntrs);
+        let (c, d) = (&raw const __start___sancov_pcs, &raw const __stop___sancov_pcs);
         (
             std::slice::from_raw_parts(a, b.offset_from_unsigned(a)),
             std::slice::from_raw_parts(c, d.offset_from_unsigned(c)),

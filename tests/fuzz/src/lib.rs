@@ -3,12 +3,7 @@
 //! makes of it (`guided.rs`).
 //!
 //! An input that breaks a rule is kept there and is among the first to be tried ever after.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 // Only the allocator sees every allocation; an allocator cannot be written without `unsafe`.
 #![allow(unsafe_code)]
 // `make fuzz` sets `fuzzing`.
@@ -125,15 +120,11 @@ fn spoil(dice: &mut Dice, pool: &[Vec<u8>]) -> Vec<u8> {
 
 fn seconds() -> f64 {
     let told = std::env::var("CAUDATA_FUZZ_S").ok();
-    told.map_or(2.0, |text| {
-        text.parse().expect("CAUDATA_FUZZ_S is a number of seconds")
-    })
+    told.map_or(2.0, |text| text.parse().expect("CAUDATA_FUZZ_S is a number of seconds"))
 }
 
 fn kept(door: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("corpus")
-        .join(door)
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus").join(door)
 }
 
 fn all_in(folder: &Path) -> Vec<Vec<u8>> {
@@ -174,10 +165,7 @@ pub fn fuzz(
 }
 
 fn keep(folder: &Path, bytes: &[u8]) {
-    let name: String = Sha256::digest(bytes)[..8]
-        .iter()
-        .map(|b| format!("{b:02x}"))
-        .collect();
+    let name: String = Sha256::digest(bytes)[..8].iter().map(|b| format!("{b:02x}")).collect();
     std::fs::create_dir_all(folder).unwrap();
     std::fs::write(folder.join(name), bytes).unwrap();
 }

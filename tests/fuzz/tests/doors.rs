@@ -1,11 +1,6 @@
 //! Every door through which bytes come in from outside, with bytes that somebody has spoilt: no panic, no
 //! more memory than a limit, and nothing accepted that must not be.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
 #[path = "../../../deploy/src/testing.rs"]
 #[allow(dead_code)]
@@ -63,11 +58,7 @@ fn fresh() -> ReleaseKey {
 }
 
 fn trust() -> String {
-    format!(
-        "{}\n{}",
-        release().trust_file(),
-        fresh().fresh_trust_lines()
-    )
+    format!("{}\n{}", release().trust_file(), fresh().fresh_trust_lines())
 }
 
 #[test]
@@ -92,10 +83,7 @@ fn manifest_and_signature() {
     back.reverts_to = Some(1);
     release().sign(&mut back);
     let genuine = [signed.clone(), back.clone()];
-    let seeds = genuine
-        .iter()
-        .map(|m| wire::Manifest::from(m.clone()).encode_to_vec())
-        .collect();
+    let seeds = genuine.iter().map(|m| wire::Manifest::from(m.clone()).encode_to_vec()).collect();
     fuzz("manifest_and_signature", seeds, 1 << 20, |bytes| {
         let Ok(message) = wire::Manifest::decode(bytes) else {
             return "not protobuf".into();
@@ -107,12 +95,7 @@ fn manifest_and_signature() {
                 Ok(()) => {
                     let mut bare = found.clone();
                     bare.signatures.clear();
-                    let same = |m: &Manifest| {
-                        Manifest {
-                            signatures: vec![],
-                            ..m.clone()
-                        } == bare
-                    };
+                    let same = |m: &Manifest| Manifest { signatures: vec![], ..m.clone() } == bare;
                     assert!(genuine.iter().any(same), "trusts what nobody signed");
                     "trusted".into()
                 }
@@ -153,13 +136,7 @@ fn freshness() {
 
 #[test]
 fn watch_event() {
-    let event = |event| {
-        wire::WatchEvent {
-            generation: 4,
-            event: Some(event),
-        }
-        .encode_to_vec()
-    };
+    let event = |event| wire::WatchEvent { generation: 4, event: Some(event) }.encode_to_vec();
     let seeds = vec![
         event(wire::watch_event::Event::Published(manifest().into())),
         event(wire::watch_event::Event::Snapshot(wire::Snapshot {
@@ -167,40 +144,28 @@ fn watch_event() {
         })),
         event(wire::watch_event::Event::Progress(wire::Progress {})),
     ];
-    fuzz(
-        "watch_event",
-        seeds,
-        4 << 20,
-        |bytes| match wire::WatchEvent::decode(bytes) {
-            Err(_) => "not protobuf".into(),
-            Ok(message) => match WatchEvent::try_from(message) {
-                Err(error) => error.to_string(),
-                Ok(_) => "taken".into(),
-            },
+    fuzz("watch_event", seeds, 4 << 20, |bytes| match wire::WatchEvent::decode(bytes) {
+        Err(_) => "not protobuf".into(),
+        Ok(message) => match WatchEvent::try_from(message) {
+            Err(error) => error.to_string(),
+            Ok(_) => "taken".into(),
         },
-    );
+    });
 }
 
 #[test]
 fn policy_file() {
     let seeds = vec![standing(1), standing(2)];
-    fuzz(
-        "policy_file",
-        seeds,
-        64 << 20,
-        |bytes| match PolicyFile::parse(Arc::from(bytes)) {
-            Err(error) => error.to_string().chars().take(40).collect(),
-            Ok(file) => {
-                let layers = &file.spec().layers;
-                let finite = layers
-                    .iter()
-                    .flat_map(|l| l.weight.iter().chain(&l.bias))
-                    .all(|w| w.is_finite());
-                assert!(finite, "a weight is not a number");
-                "taken".into()
-            }
-        },
-    );
+    fuzz("policy_file", seeds, 64 << 20, |bytes| match PolicyFile::parse(Arc::from(bytes)) {
+        Err(error) => error.to_string().chars().take(40).collect(),
+        Ok(file) => {
+            let layers = &file.spec().layers;
+            let finite =
+                layers.iter().flat_map(|l| l.weight.iter().chain(&l.bias)).all(|w| w.is_finite());
+            assert!(finite, "a weight is not a number");
+            "taken".into()
+        }
+    });
 }
 
 /// Two steps of one lane, observations of three values: a number and the last action.
@@ -229,11 +194,7 @@ fn rollout_chunk(action_history: Option<ActionHistory>) -> RolloutChunk {
         truncated: vec![false; 4],
         final_observations: vec![],
         episodes: vec![],
-        moments: Moments {
-            count: 4,
-            mean: vec![0.0; 3],
-            m2: vec![0.0; 3],
-        },
+        moments: Moments { count: 4, mean: vec![0.0; 3], m2: vec![0.0; 3] },
         action_history,
         trace: None,
     }
@@ -245,11 +206,7 @@ fn rollout_frame() {
     let whole = |action_history| {
         caudata_proto::encode(&Envelope::Chunk(Box::new(rollout_chunk(action_history))))
     };
-    let history = ActionHistory {
-        first: 1,
-        steps: 1,
-        clip: 1.0,
-    };
+    let history = ActionHistory { first: 1, steps: 1, clip: 1.0 };
     // With past actions left out a frame is shorter: both ways are knocked at.
     assert!(whole(Some(history)).len() < whole(None).len());
     let seeds = vec![
@@ -259,15 +216,12 @@ fn rollout_frame() {
         vec![8, this, 26, 0],
         vec![8, this + 1],
     ];
-    fuzz(
-        "rollout_frame",
-        seeds,
-        32 << 20,
-        |bytes| match caudata_proto::decode(bytes, &DecodeLimits::default()) {
+    fuzz("rollout_frame", seeds, 32 << 20, |bytes| {
+        match caudata_proto::decode(bytes, &DecodeLimits::default()) {
             Err(error) => error.to_string().chars().take(40).collect(),
             Ok(_) => "taken".into(),
-        },
-    );
+        }
+    });
 }
 
 #[test]
@@ -279,15 +233,10 @@ fn robot_link_message() {
         control_period_s: 0.02,
     }));
     let seeds = vec![robot_link::encode(&hello)];
-    fuzz(
-        "robot_link_message",
-        seeds,
-        1 << 20,
-        |bytes| match robot_link::decode(bytes) {
-            Err(error) => error.to_string().chars().take(40).collect(),
-            Ok(_) => "taken".into(),
-        },
-    );
+    fuzz("robot_link_message", seeds, 1 << 20, |bytes| match robot_link::decode(bytes) {
+        Err(error) => error.to_string().chars().take(40).collect(),
+        Ok(_) => "taken".into(),
+    });
 }
 
 #[test]
@@ -297,11 +246,7 @@ fn servo_frames() {
         encode(1, STATUS, parameters, &mut out);
         out
     };
-    let seeds = vec![
-        frame(&[0, 1, 2, 3, 4]),
-        frame(&[0xFF, 0xFF, 0xFD, 0x00]),
-        frame(&[0; 200]),
-    ];
+    let seeds = vec![frame(&[0, 1, 2, 3, 4]), frame(&[0xFF, 0xFF, 0xFD, 0x00]), frame(&[0; 200])];
     let mut dice = Dice::new(7);
     fuzz("servo_frames", seeds, 1 << 20, move |bytes| {
         let mut framer = Framer::new();
@@ -339,12 +284,7 @@ fn command_datagram() {
     let private = std::os::unix::fs::PermissionsExt::from_mode(0o600);
     std::fs::set_permissions(&file, private).unwrap();
     let key = LinkKey::read(&file).unwrap();
-    let message = |kind, sequence| Message {
-        kind,
-        nonce: 77,
-        sequence,
-        command: [0.1, 0.0, 0.2],
-    };
+    let message = |kind, sequence| Message { kind, nonce: 77, sequence, command: [0.1, 0.0, 0.2] };
     let genuine: Vec<Vec<u8>> = [
         message(Kind::Velocity, 1),
         message(Kind::Kill, 2),
@@ -360,10 +300,7 @@ fn command_datagram() {
         let answer = receiver.take(bytes, &key, Duration::from_secs(1));
         let view = receiver.view(Duration::from_secs(1));
         let heard = answer.is_some() || view.killed || view.age < Duration::MAX;
-        assert!(
-            !heard || genuine.iter().any(|g| g == bytes),
-            "heeds what nobody sent"
-        );
+        assert!(!heard || genuine.iter().any(|g| g == bytes), "heeds what nobody sent");
         format!("heard {heard}")
     });
 }
@@ -396,10 +333,7 @@ fn robot_state_pair() {
             Err(error) => error.to_string().chars().take(80).collect(),
             Ok(found) => {
                 let found = found.unwrap_or_default();
-                assert!(
-                    states.contains(&found),
-                    "believes what was never written: {found:?}"
-                );
+                assert!(states.contains(&found), "believes what was never written: {found:?}");
                 assert!(spoilt_twice || found.generation >= 1, "forgets");
                 "read".into()
             }
@@ -409,10 +343,7 @@ fn robot_state_pair() {
 
 #[test]
 fn server_record() {
-    let record = Record {
-        generation: 3,
-        manifest: manifest(),
-    };
+    let record = Record { generation: 3, manifest: manifest() };
     fuzz(
         "server_record",
         vec![record.to_json().unwrap()],
@@ -442,11 +373,9 @@ fn wiring_file() {
 #[test]
 fn log_table() {
     let seeds = vec![b"t,cmd.FL_knee,pos.FL_knee,volt\n0.0,0.1,0.1,12\n0.02,0.1,,12\n".to_vec()];
-    fuzz("log_table", seeds, 4 << 20, |bytes| {
-        match Table::parse("log.csv", bytes) {
-            Ok(_) => "taken".into(),
-            Err(error) => error.to_string().chars().take(40).collect(),
-        }
+    fuzz("log_table", seeds, 4 << 20, |bytes| match Table::parse("log.csv", bytes) {
+        Ok(_) => "taken".into(),
+        Err(error) => error.to_string().chars().take(40).collect(),
     });
 }
 
@@ -466,20 +395,12 @@ fn boundary_files() {
         format: STAGED_FORMAT.to_owned(),
         number: 4,
         run: 77,
-        answer: Answer::Policy {
-            policy: policy.clone(),
-            proved: false,
-        },
+        answer: Answer::Policy { policy: policy.clone(), proved: false },
     };
     staged.write(&run).unwrap();
     let mut teller = Teller::open(&state, &run).unwrap();
     teller.tell(&PolicyEvent::Begun(policy.clone())).unwrap();
-    let bad = PolicyEvent::Bad {
-        policy,
-        reason: "falls".to_owned(),
-        walked_s: 1.5,
-        fell: true,
-    };
+    let bad = PolicyEvent::Bad { policy, reason: "falls".to_owned(), walked_s: 1.5, fell: true };
     teller.tell(&bad).unwrap();
     let told = |number: u32| state.join(format!("told/{number:020}.json"));
     let seeds =
@@ -500,40 +421,22 @@ fn boundary_files() {
 
 #[test]
 fn bag_container() {
-    let log = Table::parse(
-        "log.csv",
-        &b"t,cmd.a,pos.a,volt\n0,0.1,0.1,12\n0.02,0.1,,12\n"[..],
-    )
-    .unwrap();
-    let packed = [Compression::Zstd, Compression::Lz4]
-        .map(Some)
-        .into_iter()
-        .chain([None]);
+    let log =
+        Table::parse("log.csv", &b"t,cmd.a,pos.a,volt\n0,0.1,0.1,12\n0.02,0.1,,12\n"[..]).unwrap();
+    let packed = [Compression::Zstd, Compression::Lz4].map(Some).into_iter().chain([None]);
     let seeds = packed.map(|packed| write_mcap(&log, 1, packed, None).unwrap());
-    fuzz(
-        "bag_container",
-        seeds.collect(),
-        160 << 20,
-        |bytes| match parse_mcap("a.mcap", bytes) {
-            Ok(_) => "taken".into(),
-            Err(error) => error.to_string().chars().take(40).collect(),
-        },
-    );
+    fuzz("bag_container", seeds.collect(), 160 << 20, |bytes| match parse_mcap("a.mcap", bytes) {
+        Ok(_) => "taken".into(),
+        Err(error) => error.to_string().chars().take(40).collect(),
+    });
 }
 
 /// What ROS nodes send, and what a recording holds.
 #[test]
 fn ros_messages() {
-    let header = Header {
-        stamp_ns: 1_500_000_002,
-        frame: "b".to_owned(),
-    };
+    let header = Header { stamp_ns: 1_500_000_002, frame: "b".to_owned() };
     let seeds = vec![
-        Twist {
-            linear_mps: [0.25, 0.0, 0.0],
-            angular_radps: [0.0, 0.0, -0.5],
-        }
-        .encode(),
+        Twist { linear_mps: [0.25, 0.0, 0.0], angular_radps: [0.0, 0.0, -0.5] }.encode(),
         JointState {
             header: header.clone(),
             name: vec!["hip".to_owned(), "knee".to_owned()],
@@ -588,10 +491,7 @@ fn robot_file() {
             Err(error) => error.to_string().chars().take(60).collect(),
             Ok(robot) => {
                 let moments = robot.links().iter().map(|l| l.mass_kg);
-                assert!(
-                    moments.into_iter().all(f64::is_finite),
-                    "a mass is not a number"
-                );
+                assert!(moments.into_iter().all(f64::is_finite), "a mass is not a number");
                 "taken".into()
             }
         }
@@ -607,11 +507,7 @@ fn robot_import() {
         <collision><geometry><cylinder radius="0.1" length="0.2"/></geometry></collision></link>
         <joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
         <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"#;
-    let seeds = vec![
-        shipped("quadruped.xml"),
-        shipped("xl330_pendulum.xml"),
-        urdf.to_vec(),
-    ];
+    let seeds = vec![shipped("quadruped.xml"), shipped("xl330_pendulum.xml"), urdf.to_vec()];
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("a.xml");
     fuzz("robot_import", seeds, 64 << 20, |bytes| {

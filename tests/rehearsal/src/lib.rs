@@ -23,11 +23,7 @@ enum Step {
     /// Names change together: to a file (by number), or away.
     Names(Vec<(PathBuf, Option<usize>)>),
     /// A file's bytes from `at` on become these, and end there.
-    Bytes {
-        file: usize,
-        at: usize,
-        bytes: Vec<u8>,
-    },
+    Bytes { file: usize, at: usize, bytes: Vec<u8> },
     /// The file's bytes are on the disk.
     SyncedFile(usize),
     /// The folder's names are on the disk.
@@ -91,10 +87,7 @@ impl Rehearsal {
                 notes.steps.push(Step::SyncedFolder(above.to_owned()));
             }
         }
-        Ok(Self {
-            root: root.to_owned(),
-            notes: Mutex::new(notes),
-        })
+        Ok(Self { root: root.to_owned(), notes: Mutex::new(notes) })
     }
 
     fn notes(&self) -> MutexGuard<'_, Notes> {
@@ -123,13 +116,7 @@ impl Rehearsal {
     }
 
     fn fail(&self, step: usize, [writes, syncs, opens]: [bool; 3], error: i32) {
-        self.notes().fail = Some(Failing {
-            step,
-            writes,
-            syncs,
-            opens,
-            error,
-        });
+        self.notes().fail = Some(Failing { step, writes, syncs, opens, error });
     }
 
     /// Nothing fails any more.
@@ -164,13 +151,7 @@ impl Rehearsal {
         // Each open step is there (2), by half where it is bytes (1), or not (0).
         let ways: Vec<usize> = open
             .iter()
-            .map(|n| {
-                if matches!(done[*n], Step::Bytes { .. }) {
-                    3
-                } else {
-                    2
-                }
-            })
+            .map(|n| if matches!(done[*n], Step::Bytes { .. }) { 3 } else { 2 })
             .collect();
         let all = ways.iter().product::<usize>().min(COMBINATIONS_MAX);
         (0..all)
@@ -183,11 +164,7 @@ impl Rehearsal {
                 }
                 let folder = below.join(format!("{step}-{}", chosen_name(&chosen)));
                 let part = |n: usize| {
-                    if settled.contains(&n) {
-                        2
-                    } else {
-                        chosen.get(&n).copied().unwrap_or(0)
-                    }
+                    if settled.contains(&n) { 2 } else { chosen.get(&n).copied().unwrap_or(0) }
                 };
                 build(done, part, &self.root, &folder)?;
                 Ok(folder)
@@ -251,10 +228,7 @@ fn build(
         if let Ok(path) = place(path)
             && path.parent().is_some_and(Path::is_dir)
         {
-            fs::write(
-                path,
-                files.get(&file).map(Vec::as_slice).unwrap_or_default(),
-            )?;
+            fs::write(path, files.get(&file).map(Vec::as_slice).unwrap_or_default())?;
         }
     }
     Ok(())
@@ -278,9 +252,7 @@ impl Notes {
 
     /// Whether the step that comes now fails.
     fn fails(&self, of_it: impl Fn(&Failing) -> bool) -> Option<io::Error> {
-        let failing = self
-            .fail
-            .filter(|f| of_it(f) && self.steps.len() >= f.step)?;
+        let failing = self.fail.filter(|f| of_it(f) && self.steps.len() >= f.step)?;
         Some(io::Error::from_raw_os_error(failing.error))
     }
 
@@ -316,11 +288,7 @@ impl Notes {
         }
         let file = self.file(path);
         let failed = self.fails(|f| f.writes && needs_space);
-        let got = if failed.is_some() {
-            bytes.len() / 2
-        } else {
-            bytes.len()
-        };
+        let got = if failed.is_some() { bytes.len() / 2 } else { bytes.len() };
         let mut whole = fs::read(path).unwrap_or_default();
         whole.truncate(at);
         whole.extend_from_slice(&bytes[..got]);
@@ -351,13 +319,11 @@ impl Disk for Rehearsal {
 
     fn append_synced(&self, path: &Path, bytes: &[u8]) -> Result<(), WriteFault> {
         let at = fs::metadata(path).map_or(0, |meta| meta.len());
-        self.notes()
-            .bytes(path, usize::try_from(at).unwrap_or(usize::MAX), bytes)
+        self.notes().bytes(path, usize::try_from(at).unwrap_or(usize::MAX), bytes)
     }
 
     fn cut_synced(&self, path: &Path, length: u64) -> Result<(), WriteFault> {
-        self.notes()
-            .bytes(path, usize::try_from(length).unwrap_or(usize::MAX), &[])
+        self.notes().bytes(path, usize::try_from(length).unwrap_or(usize::MAX), &[])
     }
 
     fn open_folder(&self, folder: &Path) -> io::Result<Folder> {
@@ -368,9 +334,7 @@ impl Disk for Rehearsal {
     fn sync_folder(&self, folder: &Folder) -> io::Result<()> {
         let mut notes = self.notes();
         notes.check_sync()?;
-        notes
-            .steps
-            .push(Step::SyncedFolder(folder.path().to_owned()));
+        notes.steps.push(Step::SyncedFolder(folder.path().to_owned()));
         Ok(())
     }
 
@@ -443,9 +407,7 @@ mod tests {
         disk.write_synced(&root.join("a"), b"bytes").unwrap();
         disk.rename(&root.join("a"), &root.join("b")).unwrap();
         let left = disk.cut(disk.steps(), &folder.path().join("cuts")).unwrap();
-        let seen = left
-            .iter()
-            .map(|f| (f.join("a").exists(), f.join("b").exists()));
+        let seen = left.iter().map(|f| (f.join("a").exists(), f.join("b").exists()));
         let seen: BTreeSet<_> = seen.collect();
         // Neither name was synced: none, the first, or the second, but never both.
         assert_eq!(seen, [(false, false), (true, false), (false, true)].into());
@@ -459,10 +421,7 @@ mod tests {
         // The name is one step, the bytes the next, the sync the one after.
         disk.fail_writes_at(disk.steps() + 1, 28);
         let (action, error) = disk.write_synced(&path, b"12345678").unwrap_err();
-        assert_eq!(
-            (action, error.kind()),
-            ("write", io::ErrorKind::StorageFull)
-        );
+        assert_eq!((action, error.kind()), ("write", io::ErrorKind::StorageFull));
         assert_eq!(fs::read(&path).unwrap(), b"1234");
         disk.fail_syncs_at(disk.steps(), 5);
         let (action, _) = disk.write_synced(&path, b"12").unwrap_err();

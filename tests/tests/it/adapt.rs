@@ -18,13 +18,7 @@ const KNEE: &str = "FL_knee";
 
 fn succeeds(args: &[&str]) -> Finished {
     let done = finish(command("caudata", args).unwrap()).unwrap();
-    assert_eq!(
-        done.code,
-        Some(0),
-        "{args:?}\n{}\n{}",
-        done.stdout,
-        done.stderr
-    );
+    assert_eq!(done.code, Some(0), "{args:?}\n{}\n{}", done.stdout, done.stderr);
     done
 }
 
@@ -35,16 +29,7 @@ fn text(path: &Path) -> &str {
 /// Records `trial` of the battery on a stand, by `engine`, with the knee's gain at `kp` N·m/rad.
 fn record(robot: &Path, folder: &Path, trial: &str, engine: &str, kp: f64) -> PathBuf {
     let battery = folder.join("battery");
-    succeeds(&[
-        "gap",
-        "excite",
-        "--robot",
-        text(robot),
-        "--out",
-        text(&battery),
-        "--trial",
-        trial,
-    ]);
+    succeeds(&["gap", "excite", "--robot", text(robot), "--out", text(&battery), "--trial", trial]);
     let log = folder.join(trial);
     std::fs::create_dir_all(&log).unwrap();
     let commands = battery.join(format!("{trial}.csv"));
@@ -91,19 +76,14 @@ fn scenarios(evaluation: &Value) -> Vec<&str> {
         assert_eq!(scenario["episodes"], 2, "{scenario}");
         let falls = scenario["fall_share"]["mean"].as_f64().unwrap();
         assert!((0.0..=1.0).contains(&falls), "{scenario}");
-        assert!(
-            scenario["rmse_of_strides"][0].as_f64().unwrap().is_finite(),
-            "{scenario}"
-        );
+        assert!(scenario["rmse_of_strides"][0].as_f64().unwrap().is_finite(), "{scenario}");
     }
     all.iter().map(|s| s["name"].as_str().unwrap()).collect()
 }
 
 /// The knee's position gain, N·m/rad, where `robot` has its own everywhere.
 fn soft_kp(robot: &Path) -> f64 {
-    let about = succeeds(&["robot", "check", text(robot), "--json"])
-        .last_json()
-        .unwrap();
+    let about = succeeds(&["robot", "check", text(robot), "--json"]).last_json().unwrap();
     SOFT * about["kp_nm_per_rad"][0].as_f64().unwrap()
 }
 
@@ -136,13 +116,7 @@ fn a_soft_knee_is_found_trained_for_and_evaluated() {
         args.extend(["--log", text(log)]);
     }
     args.extend(["--holdout", text(&holdout)]);
-    for id in [
-        "kp_error",
-        "kd_error",
-        "coulomb_friction",
-        "viscous_friction",
-        "link_mass",
-    ] {
+    for id in ["kp_error", "kd_error", "coulomb_friction", "viscous_friction", "link_mass"] {
         args.extend(["--only", id]);
     }
     args.extend(["--iterations", "2", "--suite", "flat", "--episodes", "2"]);
@@ -151,10 +125,8 @@ fn a_soft_knee_is_found_trained_for_and_evaluated() {
     let report = succeeds(&args).last_json().unwrap();
 
     let causes = report["causes"].as_array().unwrap();
-    let knee = causes
-        .iter()
-        .find(|c| c["effect"] == "kp_error")
-        .unwrap_or_else(|| panic!("{report}"));
+    let knee =
+        causes.iter().find(|c| c["effect"] == "kp_error").unwrap_or_else(|| panic!("{report}"));
     assert_eq!(knee["where"], serde_json::json!([KNEE]), "{report}");
     let scale = knee["parameters"]["scale"]["value"].as_f64().unwrap();
     assert!((scale - SOFT).abs() < 0.1 * SOFT, "{report}");
@@ -162,10 +134,7 @@ fn a_soft_knee_is_found_trained_for_and_evaluated() {
     // The extended file is what was trained in, and the new policy began as the old one and is another.
     assert_eq!(report["trained"], true, "{report}");
     let new = PathBuf::from(report["policy"].as_str().unwrap());
-    assert_ne!(
-        std::fs::read(&new).unwrap(),
-        std::fs::read(&policy).unwrap()
-    );
+    assert_ne!(std::fs::read(&new).unwrap(), std::fs::read(&policy).unwrap());
     let config = std::fs::read_to_string(out.join("run/config.toml")).unwrap();
     assert!(config.contains("extended.robot.toml"), "{config}");
     assert!(config.contains("flat.onnx"), "{config}");
@@ -180,21 +149,10 @@ fn a_soft_knee_is_found_trained_for_and_evaluated() {
     .iter()
     .map(|key| scenarios(&report[*key]))
     .collect();
-    assert!(
-        !names[0].is_empty() && names.iter().all(|n| *n == names[0]),
-        "{names:?}"
-    );
+    assert!(!names[0].is_empty() && names.iter().all(|n| *n == names[0]), "{names:?}");
     // Same policy, same seed: a soft knee changes what it does.
-    let speed = |key: &str| {
-        report[key]["scenarios"][0]["vx_mps"]["mean"]
-            .as_f64()
-            .unwrap()
-    };
-    assert_ne!(
-        speed("before_in_nominal"),
-        speed("before_in_extended"),
-        "{report}"
-    );
+    let speed = |key: &str| report[key]["scenarios"][0]["vx_mps"]["mean"].as_f64().unwrap();
+    assert_ne!(speed("before_in_nominal"), speed("before_in_extended"), "{report}");
     assert_eq!(steps(&report).len(), 7, "{report}");
     assert_eq!(json_file(&out.join("adapt.json")).unwrap(), report);
 
@@ -208,10 +166,7 @@ fn a_soft_knee_is_found_trained_for_and_evaluated() {
     assert_eq!((bare(&again), steps(&again)), (bare(&report), vec![]));
     std::fs::remove_file(out.join("after_in_truth.json")).unwrap();
     let again = succeeds(&args).last_json().unwrap();
-    assert_eq!(
-        (bare(&again), steps(&again)),
-        (bare(&report), vec!["after_in_truth"])
-    );
+    assert_eq!((bare(&again), steps(&again)), (bare(&report), vec!["after_in_truth"]));
     // With something else it would be another diagnosis.
     let elsewhere = args.iter().copied();
     let elsewhere: Vec<&str> = elsewhere.chain(["--without", "link_mass"]).collect();
@@ -234,9 +189,7 @@ fn nothing_is_trained_for_a_robot_that_is_as_its_file_says() {
     let folder = folder.path();
     let root = repository_root();
     let robot = root.join("robots/polymander.robot.toml");
-    let about = succeeds(&["robot", "check", text(&robot), "--json"])
-        .last_json()
-        .unwrap();
+    let about = succeeds(&["robot", "check", text(&robot), "--json"]).last_json().unwrap();
     let kp = about["kp_nm_per_rad"][0].as_f64().unwrap();
     let logs = folder.join("logs");
     for trial in ["chirp_medium", "steps_medium", "triangle_fast"] {
@@ -287,9 +240,8 @@ fn stopped_at(word: &str, args: &[&str]) -> (Option<i32>, String) {
 
 fn names(folder: &Path) -> Vec<String> {
     let entries = std::fs::read_dir(folder).unwrap();
-    let mut names: Vec<String> = entries
-        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
-        .collect();
+    let mut names: Vec<String> =
+        entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
     names.sort();
     names
 }
@@ -304,16 +256,8 @@ fn a_diagnosis_that_is_stopped_leaves_nothing_half() {
     let log = record(&robot, folder, "chirp_medium", "batch", kp);
 
     let alone = folder.join("alone");
-    let diagnose = [
-        "gap",
-        "diagnose",
-        "--robot",
-        text(&robot),
-        "--log",
-        text(&log),
-        "--out",
-        text(&alone),
-    ];
+    let diagnose =
+        ["gap", "diagnose", "--robot", text(&robot), "--log", text(&log), "--out", text(&alone)];
     let (code, said) = stopped_at("screening", &diagnose);
     // Stopped, it writes what it has, whole, and says that it is unfinished; or, before it has anything, nothing.
     if code == Some(75) {
@@ -327,15 +271,7 @@ fn a_diagnosis_that_is_stopped_leaves_nothing_half() {
 
     let policy = root.join("policies/flat.onnx");
     let out = folder.join("adapted");
-    let adapt = [
-        "adapt",
-        "--policy",
-        text(&policy),
-        "--log",
-        text(&log),
-        "--out",
-        text(&out),
-    ];
+    let adapt = ["adapt", "--policy", text(&policy), "--log", text(&log), "--out", text(&out)];
     let (code, said) = stopped_at("screening", &adapt);
     assert_eq!(code, Some(75), "{said}");
     assert!(said.contains("error: stopped by SIGTERM"), "{said}");

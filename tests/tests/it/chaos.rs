@@ -61,10 +61,8 @@ impl Running {
     /// Its children whose command line has this word.
     fn children(&self, word: &str) -> Vec<Pid> {
         let parent = self.child.id().to_string();
-        let output = Command::new("ps")
-            .args(["-o", "pid=,args=", "--ppid", &parent])
-            .output()
-            .unwrap();
+        let output =
+            Command::new("ps").args(["-o", "pid=,args=", "--ppid", &parent]).output().unwrap();
         String::from_utf8_lossy(&output.stdout)
             .lines()
             .filter(|line| line.contains(word) && !line.contains("<defunct>"))
@@ -190,13 +188,7 @@ impl Cluster {
             .args(["--set", &format!("cluster.tls_dir={pki}/actor")])
             .stdout(std::fs::File::create(folder.join("far.log")).unwrap());
         let far = elsewhere.run(move || far.spawn().unwrap());
-        Self {
-            up: Running { child: up },
-            far: Running { child: far },
-            events,
-            weather,
-            elsewhere,
-        }
+        Self { up: Running { child: up }, far: Running { child: far }, events, weather, elsewhere }
     }
 
     fn actors(&self) -> Vec<Pid> {
@@ -220,11 +212,7 @@ impl Cluster {
     /// Times and events of one kind since `from`.
     fn since(&self, from: Instant, kind: &str) -> Vec<(Instant, Value)> {
         let events = self.events.lock().unwrap();
-        events
-            .iter()
-            .filter(|(at, event)| *at >= from && event["event"] == kind)
-            .cloned()
-            .collect()
+        events.iter().filter(|(at, event)| *at >= from && event["event"] == kind).cloned().collect()
     }
 
     /// Waits until `count` events of a kind have come since `from`.
@@ -234,11 +222,7 @@ impl Cluster {
             if events.len() >= count {
                 return events;
             }
-            assert!(
-                from.elapsed() < PATIENCE,
-                "{} of {count} {kind}",
-                events.len()
-            );
+            assert!(from.elapsed() < PATIENCE, "{} of {count} {kind}", events.len());
             std::thread::sleep(Duration::from_millis(20));
         }
     }
@@ -248,10 +232,7 @@ impl Cluster {
         let began = Instant::now();
         let reached = || {
             let events = self.events.lock().unwrap();
-            events
-                .iter()
-                .rev()
-                .find_map(|(_, event)| event["iteration"].as_u64())
+            events.iter().rev().find_map(|(_, event)| event["iteration"].as_u64())
         };
         while reached().is_none_or(|reached| reached < number) {
             assert!(began.elapsed() < PATIENCE, "iteration {number}");
@@ -263,10 +244,8 @@ impl Cluster {
     fn pace_s(&self) -> f64 {
         let now = Instant::now();
         let events = self.wait(now, "iteration", PACE_OVER + 1);
-        let mut gaps: Vec<f64> = events
-            .windows(2)
-            .map(|pair| (pair[1].0 - pair[0].0).as_secs_f64())
-            .collect();
+        let mut gaps: Vec<f64> =
+            events.windows(2).map(|pair| (pair[1].0 - pair[0].0).as_secs_f64()).collect();
         gaps.sort_by(f64::total_cmp);
         gaps[gaps.len() / 2]
     }
@@ -287,9 +266,7 @@ impl Cluster {
             {
                 // The last gap before the steady stretch ends with its first iteration.
                 let gaps = events.windows(2).filter(|pair| pair[1].0 <= run[10].0);
-                let widest = gaps
-                    .max_by(|a, b| (a[1].0 - a[0].0).cmp(&(b[1].0 - b[0].0)))
-                    .unwrap();
+                let widest = gaps.max_by(|a, b| (a[1].0 - a[0].0).cmp(&(b[1].0 - b[0].0))).unwrap();
                 return (widest[1].0 - from).as_secs_f64();
             }
             assert!(from.elapsed() < PATIENCE, "the pace does not come back");
@@ -337,10 +314,7 @@ fn measured_deaths(cluster: &Cluster) {
         after[0].1["iteration"],
     );
     // Continuous: a learner that had begun anew would be far off.
-    assert!(
-        losses[1] < 3.0 * losses[0] && losses[0] < 3.0 * losses[1],
-        "{losses:?}"
-    );
+    assert!(losses[1] < 3.0 * losses[0] && losses[0] < 3.0 * losses[1], "{losses:?}");
 }
 
 /// One thing that goes wrong.
@@ -357,10 +331,7 @@ fn strike(cluster: &Cluster, dice: &mut Dice, learner_kills: &mut Vec<Instant>) 
     match dice.below(if cluster.elsewhere.is_apart() { 10 } else { 9 }) {
         0 | 1 => {
             let victim = somebody(dice);
-            format!(
-                "SIGKILL to actor {victim:?}: {}",
-                signal(victim, Signal::SIGKILL)
-            )
+            format!("SIGKILL to actor {victim:?}: {}", signal(victim, Signal::SIGKILL))
         }
         2 => {
             let victim = somebody(dice);
@@ -373,10 +344,7 @@ fn strike(cluster: &Cluster, dice: &mut Dice, learner_kills: &mut Vec<Instant>) 
         3 => {
             // Never continued: its supervisor notices and replaces it.
             let victim = somebody(dice);
-            format!(
-                "SIGSTOP to actor {victim:?}: {}",
-                signal(victim, Signal::SIGSTOP)
-            )
+            format!("SIGSTOP to actor {victim:?}: {}", signal(victim, Signal::SIGSTOP))
         }
         4 => {
             learner_kills.retain(|at| at.elapsed() < Duration::from_secs(60));
@@ -385,10 +353,7 @@ fn strike(cluster: &Cluster, dice: &mut Dice, learner_kills: &mut Vec<Instant>) 
             }
             learner_kills.push(Instant::now());
             let learner = cluster.learner();
-            format!(
-                "SIGKILL to the learner: {}",
-                signal(learner, Signal::SIGKILL)
-            )
+            format!("SIGKILL to the learner: {}", signal(learner, Signal::SIGKILL))
         }
         5 => {
             let learner = cluster.learner();
@@ -508,10 +473,7 @@ fn undisturbed(folder: &Path, iterations: u64, seed: u64) -> [f64; 2] {
         .unwrap();
     assert!(output.status.success(), "{output:?}");
     let text = String::from_utf8(output.stdout).unwrap();
-    let events: Vec<Value> = text
-        .lines()
-        .map(|line| serde_json::from_str(line).unwrap())
-        .collect();
+    let events: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     late_and_early(&rewards(&events))
 }
 
@@ -588,10 +550,7 @@ fn chaos(seconds: u64) {
     std::thread::sleep(Duration::from_secs(6));
     let (disturbed, steps) = {
         let events = cluster.events.lock().unwrap();
-        let steps = events
-            .iter()
-            .filter_map(|(_, event)| event["steps_total"].as_u64())
-            .max();
+        let steps = events.iter().filter_map(|(_, event)| event["steps_total"].as_u64()).max();
         (rewards(events.iter().map(|(_, event)| event)), steps)
     };
     end(cluster, folder, &memory_before);
@@ -644,12 +603,7 @@ impl Yardstick {
         let late = f64::midpoint(ends[half - 1], ends[half]);
         let spread = ends[last - 1] - ends[1];
         let noise = SPREADS_ONE_IN_A_THOUSAND * spread;
-        Self {
-            early,
-            late,
-            spread,
-            least: late - noise - COST_OF_CHAOS * (late - early),
-        }
+        Self { early, late, spread, least: late - noise - COST_OF_CHAOS * (late - early) }
     }
 
     fn judge(&self, disturbed: f64) -> Result<(), String> {
@@ -669,9 +623,8 @@ impl Yardstick {
 #[test]
 fn a_run_that_learnt_half_is_told_from_noise() {
     // Late ±0.002 about −0.014: 3.78·0.004 = 0.0151; a twentieth of 0.076 is 0.0038.
-    let calm: Vec<[f64; 2]> = (0..SEEDS)
-        .map(|seed| [if seed % 2 == 0 { -0.012 } else { -0.016 }, -0.09])
-        .collect();
+    let calm: Vec<[f64; 2]> =
+        (0..SEEDS).map(|seed| [if seed % 2 == 0 { -0.012 } else { -0.016 }, -0.09]).collect();
     let yardstick = Yardstick::of(&calm);
     assert!((yardstick.least + 0.0329).abs() < 1e-4, "{yardstick:?}");
     // The worst of four undisturbed runs; one that goes back to what it knew after 250 of 1,250 iterations;
@@ -684,9 +637,8 @@ fn a_run_that_learnt_half_is_told_from_noise() {
     forgetful[1][0] = -0.06;
     assert!((Yardstick::of(&forgetful).least - yardstick.least).abs() < 1e-4);
     // Runs that lie so far apart that half of the learning would pass are no yardstick, for whatever run.
-    let wild: Vec<[f64; 2]> = (0..SEEDS)
-        .map(|seed| [if seed % 2 == 0 { 0.0 } else { -0.03 }, -0.09])
-        .collect();
+    let wild: Vec<[f64; 2]> =
+        (0..SEEDS).map(|seed| [if seed % 2 == 0 { 0.0 } else { -0.03 }, -0.09]).collect();
     assert!(Yardstick::of(&wild).judge(0.0).is_err());
 }
 

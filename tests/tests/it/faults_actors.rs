@@ -23,12 +23,7 @@ struct Run {
 
 impl Run {
     fn start(out: &Path, extra: &[&str]) -> Self {
-        let mut flags = vec![
-            "--transport",
-            "zenoh",
-            "--set",
-            "learner.checkpoint_every=2",
-        ];
+        let mut flags = vec!["--transport", "zenoh", "--set", "learner.checkpoint_every=2"];
         flags.extend(extra);
         let mut child = train(out, &flags)
             .unwrap()
@@ -63,10 +58,7 @@ impl Run {
 
     /// Waits until `count` more iterations are done.
     fn iterations(&self, count: usize) -> u64 {
-        let last = (0..count)
-            .map(|_| self.wait_for("iteration"))
-            .next_back()
-            .unwrap();
+        let last = (0..count).map(|_| self.wait_for("iteration")).next_back().unwrap();
         last["iteration"].as_u64().unwrap()
     }
 
@@ -106,9 +98,8 @@ impl Drop for Run {
 }
 
 fn child_of(parent: u32, words: &[&str]) -> Option<Pid> {
-    let output = Command::new("ps")
-        .args(["-o", "pid=,args=", "--ppid", &parent.to_string()])
-        .output();
+    let output =
+        Command::new("ps").args(["-o", "pid=,args=", "--ppid", &parent.to_string()]).output();
     let text = String::from_utf8_lossy(&output.ok()?.stdout).into_owned();
     text.lines().find_map(|line| {
         let (pid, arguments) = line.trim().split_once(' ')?;
@@ -135,33 +126,17 @@ fn books(out: &Path) -> Value {
 fn fault_59_a_killed_actor_is_replaced_and_its_chunks_are_accounted_for() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("run");
-    let run = Run::start(
-        &out,
-        &[
-            "--iterations",
-            "100000",
-            "--set",
-            "learner.batch_timeout_s=2",
-        ],
-    );
+    let run = Run::start(&out, &["--iterations", "100000", "--set", "learner.batch_timeout_s=2"]);
     run.iterations(3);
-    kill(
-        run.process(&["caudata-actor", "--actor-id 1 "]),
-        Signal::SIGKILL,
-    )
-    .unwrap();
+    kill(run.process(&["caudata-actor", "--actor-id 1 "]), Signal::SIGKILL).unwrap();
     run.process(&["caudata-actor", "--actor-id 1 ", "--incarnation 1 "]);
     run.iterations(10);
     run.stop();
     let (code, _) = run.end();
     assert_eq!(code, Some(0));
     let books = books(&out);
-    let of_actor: Vec<&Value> = books["actors"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .filter(|a| a["actor_id"] == 1)
-        .collect();
+    let of_actor: Vec<&Value> =
+        books["actors"].as_array().unwrap().iter().filter(|a| a["actor_id"] == 1).collect();
     assert_eq!(of_actor.len(), 2, "{books}");
 }
 
@@ -182,11 +157,7 @@ fn fault_60_a_hung_actor_is_noticed_and_replaced() {
         ],
     );
     run.iterations(3);
-    kill(
-        run.process(&["caudata-actor", "--actor-id 0 "]),
-        Signal::SIGSTOP,
-    )
-    .unwrap();
+    kill(run.process(&["caudata-actor", "--actor-id 0 "]), Signal::SIGSTOP).unwrap();
     run.process(&["caudata-actor", "--actor-id 0 ", "--incarnation 1 "]);
     run.iterations(3);
     run.stop();
@@ -213,11 +184,7 @@ fn fault_60_a_learner_that_stands_still_for_ten_seconds_loses_nothing() {
     assert_eq!(code, Some(0));
     let books = books(&out);
     assert_eq!(books["rejected"], 0, "{books}");
-    assert_eq!(
-        books["actors"].as_array().unwrap().len(),
-        2,
-        "nobody was replaced: {books}"
-    );
+    assert_eq!(books["actors"].as_array().unwrap().len(), 2, "nobody was replaced: {books}");
 }
 
 /// 60: the learner is killed; the run goes on from its checkpoint, and what was sent after it is accounted

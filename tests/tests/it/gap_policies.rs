@@ -45,10 +45,7 @@ fn robot(folder: &Path, name: &str, torque: f64) -> PathBuf {
 /// Mean over scenarios of one figure of an evaluation.
 fn power(evaluation: &Value) -> f64 {
     let scenarios = evaluation["scenarios"].as_array().unwrap();
-    let sum: f64 = scenarios
-        .iter()
-        .map(|s| s["power_w"]["mean"].as_f64().unwrap())
-        .sum();
+    let sum: f64 = scenarios.iter().map(|s| s["power_w"]["mean"].as_f64().unwrap()).sum();
     sum / scenarios.len() as f64
 }
 
@@ -129,12 +126,9 @@ fn what_cannot_be_read_is_said_before_anything_is_trained() {
     let missing = folder.join("missing.robot.toml");
     let out = folder.join("out");
     let mut args = vec!["gap", "policies"];
-    for (flag, path) in [
-        ("--robot", &given),
-        ("--extended", &missing),
-        ("--truth", &given),
-        ("--out", &out),
-    ] {
+    for (flag, path) in
+        [("--robot", &given), ("--extended", &missing), ("--truth", &given), ("--out", &out)]
+    {
         args.extend([flag, text(path)]);
     }
     let done = run(&args);
@@ -148,12 +142,9 @@ fn what_cannot_be_read_is_said_before_anything_is_trained() {
 /// true one.
 fn flags([given, extended, truth]: [&PathBuf; 3], out: &PathBuf, extra: &[&str]) -> Vec<String> {
     let mut args = vec!["gap", "policies", "--preset", "quick"];
-    for (flag, path) in [
-        ("--robot", given),
-        ("--extended", extended),
-        ("--truth", truth),
-        ("--out", out),
-    ] {
+    for (flag, path) in
+        [("--robot", given), ("--extended", extended), ("--truth", truth), ("--out", out)]
+    {
         args.extend([flag, text(path)]);
     }
     args.extend(["--suite", "flat", "--referee-episodes", "1"]);
@@ -202,14 +193,9 @@ fn what_was_stopped_goes_on_and_nothing_is_done_twice() {
     assert_eq!(at_work(&out).unwrap(), [0; 0]);
     assert!(!out.join("policies.json").exists());
 
-    let kept: Vec<PathBuf> = [
-        "policy.onnx",
-        "report.json",
-        "run_id.txt",
-        "../as_given_1.log",
-    ]
-    .map(|name| first.join(name))
-    .to_vec();
+    let kept: Vec<PathBuf> = ["policy.onnx", "report.json", "run_id.txt", "../as_given_1.log"]
+        .map(|name| first.join(name))
+        .to_vec();
     let read = || -> Vec<Vec<u8>> { kept.iter().map(|p| std::fs::read(p).unwrap()).collect() };
     let before = read();
     assert!(!before[3].is_empty());
@@ -288,11 +274,7 @@ fn what_cannot_be_used_is_said_before_anything_is_made() {
     refused(&with(&["--set", "task.nothing=1"]), 64, "task.nothing");
     refused(&paper(&["--suite", "omnibus"]), 64, "omnibus");
     refused(&paper(&["--preset", "flatter"]), 64, "flatter");
-    refused(
-        &paper(&["--policy", "no/policy.onnx"]),
-        66,
-        "no/policy.onnx",
-    );
+    refused(&paper(&["--policy", "no/policy.onnx"]), 66, "no/policy.onnx");
 
     // Another robot.
     let args = with(&[]);

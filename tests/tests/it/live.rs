@@ -71,9 +71,7 @@ impl Served {
     /// Sends a request, with what belongs into its head, and gives the connection.
     fn request(&self, line: &str, headers: &str, body: &str) -> TcpStream {
         let mut stream = TcpStream::connect(&self.host).unwrap();
-        stream
-            .set_read_timeout(Some(Duration::from_secs(60)))
-            .unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
         let length = body.len();
         write!(
             stream,
@@ -220,11 +218,7 @@ fn a_page_for_others_is_encrypted() {
             .map_while(Result::ok)
             .take_while(|line| !line.contains("Ctrl-C"))
             .collect();
-        let page = said
-            .iter()
-            .find_map(|line| line.split_once("https://"))
-            .unwrap()
-            .1;
+        let page = said.iter().find_map(|line| line.split_once("https://")).unwrap().1;
         let (host, path) = page.split_once('/').unwrap();
         let (name, port) = host.rsplit_once(':').unwrap();
         assert_ne!(name, "0.0.0.0", "leads nowhere from another computer");
@@ -241,10 +235,7 @@ fn a_page_for_others_is_encrypted() {
         let [version, sum, status, plain] = seen.lines().collect::<Vec<_>>()[..] else {
             panic!("{seen} {}", String::from_utf8_lossy(&look.stderr));
         };
-        assert_eq!(
-            (version, status, plain),
-            ("TLSv1.3", "HTTP/1.1 200", "False")
-        );
+        assert_eq!((version, status, plain), ("TLSv1.3", "HTTP/1.1 200", "False"));
         let told = said.iter().any(|line| line.replace(':', "") == sum);
         assert_eq!(told, authority.is_empty(), "{said:?}");
     }
@@ -261,17 +252,10 @@ fn the_robot_does_what_it_is_told() {
     let ordered = served.order(&json!({"do": "drive", "velocity": [0.3, 0.0, 0.0]}));
     assert!(ordered.starts_with("HTTP/1.1 204"), "{ordered}");
     let velocity = &events.named("told")["velocity"];
-    assert!(
-        (velocity[0].as_f64().unwrap() - 0.3).abs() < 1e-6,
-        "{velocity}"
-    );
+    assert!((velocity[0].as_f64().unwrap() - 0.3).abs() < 1e-6, "{velocity}");
     // It heads +x; the first second is for starting.
     let [x, _] = events.place(200);
-    assert!(
-        (0.6..1.4).contains(&(x - from[0])),
-        "{} m in 4 s",
-        x - from[0]
-    );
+    assert!((0.6..1.4).contains(&(x - from[0])), "{} m in 4 s", x - from[0]);
 
     served.order(&json!({"do": "joint", "index": 9, "strength": 0.0}));
     assert_eq!(events.named("told")["strengths"][9], 0.0);
@@ -281,10 +265,7 @@ fn the_robot_does_what_it_is_told() {
     assert!(ground["ground"]["grid"]["columns"].as_u64().unwrap() > 50);
     let [x, y] = events.place(1);
     assert!(x.hypot(y) < 0.5, "it starts again at {x}, {y}");
-    for refused in [
-        json!({"do": "fly"}),
-        json!({"do": "push", "velocity_mps": [9, 0]}),
-    ] {
+    for refused in [json!({"do": "fly"}), json!({"do": "push", "velocity_mps": [9, 0]})] {
         let answer = served.order(&refused);
         assert!(answer.starts_with("HTTP/1.1 400"), "{answer}");
     }
@@ -335,10 +316,7 @@ fn every_robot_that_ships_comes_onto_the_page() {
         let file = format!("robots/{robot}.robot.toml");
         let served = Served::play(&["--robot", &file]);
         let mut events = served.events();
-        assert!(
-            events.named("robot")["robot"]["links"].is_array(),
-            "{robot}"
-        );
+        assert!(events.named("robot")["robot"]["links"].is_array(), "{robot}");
         events.place(10);
     }
     for policy in ["rough", "amphibious", "quadruped"] {
@@ -402,10 +380,7 @@ fn a_training_is_changed_with_the_token_for_it_and_not_without() {
         tune.args(more).output().unwrap()
     };
     let listed = String::from_utf8(tune(&[]).stdout).unwrap();
-    assert!(
-        listed.contains("task.reward.weights.bend = -0.75"),
-        "{listed}"
-    );
+    assert!(listed.contains("task.reward.weights.bend = -0.75"), "{listed}");
     let done = tune(&["learner.ppo.entropy_weight=0.01"]);
     let said = String::from_utf8(done.stdout).unwrap();
     assert!(said.contains("changed after iteration"), "{said}");
@@ -505,10 +480,7 @@ fn a_browser_drives_the_robot() {
     // On a phone nothing sticks out.
     browser.width(390);
     browser.until("document.documentElement.scrollWidth <= 390");
-    assert_eq!(
-        browser.evaluate("document.documentElement.dataset.errors"),
-        "0"
-    );
+    assert_eq!(browser.evaluate("document.documentElement.dataset.errors"), "0");
     browser.open(&format!("http://{}/", served.host));
     browser
         .until("document.body && document.body.textContent.includes('opens only at the address')");

@@ -12,20 +12,10 @@ use caudata_tests::{Finished, binary, command, finish, repository_root, skipped,
 /// It ended with `code` and exactly one error line, which holds each of `words`.
 fn refused(finished: &Finished, code: i32, words: &[&str]) {
     let errors = finished.errors();
-    assert_eq!(
-        finished.code,
-        Some(code),
-        "{}\n{}",
-        finished.stdout,
-        finished.stderr
-    );
+    assert_eq!(finished.code, Some(code), "{}\n{}", finished.stdout, finished.stderr);
     assert_eq!(errors.len(), 1, "one line says it: {}", finished.stderr);
     for word in words {
-        assert!(
-            errors[0].contains(word),
-            "`{word}` is not in: {}",
-            errors[0]
-        );
+        assert!(errors[0].contains(word), "`{word}` is not in: {}", errors[0]);
     }
     assert!(!finished.stderr.contains("panicked"), "{}", finished.stderr);
 }
@@ -38,20 +28,13 @@ fn an_unknown_configuration_key_names_the_one_that_was_meant() {
     let out = folder.path().join("run");
     let run = train(&out, &["--config", file.to_str().unwrap()]).unwrap();
     refused(&finish(run).unwrap(), 64, &["gama", "gamma"]);
-    assert!(
-        !out.exists(),
-        "a refused configuration leaves no run folder"
-    );
+    assert!(!out.exists(), "a refused configuration leaves no run folder");
 }
 
 #[test]
 fn a_value_out_of_range_is_refused_before_anything_starts() {
     let folder = tempfile::tempdir().unwrap();
-    let run = train(
-        &folder.path().join("run"),
-        &["--set", "learner.ppo.gamma=1.5"],
-    )
-    .unwrap();
+    let run = train(&folder.path().join("run"), &["--set", "learner.ppo.gamma=1.5"]).unwrap();
     refused(&finish(run).unwrap(), 64, &["gamma"]);
 }
 
@@ -62,19 +45,12 @@ fn a_wrong_robot_file_is_refused_by_name() {
     let text = fs::read_to_string(robots.join("polymander.robot.toml")).unwrap();
     let wrong = folder.path().join("wrong.robot.toml");
     fs::write(&wrong, text.replacen("spine_1", "spine_9", 1)).unwrap();
-    fs::copy(
-        robots.join("polymander.xml"),
-        folder.path().join("polymander.xml"),
-    )
-    .unwrap();
+    fs::copy(robots.join("polymander.xml"), folder.path().join("polymander.xml")).unwrap();
     let robot = format!("robot={:?}", wrong.to_str().unwrap());
     let run = train(&folder.path().join("run"), &["--set", &robot]).unwrap();
     refused(&finish(run).unwrap(), 65, &["spine_9"]);
 
-    let robot = format!(
-        "robot={:?}",
-        folder.path().join("none.robot.toml").to_str().unwrap()
-    );
+    let robot = format!("robot={:?}", folder.path().join("none.robot.toml").to_str().unwrap());
     let run = train(&folder.path().join("run"), &["--set", &robot]).unwrap();
     refused(&finish(run).unwrap(), 66, &["none.robot.toml"]);
 }
@@ -89,18 +65,10 @@ fn an_extension_of_an_earlier_version_is_refused_with_what_to_do() {
     let lane =
         "\n[extension]\nbase = \"\"\n\n[extension.lane]\n\"joints.spine_1.loop_lag_s\" = 0.01\n";
     fs::write(&extended, text + lane).unwrap();
-    fs::copy(
-        robots.join("polymander.xml"),
-        folder.path().join("polymander.xml"),
-    )
-    .unwrap();
+    fs::copy(robots.join("polymander.xml"), folder.path().join("polymander.xml")).unwrap();
     let args = ["robot", "check", extended.to_str().unwrap()];
     let check = command("caudata", &args).unwrap();
-    let words = [
-        "extended.robot.toml",
-        "loop_lag_s",
-        "diagnose its logs again",
-    ];
+    let words = ["extended.robot.toml", "loop_lag_s", "diagnose its logs again"];
     refused(&finish(check).unwrap(), 65, &words);
 }
 
@@ -110,25 +78,12 @@ fn a_port_in_use_is_named() {
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = taken.local_addr().unwrap().to_string();
     let addr = format!("policy_server.addr={address:?}");
-    let run = train(
-        &folder.path().join("run"),
-        &["--iterations", "1", "--set", &addr],
-    )
-    .unwrap();
+    let run = train(&folder.path().join("run"), &["--iterations", "1", "--set", &addr]).unwrap();
     let taken_port = finish(run).unwrap();
     refused(&taken_port, 71, &[&address]);
-    assert!(
-        !taken_port.stderr.contains("killed"),
-        "{}",
-        taken_port.stderr
-    );
+    assert!(!taken_port.stderr.contains("killed"), "{}", taken_port.stderr);
     // The refused run took no name away.
-    let again = [
-        "--iterations",
-        "1",
-        "--set",
-        "policy_server.addr=\"127.0.0.1:0\"",
-    ];
+    let again = ["--iterations", "1", "--set", "policy_server.addr=\"127.0.0.1:0\""];
     let again = finish(train(&folder.path().join("run"), &again).unwrap()).unwrap();
     assert_eq!(again.code, Some(0), "{}", again.stderr);
 }
@@ -160,11 +115,7 @@ fn a_truncated_checkpoint_is_refused_and_left_as_it_is() {
     refused(&damaged, 78, &["checkpoint"]);
     assert!(damaged.stderr.contains("hint: "), "{}", damaged.stderr);
     for (state, length) in states {
-        assert_eq!(
-            fs::metadata(state).unwrap().len(),
-            length as u64,
-            "nothing was overwritten"
-        );
+        assert_eq!(fs::metadata(state).unwrap().len(), length as u64, "nothing was overwritten");
     }
     assert!(out.join("policy.onnx").is_file());
 }
@@ -194,11 +145,7 @@ fn a_run_that_cannot_go_on_as_asked_says_which_key_is_to_blame() {
     let out = trained(folder.path());
     let gamma = ["--resume", "--set", "learner.ppo.gamma=0.9"];
     let run = train(&out, &gamma).unwrap();
-    refused(
-        &finish(run).unwrap(),
-        64,
-        &["learner.ppo.gamma was 0.97 and is 0.9"],
-    );
+    refused(&finish(run).unwrap(), 64, &["learner.ppo.gamma was 0.97 and is 0.9"]);
     fs::remove_file(out.join("config.toml")).unwrap();
     let run = train(&out, &["--resume"]).unwrap();
     refused(&finish(run).unwrap(), 66, &["config.toml"]);
@@ -231,18 +178,8 @@ fn a_policy_with_another_joint_order_is_refused() {
     let out = trained(folder.path());
     let wrong = out.join("wrong.onnx");
     fs::write(&wrong, with_joints_exchanged(&out.join("policy.onnx"))).unwrap();
-    let arguments = [
-        "eval",
-        "--episodes",
-        "1",
-        "--policy",
-        wrong.to_str().unwrap(),
-    ];
-    refused(
-        &finish(command("caudata", &arguments).unwrap()).unwrap(),
-        77,
-        &["spine_1", "spine_2"],
-    );
+    let arguments = ["eval", "--episodes", "1", "--policy", wrong.to_str().unwrap()];
+    refused(&finish(command("caudata", &arguments).unwrap()).unwrap(), 77, &["spine_1", "spine_2"]);
 }
 
 #[test]
@@ -253,11 +190,7 @@ fn bytes_that_are_no_policy_are_refused() {
     let torn = folder.path().join("torn.onnx");
     fs::write(&torn, &bytes[..bytes.len() - 100]).unwrap();
     let arguments = ["policy", "show", torn.to_str().unwrap()];
-    refused(
-        &finish(command("caudata", &arguments).unwrap()).unwrap(),
-        65,
-        &["torn.onnx"],
-    );
+    refused(&finish(command("caudata", &arguments).unwrap()).unwrap(), 65, &["torn.onnx"]);
 }
 
 #[test]
@@ -265,13 +198,8 @@ fn a_robot_without_server_and_without_policy_says_so() {
     let folder = tempfile::tempdir().unwrap();
     let state = folder.path().join("state");
     // Port 1 is reserved and closed.
-    let arguments = [
-        "pull",
-        "--robot",
-        "robots/polymander.robot.toml",
-        "--policy-server",
-        "127.0.0.1:1",
-    ];
+    let arguments =
+        ["pull", "--robot", "robots/polymander.robot.toml", "--policy-server", "127.0.0.1:1"];
     let mut pull = command("caudata-robot", &arguments).unwrap();
     pull.args(["--stream", "walk", "--state"]).arg(&state);
     refused(&finish(pull).unwrap(), 69, &["127.0.0.1:1"]);
@@ -319,11 +247,7 @@ fn a_full_disk_ends_the_run_and_keeps_what_was_saved() {
     assert!(filled.is_err(), "the disk is full");
     let run = finish(train(&out, &["--iterations", "4", "--resume"]).unwrap()).unwrap();
     refused(&run, 74, &["disk full"]);
-    assert_eq!(
-        fs::read(out.join("policy.onnx")).unwrap(),
-        policy,
-        "the old policy stands"
-    );
+    assert_eq!(fs::read(out.join("policy.onnx")).unwrap(), policy, "the old policy stands");
 
     // With space again, the run goes on from what was saved.
     fs::remove_file(&ballast).unwrap();
@@ -341,11 +265,7 @@ fn a_folder_in_the_place_of_what_is_in_it_is_refused_with_where_that_is() {
     let (run, out) = (run.to_str().unwrap(), folder.path().join("o.csv"));
     for (args, words, hint) in [
         (vec!["explain", run], "no run folder", None),
-        (
-            vec!["eval", "--policy", run],
-            "is a folder",
-            Some("policy.onnx"),
-        ),
+        (vec!["eval", "--policy", run], "is a folder", Some("policy.onnx")),
         (
             vec!["log", "convert", run, "--out", out.to_str().unwrap()],
             "a training",
@@ -362,13 +282,7 @@ fn a_folder_in_the_place_of_what_is_in_it_is_refused_with_where_that_is() {
 
 #[test]
 fn an_evaluation_that_could_not_write_its_page_does_not_begin() {
-    let args = [
-        "eval",
-        "--policy",
-        "policies/flat.onnx",
-        "--report",
-        "/proc/none/page.html",
-    ];
+    let args = ["eval", "--policy", "policies/flat.onnx", "--report", "/proc/none/page.html"];
     let done = finish(command("caudata", &args).unwrap()).unwrap();
     refused(&done, 73, &["/proc/none/page.html"]);
     assert_eq!(done.stdout, "");
@@ -378,11 +292,7 @@ fn an_evaluation_that_could_not_write_its_page_does_not_begin() {
 fn what_config_check_calls_good_a_training_takes() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("mine.toml");
-    fs::write(
-        &file,
-        "[task.observation]\nterm = [{ name = \"gravity\" }]\n",
-    )
-    .unwrap();
+    fs::write(&file, "[task.observation]\nterm = [{ name = \"gravity\" }]\n").unwrap();
     let check = |more: &[&str]| {
         let mut args = vec!["config", "check", "--preset", "quick", "--config"];
         args.push(file.to_str().unwrap());
@@ -402,41 +312,23 @@ fn what_a_training_refuses_config_check_refuses() {
     for (set, code, words) in [
         ("robot=nix.robot.toml", 66, "nix.robot.toml"),
         ("learner.warm_start.policy=nix.onnx", 66, "nix.onnx"),
-        (
-            "learner.warm_start.policy=policies/quadruped.onnx",
-            77,
-            "other joints",
-        ),
+        ("learner.warm_start.policy=policies/quadruped.onnx", 77, "other joints"),
         ("engine.kind=mujoco", 64, "checkpoint"),
         ("policy_server.addr=0.0.0.0:0", 64, "needs certificates"),
     ] {
         let check = ["config", "check", "--preset", "quick", "--set", set];
-        refused(
-            &finish(command("caudata", &check).unwrap()).unwrap(),
-            code,
-            &[words],
-        );
+        refused(&finish(command("caudata", &check).unwrap()).unwrap(), code, &[words]);
         let train = ["train", "--preset", "quick", "--set", set, "--out"];
         let train = [&train[..], &[out.to_str().unwrap()]].concat();
-        refused(
-            &finish(command("caudata", &train).unwrap()).unwrap(),
-            code,
-            &[words],
-        );
+        refused(&finish(command("caudata", &train).unwrap()).unwrap(), code, &[words]);
         assert!(!out.exists(), "{set}");
     }
     // What only the learner can refuse.
     let layers = "learner.network.policy_hidden=[7]";
     let begin = "learner.warm_start.policy=policies/flat.onnx";
-    let train = [
-        "train", "--preset", "flat", "--set", layers, "--set", begin, "--out",
-    ];
+    let train = ["train", "--preset", "flat", "--set", layers, "--set", begin, "--out"];
     let train = [&train[..], &[out.to_str().unwrap()]].concat();
-    refused(
-        &finish(command("caudata", &train).unwrap()).unwrap(),
-        77,
-        &["its layers are"],
-    );
+    refused(&finish(command("caudata", &train).unwrap()).unwrap(), 77, &["its layers are"]);
     assert!(!out.exists());
 }
 
@@ -457,24 +349,12 @@ fn a_recording_whose_python_is_not_there_says_so() {
         run.arg(at("out")).env("CAUDATA_PYTHON", python);
         finish(run).unwrap()
     };
-    refused(
-        &read(&bare, &table),
-        69,
-        &["log.parquet", "pyarrow", "CAUDATA_PYTHON"],
-    );
-    refused(
-        &read("/nowhere", &table),
-        69,
-        &["/nowhere", "CAUDATA_PYTHON"],
-    );
+    refused(&read(&bare, &table), 69, &["log.parquet", "pyarrow", "CAUDATA_PYTHON"]);
+    refused(&read("/nowhere", &table), 69, &["/nowhere", "CAUDATA_PYTHON"]);
     let robot = "robots/polymander.robot.toml";
-    for (python, code, word) in [
-        ("/nowhere", 69, "CAUDATA_PYTHON"),
-        ("python3", 65, "bag.db3"),
-    ] {
+    for (python, code, word) in [("/nowhere", 69, "CAUDATA_PYTHON"), ("python3", 65, "bag.db3")] {
         let mut run = command("caudata", &["gap", "import", &bag, "--robot", robot]).unwrap();
-        run.args(["--draft-map", &at("map.toml")])
-            .env("CAUDATA_PYTHON", python);
+        run.args(["--draft-map", &at("map.toml")]).env("CAUDATA_PYTHON", python);
         refused(&finish(run).unwrap(), code, &[word]);
     }
 }
@@ -491,13 +371,9 @@ fn the_robots_program_finds_the_robots_that_came_with_it_from_anywhere() {
 
 #[test]
 fn every_binary_explains_itself_and_refuses_unknown_flags() {
-    for name in [
-        "caudata",
-        "caudata-actor",
-        "caudata-learner",
-        "caudata-policy-server",
-        "caudata-robot",
-    ] {
+    for name in
+        ["caudata", "caudata-actor", "caudata-learner", "caudata-policy-server", "caudata-robot"]
+    {
         assert!(binary(name).is_ok(), "{name}");
         let help = finish(command(name, &["--help"]).unwrap()).unwrap();
         assert_eq!(help.code, Some(0), "{name}");

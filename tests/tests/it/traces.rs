@@ -45,10 +45,7 @@ fn serve(collector: &Collector) -> SocketAddr {
     let address = listener.local_addr().unwrap();
     let service = TraceServiceServer::new(collector.clone());
     std::thread::spawn(move || {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()
-            .unwrap();
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         runtime.block_on(async {
             let listener = tokio::net::TcpListener::from_std(listener).unwrap();
             tonic::transport::Server::builder()
@@ -86,10 +83,7 @@ struct Trace(Vec<Seen>);
 
 impl Trace {
     fn all(&self, name: &str) -> Vec<&Seen> {
-        self.0
-            .iter()
-            .filter(|(_, span)| span.name == name)
-            .collect()
+        self.0.iter().filter(|(_, span)| span.name == name).collect()
     }
 
     fn one(&self, name: &str) -> &wire::Span {
@@ -108,14 +102,7 @@ fn one_trace_leads_from_a_simulator_step_to_the_next_policy_version() {
     let iterations = ITERATIONS.to_string();
     let run = train(
         &dir.path().join("run"),
-        &[
-            "--transport",
-            "zenoh",
-            "--iterations",
-            &iterations,
-            "--set",
-            &endpoint,
-        ],
+        &["--transport", "zenoh", "--iterations", &iterations, "--set", &endpoint],
     );
     let finished = finish(run.unwrap()).unwrap();
     assert_eq!(finished.code, Some(0), "{}", finished.stderr);
@@ -133,11 +120,7 @@ fn one_trace_leads_from_a_simulator_step_to_the_next_policy_version() {
             (count(&root.attributes, "caudata.policy_version"), trace)
         })
         .collect();
-    assert!(
-        by_version.len() as u64 >= ITERATIONS,
-        "{}",
-        by_version.len()
-    );
+    assert!(by_version.len() as u64 >= ITERATIONS, "{}", by_version.len());
     // The last version is handed to nobody.
     for version in 0..ITERATIONS as i64 - 1 {
         let (trace, next) = (&by_version[&version], &by_version[&(version + 1)]);
@@ -145,10 +128,7 @@ fn one_trace_leads_from_a_simulator_step_to_the_next_policy_version() {
         assert!(root.parent_span_id.is_empty());
         // Connected: every span hangs below another one of this trace.
         for (_, span) in trace.0.iter().filter(|(_, span)| span.name != root.name) {
-            let parent = trace
-                .0
-                .iter()
-                .find(|(_, other)| other.span_id == span.parent_span_id);
+            let parent = trace.0.iter().find(|(_, other)| other.span_id == span.parent_span_id);
             assert!(parent.is_some(), "{} of version {version}", span.name);
             assert!(span.start_time_unix_nano <= span.end_time_unix_nano);
         }
@@ -161,9 +141,8 @@ fn one_trace_leads_from_a_simulator_step_to_the_next_policy_version() {
             assert_eq!(chunk.parent_span_id, root.span_id);
             let part = |name: &str| {
                 let parts = trace.all(name);
-                let mut of_chunk = parts
-                    .into_iter()
-                    .filter(|(_, span)| span.parent_span_id == chunk.span_id);
+                let mut of_chunk =
+                    parts.into_iter().filter(|(_, span)| span.parent_span_id == chunk.span_id);
                 let (service, part) = of_chunk.next().expect(name);
                 assert!(of_chunk.next().is_none(), "{name}");
                 (service.as_str(), part)
@@ -189,16 +168,10 @@ fn one_trace_leads_from_a_simulator_step_to_the_next_policy_version() {
         }
         let handed_out = trace.one("hand out policy");
         let next_root = next.one("policy version");
-        assert_eq!(
-            count(&handed_out.attributes, "caudata.policy_version"),
-            version + 1
-        );
+        assert_eq!(count(&handed_out.attributes, "caudata.policy_version"), version + 1);
         let sha256 = text(&handed_out.attributes, "caudata.policy_sha256");
-        let trace_of_it: String = next_root
-            .trace_id
-            .iter()
-            .map(|byte| format!("{byte:02x}"))
-            .collect();
+        let trace_of_it: String =
+            next_root.trace_id.iter().map(|byte| format!("{byte:02x}")).collect();
         assert!(sha256.starts_with(&trace_of_it));
         assert_eq!(next_root.links[0].span_id, batch.span_id);
     }

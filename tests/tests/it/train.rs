@@ -10,23 +10,13 @@ use nix::unistd::Pid;
 use serde_json::Value;
 
 fn ended_well(finished: &Finished) -> Value {
-    assert_eq!(
-        finished.code,
-        Some(0),
-        "{}\n{}",
-        finished.stdout,
-        finished.stderr
-    );
+    assert_eq!(finished.code, Some(0), "{}\n{}", finished.stdout, finished.stderr);
     finished.last_json().unwrap()
 }
 
 fn account_holds(report: &Value) {
     let account = &report["accounting"];
-    let count = |key: &str| {
-        account[key]
-            .as_u64()
-            .unwrap_or_else(|| panic!("{key} in {account}"))
-    };
+    let count = |key: &str| account[key].as_u64().unwrap_or_else(|| panic!("{key} in {account}"));
     assert!(count("sent") > 0, "{account}");
     assert_eq!(
         count("sent"),
@@ -65,19 +55,11 @@ fn trains_end_to_end(transport: &str) {
     // The last one is not run by them; one that the server has no time for is passed over.
     let version = actors["version"].as_u64().unwrap();
     assert!((1..=3).contains(&version), "{actors}");
-    assert!(
-        actors["actors"].is_string() && actors["actors"] == actors["server"],
-        "{actors}"
-    );
+    assert!(actors["actors"].is_string() && actors["actors"] == actors["server"], "{actors}");
     assert_eq!(policy["learner"], policy["robot"], "{policy}");
-    for name in [
-        "config.toml",
-        "git.txt",
-        "policy.onnx",
-        "report.json",
-        "progress.jsonl",
-        "robot/log.csv",
-    ] {
+    for name in
+        ["config.toml", "git.txt", "policy.onnx", "report.json", "progress.jsonl", "robot/log.csv"]
+    {
         assert!(out.join(name).is_file(), "{name} is missing");
     }
     // the learner's, and the evaluation's
@@ -85,16 +67,11 @@ fn trains_end_to_end(transport: &str) {
     assert_eq!(events.len(), 2);
     let tells_falls = |file: &&PathBuf| {
         let bytes = std::fs::read(file).unwrap();
-        bytes
-            .windows(22)
-            .any(|tag| tag == b"Evaluation/fall_share\x15")
+        bytes.windows(22).any(|tag| tag == b"Evaluation/fall_share\x15")
     };
     assert_eq!(events.iter().filter(tells_falls).count(), 1);
     assert!(!files_like(&out.join("curves"), ".svg").is_empty());
-    assert_eq!(
-        json_file(&out.join("report.json")).unwrap()["policy"],
-        *policy
-    );
+    assert_eq!(json_file(&out.join("report.json")).unwrap()["policy"], *policy);
 }
 
 fn files_like(folder: &Path, part: &str) -> Vec<PathBuf> {
@@ -148,9 +125,7 @@ fn trains_end_to_end_over_tcp() {
 
 /// The state file of the newest checkpoint; every bit of weights and optimiser is in it.
 fn newest_state(out: &Path) -> Vec<u8> {
-    let newest = files_like(&out.join("checkpoints"), "iter_")
-        .pop()
-        .expect("a checkpoint");
+    let newest = files_like(&out.join("checkpoints"), "iter_").pop().expect("a checkpoint");
     std::fs::read(newest.join("state.safetensors")).unwrap()
 }
 
@@ -164,14 +139,8 @@ fn a_run_that_was_stopped_and_resumed_has_the_same_weights_bit_for_bit() {
     let resume = ["--iterations", "13", "--resume"];
     let report = ended_well(&finish(train(&halves, &resume).unwrap()).unwrap());
     assert_eq!(report["finished"]["iteration"], 13);
-    assert!(
-        newest_state(&whole) != half,
-        "ten more iterations change the weights"
-    );
-    assert!(
-        newest_state(&whole) == newest_state(&halves),
-        "the weights differ"
-    );
+    assert!(newest_state(&whole) != half, "ten more iterations change the weights");
+    assert!(newest_state(&whole) == newest_state(&halves), "the weights differ");
 }
 
 #[test]
@@ -196,17 +165,9 @@ struct Running {
 
 impl Running {
     fn start(mut command: Command) -> Self {
-        let mut child = command
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-            .unwrap();
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
         let lines = BufReader::new(child.stdout.take().unwrap()).lines();
-        Self {
-            child,
-            lines,
-            last: String::new(),
-        }
+        Self { child, lines, last: String::new() }
     }
 
     fn next_event(&mut self) -> Option<Value> {
@@ -323,13 +284,7 @@ fn goes_on_after_a_killed_learner(transport: &str) {
     let (_, code) = running.end();
     assert_eq!(code, Some(70));
     let newest = files_like(&out.join("checkpoints"), "iter_").pop().unwrap();
-    let newest: u64 = newest
-        .to_string_lossy()
-        .rsplit_once('_')
-        .unwrap()
-        .1
-        .parse()
-        .unwrap();
+    let newest: u64 = newest.to_string_lossy().rsplit_once('_').unwrap().1.parse().unwrap();
 
     let until = (newest + 2).to_string();
     let resume = [&flags[..], &["--iterations", &until, "--resume"]].concat();
@@ -337,14 +292,8 @@ fn goes_on_after_a_killed_learner(transport: &str) {
     assert_eq!(report["finished"]["iteration"], newest + 2);
     let policy = &report["policy"];
     assert_eq!(policy["same"], true, "{policy}");
-    assert!(
-        policy["version"].as_u64() > Some(newest + 2),
-        "numbers go on: {policy}"
-    );
-    assert_eq!(
-        policy["actors"]["server"], policy["actors"]["actors"],
-        "{policy}"
-    );
+    assert!(policy["version"].as_u64() > Some(newest + 2), "numbers go on: {policy}");
+    assert_eq!(policy["actors"]["server"], policy["actors"]["actors"], "{policy}");
     account_holds(&report);
     accounts_agree(&out, &report);
     let stored = std::fs::read_to_string(out.join("accounting.json")).unwrap();

@@ -30,12 +30,7 @@ pub(crate) fn actor(
     let link = identity::fresh();
     let core = ActorCore::new(link, &config.limits);
     let uplink = Arc::new(ShmUplink::default());
-    let reader = Reader {
-        core: Arc::clone(&core),
-        uplink: Arc::clone(&uplink),
-        paths,
-        link,
-    };
+    let reader = Reader { core: Arc::clone(&core), uplink: Arc::clone(&uplink), paths, link };
     let thread = core.spawn("caudata-shm", move || reader.run_until_closed())?;
     Ok(Box::new(RemoteActor::start(core, uplink, vec![thread])?))
 }
@@ -56,25 +51,14 @@ struct Session {
 
 impl Session {
     fn join(paths: &RunPaths, tag: &str, limits: &Limits) -> Result<Self, TransportError> {
-        let sweeper = Sweeper {
-            tag: tag.to_owned(),
-            paths: paths.clone(),
-        };
+        let sweeper = Sweeper { tag: tag.to_owned(), paths: paths.clone() };
         let services = Services::open(paths, tag)?;
         Ok(Self {
             tag: tag.to_owned(),
             paths: paths.clone(),
             data: services.data_publisher(tag, limits)?,
-            status: services
-                .status
-                .subscriber_builder()
-                .create()
-                .map_err(backend)?,
-            policy: services
-                .policy
-                .subscriber_builder()
-                .create()
-                .map_err(backend)?,
+            status: services.status.subscriber_builder().create().map_err(backend)?,
+            policy: services.policy.subscriber_builder().create().map_err(backend)?,
             woken: services.down.listener_builder().create().map_err(backend)?,
             wake_learner: services.up.notifier_builder().create().map_err(backend)?,
             _services: services,
@@ -164,11 +148,7 @@ impl Reader {
                 }
                 // The services may be half made, or all ports taken.
                 Err(error) => {
-                    failures.pause(
-                        &self.core.crew,
-                        "cannot join the learner's services",
-                        &error,
-                    );
+                    failures.pause(&self.core.crew, "cannot join the learner's services", &error);
                 }
             }
         }
@@ -227,10 +207,7 @@ impl Reader {
             let Some((head, _)) = PolicyHead::decode(head.as_flattened()) else {
                 continue;
             };
-            let id = PolicyId {
-                epoch: head.epoch,
-                generation: head.generation,
-            };
+            let id = PolicyId { epoch: head.epoch, generation: head.generation };
             if id.is_news_to(*have) && head.total == bytes.len() as u64 {
                 *have = Some(id);
                 self.core.policy.replace(head.into_update(bytes));

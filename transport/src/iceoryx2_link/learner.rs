@@ -41,11 +41,7 @@ pub(crate) fn learner(
     run_dir.post(&tag, limits)?;
     let body = Arc::clone(&core);
     let thread = core.spawn("caudata-shm", move || ports.run_until_closed(&body))?;
-    let downlink = Iceoryx2Downlink {
-        wake,
-        thread: Some(thread),
-        _run_dir: run_dir,
-    };
+    let downlink = Iceoryx2Downlink { wake, thread: Some(thread), _run_dir: run_dir };
     let actor_config = TransportConfig::Iceoryx2(config.clone());
     Ok(Box::new(RemoteLearner::new(core, downlink, actor_config)))
 }
@@ -85,11 +81,7 @@ impl Ports {
     fn new(run_dir: &RunDir, tag: &str, limits: &Limits) -> Result<Self, TransportError> {
         let services = Services::create(&run_dir.paths, tag, limits)?;
         Ok(Self {
-            data: services
-                .data
-                .subscriber_builder()
-                .create()
-                .map_err(backend)?,
+            data: services.data.subscriber_builder().create().map_err(backend)?,
             status: services.status_publisher(tag, limits)?,
             policy: services.policy_publisher(tag, limits)?,
             woken: services.up.listener_builder().create().map_err(backend)?,

@@ -61,20 +61,9 @@ impl Note {
             return None;
         }
         let (run_id, tag) = (lines.next()?.to_owned(), lines.next()?.to_owned());
-        let numbers: Vec<u64> = lines
-            .next()?
-            .split(' ')
-            .map(|n| n.parse().ok())
-            .collect::<Option<_>>()?;
-        let [
-            frame,
-            policy,
-            window,
-            actors,
-            rate,
-            heartbeat_ms,
-            peer_timeout_ms,
-        ] = numbers[..]
+        let numbers: Vec<u64> =
+            lines.next()?.split(' ').map(|n| n.parse().ok()).collect::<Option<_>>()?;
+        let [frame, policy, window, actors, rate, heartbeat_ms, peer_timeout_ms] = numbers[..]
         else {
             return None;
         };
@@ -87,11 +76,7 @@ impl Note {
             heartbeat_ms,
             peer_timeout_ms,
         };
-        is_tag(&tag).then_some(Self {
-            run_id,
-            tag,
-            limits,
-        })
+        is_tag(&tag).then_some(Self { run_id, tag, limits })
     }
 }
 
@@ -118,11 +103,7 @@ impl RunPaths {
                 longest - MAX_SOCKET_PATH
             )));
         }
-        Ok(Self {
-            root,
-            run,
-            run_id: run_id.to_owned(),
-        })
+        Ok(Self { root, run, run_id: run_id.to_owned() })
     }
 
     /// Directory of one learner process's bookkeeping files.
@@ -183,11 +164,8 @@ impl RunDir {
 
     /// Tells actors where the services are.
     pub(super) fn post(&self, tag: &str, limits: &Limits) -> Result<(), TransportError> {
-        let note = Note {
-            run_id: self.paths.run_id.clone(),
-            tag: tag.to_owned(),
-            limits: limits.clone(),
-        };
+        let note =
+            Note { run_id: self.paths.run_id.clone(), tag: tag.to_owned(), limits: limits.clone() };
         let (new, path) = (self.paths.run.join("new"), self.paths.run.join("current"));
         fs::write(&new, note.text()).map_err(|e| io_error(&new, &e))?;
         fs::rename(&new, &path).map_err(|e| io_error(&path, &e))
@@ -274,10 +252,7 @@ pub(super) fn io_error(path: &Path, error: &io::Error) -> TransportError {
 }
 
 fn stale(path: &Path, reason: &str) -> TransportError {
-    TransportError::Stale {
-        path: path.to_owned(),
-        reason: reason.to_owned(),
-    }
+    TransportError::Stale { path: path.to_owned(), reason: reason.to_owned() }
 }
 
 fn is_tag(name: &str) -> bool {
@@ -286,9 +261,7 @@ fn is_tag(name: &str) -> bool {
 
 /// FNV-1a, 32 bits: names a directory; the note inside has the run id itself.
 fn short_hash(text: &str) -> u32 {
-    text.bytes().fold(0x811c_9dc5, |hash, byte| {
-        (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193)
-    })
+    text.bytes().fold(0x811c_9dc5, |hash, byte| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193))
 }
 
 fn our_uid() -> Result<u32, TransportError> {
@@ -329,11 +302,7 @@ fn check_ours(path: &Path) -> Result<bool, TransportError> {
 /// The lock on `path`; `None` when the file was removed meanwhile and the caller must start anew.
 fn lock(path: &Path, run_id: &str) -> Result<Option<File>, TransportError> {
     let failed = |e: io::Error| io_error(path, &e);
-    let file = File::options()
-        .create(true)
-        .truncate(false)
-        .write(true)
-        .open(path);
+    let file = File::options().create(true).truncate(false).write(true).open(path);
     let file = match file {
         Err(e) if e.kind() == ErrorKind::NotFound => return Ok(None),
         file => file.map_err(failed)?,
@@ -370,10 +339,7 @@ mod tests {
     use super::*;
 
     fn config(root: &Path) -> Iceoryx2Config {
-        Iceoryx2Config {
-            root: Some(root.join("r")),
-            ..Iceoryx2Config::default()
-        }
+        Iceoryx2Config { root: Some(root.join("r")), ..Iceoryx2Config::default() }
     }
 
     #[test]

@@ -88,14 +88,7 @@ impl Services {
         // The learner wakes its own thread by the same event as the actors.
         let up = events(&name("up")?, 1, ports + 1)?;
         let down = events(&name("down")?, ports, 1)?;
-        Ok(Self {
-            data,
-            status,
-            policy,
-            up,
-            down,
-            node,
-        })
+        Ok(Self { data, status, policy, up, down, node })
     }
 
     /// The actor's way: joins them. Fails while they are not complete.
@@ -248,14 +241,9 @@ fn reserve(tag: &str, publisher: u128) -> Result<(), TransportError> {
 
 fn no_space(needed: u64) -> TransportError {
     let path = Path::new(SHM_DIR);
-    let available = statvfs(path).map_or(0, |system| {
-        system.blocks_available() * system.fragment_size()
-    });
-    TransportError::NoSpace {
-        path: path.to_owned(),
-        needed,
-        available,
-    }
+    let available =
+        statvfs(path).map_or(0, |system| system.blocks_available() * system.fragment_size());
+    TransportError::NoSpace { path: path.to_owned(), needed, available }
 }
 
 fn node(paths: &RunPaths, tag: &str) -> Result<Node<Ipc>, TransportError> {

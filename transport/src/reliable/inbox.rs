@@ -50,9 +50,7 @@ impl Inbox {
             window: limits.window_frames as u64,
             max_frame_bytes: limits.max_frame_bytes,
             max_actors: limits.max_actors,
-            rate: Some(limits.max_frames_per_s)
-                .filter(|&r| r > 0)
-                .map(f64::from),
+            rate: Some(limits.max_frames_per_s).filter(|&r| r > 0).map(f64::from),
             peer_timeout: limits.peer_timeout(),
             links: BTreeMap::new(),
             queue: VecDeque::new(),
@@ -181,11 +179,7 @@ impl Inbox {
         if head.kind == UpKind::Bye {
             return false;
         }
-        let seated = self
-            .links
-            .keys()
-            .filter(|&&link| self.is_seated(link, now))
-            .count();
+        let seated = self.links.keys().filter(|&&link| self.is_seated(link, now)).count();
         let known = self.links.contains_key(&head.link);
         if seated >= self.max_actors || (!known && !self.forget_one_of_too_many()) {
             self.refused += 1;
@@ -260,19 +254,11 @@ mod tests {
     }
 
     fn data(link: u64, number: u64) -> UpHead {
-        UpHead {
-            kind: UpKind::Data,
-            link,
-            number,
-            base: 1,
-        }
+        UpHead { kind: UpKind::Data, link, number, base: 1 }
     }
 
     fn probe(link: u64, number: u64) -> UpHead {
-        UpHead {
-            kind: UpKind::Probe,
-            ..data(link, number)
-        }
+        UpHead { kind: UpKind::Probe, ..data(link, number) }
     }
 
     #[test]
@@ -289,10 +275,7 @@ mod tests {
         assert_eq!(inbox.pop().as_deref(), Some(&b"a"[..]));
         // Received 2, read 1, window 2: numbers up to 3 are granted.
         let answers = inbox.answers(false, now);
-        assert_eq!(
-            (answers[0].received, answers[0].granted, answers[0].epoch),
-            (2, 3, 9)
-        );
+        assert_eq!((answers[0].received, answers[0].granted, answers[0].epoch), (2, 3, 9));
         assert!(inbox.answers(false, now).is_empty());
         assert_eq!(inbox.answers(true, now).len(), 1);
         assert!(inbox.on_message(&data(1, 3), b"c".to_vec(), now));
@@ -302,11 +285,7 @@ mod tests {
     fn an_unknown_link_begins_at_its_base() {
         let now = Instant::now();
         let mut inbox = inbox();
-        let head = UpHead {
-            number: 5,
-            base: 4,
-            ..data(1, 5)
-        };
+        let head = UpHead { number: 5, base: 4, ..data(1, 5) };
         assert!(!inbox.on_message(&head, b"e".to_vec(), now));
         let head = UpHead { number: 4, ..head };
         assert!(inbox.on_message(&head, b"d".to_vec(), now));
@@ -320,10 +299,7 @@ mod tests {
         inbox.on_message(&probe(2, 1), Vec::new(), now);
         inbox.on_message(&probe(3, 1), Vec::new(), now);
         assert_eq!((inbox.peers(now), inbox.refused()), (2, 1));
-        let bye = UpHead {
-            kind: UpKind::Bye,
-            ..data(1, 0)
-        };
+        let bye = UpHead { kind: UpKind::Bye, ..data(1, 0) };
         inbox.on_message(&bye, Vec::new(), now);
         assert_eq!(inbox.peers(now), 1);
         inbox.on_message(&probe(3, 2), Vec::new(), now);

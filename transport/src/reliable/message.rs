@@ -81,12 +81,7 @@ impl UpHead {
             3 => UpKind::Bye,
             _ => return None,
         };
-        let head = Self {
-            kind,
-            link: reader.u64()?,
-            number: reader.u64()?,
-            base: reader.u64()?,
-        };
+        let head = Self { kind, link: reader.u64()?, number: reader.u64()?, base: reader.u64()? };
         let numbered = head.base >= 1 && (kind != UpKind::Data || head.number >= head.base);
         (numbered && reader.0.is_empty()).then_some(head)
     }
@@ -195,13 +190,7 @@ impl PolicyHead {
         let mut out = [0; Self::LEN];
         out[0..4].copy_from_slice(&POLICY_MAGIC.to_le_bytes());
         out[4..8].copy_from_slice(&control.to_le_bytes());
-        let fields = [
-            self.epoch,
-            self.generation,
-            self.version,
-            self.total,
-            self.offset,
-        ];
+        let fields = [self.epoch, self.generation, self.version, self.total, self.offset];
         for (slot, field) in out[8..48].chunks_exact_mut(8).zip(fields) {
             slot.copy_from_slice(&field.to_le_bytes());
         }
@@ -285,12 +274,7 @@ mod tests {
 
     #[test]
     fn foreign_short_and_inconsistent_messages_are_refused() {
-        let head = UpHead {
-            kind: UpKind::Data,
-            link: 7,
-            number: 3,
-            base: 2,
-        };
+        let head = UpHead { kind: UpKind::Data, link: 7, number: 3, base: 2 };
         let good = head.encode();
         assert!(UpHead::decode(&good).is_some());
         assert!(UpHead::decode(&good[..UpHead::LEN - 1]).is_none());

@@ -84,8 +84,7 @@ impl Outbox {
 
     /// Whether a learner has answered within the peer time-out.
     pub(crate) fn is_connected(&self, now: Instant) -> bool {
-        self.heard
-            .is_some_and(|heard| now.duration_since(heard) < self.peer_timeout)
+        self.heard.is_some_and(|heard| now.duration_since(heard) < self.peer_timeout)
     }
 
     /// When a learner answered last.
@@ -108,10 +107,7 @@ impl Outbox {
 
     /// The newest policy the learner has spoken of; `None` before there is one.
     pub(crate) fn newest_policy(&self) -> Option<PolicyId> {
-        let id = PolicyId {
-            epoch: self.epoch?,
-            generation: self.generation,
-        };
+        let id = PolicyId { epoch: self.epoch?, generation: self.generation };
         (id.generation > 0).then_some(id)
     }
 
@@ -119,10 +115,7 @@ impl Outbox {
     /// with time.
     pub(crate) fn take(&mut self, frame: &[u8], now: Instant) -> Result<(), SendError> {
         if frame.len() > self.max_frame_bytes {
-            return Err(SendError::TooLarge {
-                size: frame.len(),
-                max: self.max_frame_bytes,
-            });
+            return Err(SendError::TooLarge { size: frame.len(), max: self.max_frame_bytes });
         }
         let unacknowledged = self.frames.len();
         if !self.is_connected(now) {
@@ -150,11 +143,7 @@ impl Outbox {
     /// The next thing to transmit, counted as transmitted.
     pub(crate) fn step(&mut self, now: Instant) -> Step {
         let connected = self.is_connected(now);
-        let interval = if connected {
-            self.heartbeat
-        } else {
-            self.heartbeat / EAGER_PROBES
-        };
+        let interval = if connected { self.heartbeat } else { self.heartbeat / EAGER_PROBES };
         let since = self.probed.map(|at| now.duration_since(at));
         if since.is_none_or(|since| since >= interval) {
             return self.probe(now);
@@ -244,12 +233,7 @@ impl Outbox {
     }
 
     fn head(&self, kind: UpKind, number: u64) -> UpHead {
-        UpHead {
-            kind,
-            link: self.link,
-            number,
-            base: self.base,
-        }
+        UpHead { kind, link: self.link, number, base: self.base }
     }
 }
 
@@ -258,12 +242,7 @@ mod tests {
     use super::*;
 
     fn limits() -> Limits {
-        Limits {
-            max_frame_bytes: 8,
-            heartbeat_ms: 100,
-            peer_timeout_ms: 300,
-            ..Limits::default()
-        }
+        Limits { max_frame_bytes: 8, heartbeat_ms: 100, peer_timeout_ms: 300, ..Limits::default() }
     }
 
     fn status(received: u64, granted: u64, probe: u64) -> Status {
@@ -290,22 +269,13 @@ mod tests {
     fn frames_are_taken_only_within_the_grant_of_a_live_learner() {
         let start = Instant::now();
         let mut outbox = Outbox::new(7, &limits());
-        assert_eq!(
-            outbox.take(b"a", start),
-            Err(SendError::Disconnected { unacknowledged: 0 })
-        );
+        assert_eq!(outbox.take(b"a", start), Err(SendError::Disconnected { unacknowledged: 0 }));
         assert_eq!(number(&outbox.step(start)), (UpKind::Probe, 1));
         assert!(outbox.on_status(&status(0, 2, 1), start));
         outbox.take(b"a", start).unwrap();
         outbox.take(b"b", start).unwrap();
-        assert_eq!(
-            outbox.take(b"c", start),
-            Err(SendError::Full { unacknowledged: 2 })
-        );
-        assert_eq!(
-            outbox.take(b"123456789", start),
-            Err(SendError::TooLarge { size: 9, max: 8 })
-        );
+        assert_eq!(outbox.take(b"c", start), Err(SendError::Full { unacknowledged: 2 }));
+        assert_eq!(outbox.take(b"123456789", start), Err(SendError::TooLarge { size: 9, max: 8 }));
         assert_eq!(number(&outbox.step(start)), (UpKind::Data, 1));
         assert_eq!(number(&outbox.step(start)), (UpKind::Data, 2));
         // 60 ms later: the next probe is due 40 ms on.
@@ -318,10 +288,7 @@ mod tests {
         // Silence for the peer time-out.
         let silent = later + Duration::from_millis(300);
         assert!(!outbox.is_connected(silent));
-        assert_eq!(
-            outbox.flushed(silent),
-            Err(SendError::Disconnected { unacknowledged: 1 })
-        );
+        assert_eq!(outbox.flushed(silent), Err(SendError::Disconnected { unacknowledged: 1 }));
     }
 
     #[test]
@@ -358,10 +325,7 @@ mod tests {
             outbox.step(start);
         }
         outbox.on_status(&status(1, 4, 1), start);
-        let restarted = Status {
-            epoch: 2,
-            ..status(1, 5, 1)
-        };
+        let restarted = Status { epoch: 2, ..status(1, 5, 1) };
         assert!(outbox.on_status(&restarted, start));
         assert_eq!(number(&outbox.step(start)), (UpKind::Data, 2));
     }
@@ -370,25 +334,16 @@ mod tests {
     fn the_smaller_frame_limit_counts() {
         let start = Instant::now();
         let mut outbox = Outbox::new(7, &limits());
-        let strict = Status {
-            max_frame_bytes: 3,
-            ..status(0, 4, 0)
-        };
+        let strict = Status { max_frame_bytes: 3, ..status(0, 4, 0) };
         outbox.on_status(&strict, start);
-        assert_eq!(
-            outbox.take(b"1234", start),
-            Err(SendError::TooLarge { size: 4, max: 3 })
-        );
+        assert_eq!(outbox.take(b"1234", start), Err(SendError::TooLarge { size: 4, max: 3 }));
     }
 
     #[test]
     fn answers_for_others_and_impossible_ones_are_ignored() {
         let start = Instant::now();
         let mut outbox = Outbox::new(7, &limits());
-        let foreign = Status {
-            link: 8,
-            ..status(0, 4, 0)
-        };
+        let foreign = Status { link: 8, ..status(0, 4, 0) };
         assert!(!outbox.on_status(&foreign, start));
         assert!(!outbox.on_status(&status(1, 4, 0), start));
         assert!(!outbox.is_connected(start));

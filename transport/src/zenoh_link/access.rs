@@ -94,24 +94,9 @@ fn access_control() -> String {
     let rules = [
         rule("rollouts-in", r#""ingress""#, r#""put""#, "caudata/*/up/*"),
         rule("answers-out", r#""egress""#, r#""put""#, "caudata/*/down/*"),
-        rule(
-            "answers-wanted",
-            r#""ingress""#,
-            r#""declare_subscriber""#,
-            "caudata/*/down/*",
-        ),
-        rule(
-            "policy-asked",
-            r#""ingress""#,
-            r#""query""#,
-            "caudata/*/policy",
-        ),
-        rule(
-            "policy-out",
-            r#""egress""#,
-            r#""reply""#,
-            "caudata/*/policy",
-        ),
+        rule("answers-wanted", r#""ingress""#, r#""declare_subscriber""#, "caudata/*/down/*"),
+        rule("policy-asked", r#""ingress""#, r#""query""#, "caudata/*/policy"),
+        rule("policy-out", r#""egress""#, r#""reply""#, "caudata/*/policy"),
         rule(
             "learner-is-known",
             r#""egress""#,
@@ -152,12 +137,9 @@ mod tests {
 
     #[test]
     fn plain_connections_stay_on_loopback() {
-        for loopback in [
-            "tcp/127.0.0.1:0",
-            "tcp/127.3.2.1:7447",
-            "tcp/[::1]:7447",
-            "tcp/localhost:7447",
-        ] {
+        for loopback in
+            ["tcp/127.0.0.1:0", "tcp/127.3.2.1:7447", "tcp/[::1]:7447", "tcp/localhost:7447"]
+        {
             check(loopback, None).unwrap();
         }
         for elsewhere in [
@@ -170,17 +152,9 @@ mod tests {
             "tcp/127.0.0.1.example:7447",
         ] {
             let error = check(elsewhere, None).unwrap_err();
-            assert!(
-                error.contains(elsewhere) && error.contains("quic/"),
-                "{error}"
-            );
+            assert!(error.contains(elsewhere) && error.contains("quic/"), "{error}");
         }
-        for other in [
-            "udp/127.0.0.1:7447",
-            "tls/127.0.0.1:7447",
-            "127.0.0.1:7447",
-            "",
-        ] {
+        for other in ["udp/127.0.0.1:7447", "tls/127.0.0.1:7447", "127.0.0.1:7447", ""] {
             check(other, None).unwrap_err();
         }
     }
@@ -192,10 +166,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let files = TlsFiles::in_folder(dir.path());
         let error = check("quic/learner:7447", Some(&files)).unwrap_err();
-        assert!(
-            error.contains("ca.crt"),
-            "the first missing file is named: {error}"
-        );
+        assert!(error.contains("ca.crt"), "the first missing file is named: {error}");
         for file in [&files.ca, &files.certificate, &files.key] {
             std::fs::write(file, "").unwrap();
         }
@@ -213,9 +184,7 @@ mod tests {
         let router = Config::from_file(path).unwrap();
         let own = {
             let mut config = Config::default();
-            config
-                .insert_json5("access_control", &access_control())
-                .unwrap();
+            config.insert_json5("access_control", &access_control()).unwrap();
             config
         };
         let rules = |config: &Config| -> Vec<String> {

@@ -115,8 +115,7 @@ impl Puller {
             reconnect.heard(self.core.outbox().last_heard());
             if reconnect.is_due(Instant::now()) {
                 if Arc::strong_count(&closing) > CLOSING_MAX {
-                    self.core
-                        .fail("zenoh does not let go of its connections".to_owned());
+                    self.core.fail("zenoh does not let go of its connections".to_owned());
                     return;
                 }
                 if let Some(anew) = self.open_beside(endpoints) {

@@ -37,11 +37,8 @@ pub(crate) fn learner(
 fn open(config: &ZenohConfig, run_id: &str) -> Result<Box<dyn LearnerLink>, TransportError> {
     let (session, connect) = session::open_learner(config)?;
     let core = LearnerCore::new(identity::fresh(), &config.limits);
-    let mut downlink = ZenohDownlink {
-        owed: Arc::default(),
-        threads: Vec::new(),
-        session: Some(session.clone()),
-    };
+    let mut downlink =
+        ZenohDownlink { owed: Arc::default(), threads: Vec::new(), session: Some(session.clone()) };
     let routed = !config.connect.is_empty();
     if let Err(error) = downlink.start(&session, &core, run_id, routed) {
         // Whatever has started already ends.
@@ -91,10 +88,7 @@ fn stay_alone(session: &Session, run_id: &str, epoch: u64) -> Result<(), Transpo
 
 /// The numbers of other learners of the run that answer behind the router.
 fn others(session: &Session, run_id: &str, epoch: u64) -> Result<Vec<u64>, TransportError> {
-    let request = PieceRequest {
-        generation: 0,
-        offset: 0,
-    };
+    let request = PieceRequest { generation: 0, offset: 0 };
     let replies = session
         .get(policy_key(run_id))
         .payload(request.encode())
@@ -257,11 +251,8 @@ fn serve_pieces_until_closed(core: &LearnerCore, queryable: &Queryable<RingChann
 fn piece(core: &LearnerCore, query: &Query) -> Option<Vec<u8>> {
     let request = PieceRequest::decode(&query.payload()?.to_bytes())?;
     let (generation, update) = core.policy.newest().unwrap_or_else(|| (0, nothing_yet()));
-    let offset = if request.generation == generation {
-        usize::try_from(request.offset).ok()?
-    } else {
-        0
-    };
+    let offset =
+        if request.generation == generation { usize::try_from(request.offset).ok()? } else { 0 };
     let bytes = update.bytes.get(offset..)?;
     let bytes = &bytes[..bytes.len().min(PIECE_BYTES)];
     let head = PolicyHead::of(&update, core.epoch, generation, offset);

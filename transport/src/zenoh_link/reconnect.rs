@@ -68,10 +68,7 @@ mod tests {
     const MS: Duration = Duration::from_millis(1);
 
     fn reconnect(link: u64, now: Instant) -> Reconnect {
-        let limits = Limits {
-            peer_timeout_ms: 2_000,
-            ..Limits::default()
-        };
+        let limits = Limits { peer_timeout_ms: 2_000, ..Limits::default() };
         Reconnect::new(&limits, link, now)
     }
 

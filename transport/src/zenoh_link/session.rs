@@ -169,18 +169,9 @@ fn settings(
         ("scouting/multicast/enabled", "false".to_owned()),
         ("scouting/gossip/enabled", "false".to_owned()),
         ("adminspace/enabled", "false".to_owned()),
-        (
-            "transport/unicast/max_sessions",
-            (limits.max_actors + SPARE_SESSIONS).to_string(),
-        ),
-        (
-            "transport/unicast/open_timeout",
-            limits.peer_timeout_ms.to_string(),
-        ),
-        (
-            "transport/unicast/accept_timeout",
-            limits.peer_timeout_ms.to_string(),
-        ),
+        ("transport/unicast/max_sessions", (limits.max_actors + SPARE_SESSIONS).to_string()),
+        ("transport/unicast/open_timeout", limits.peer_timeout_ms.to_string()),
+        ("transport/unicast/accept_timeout", limits.peer_timeout_ms.to_string()),
         ("transport/link/tx/lease", lease_ms.to_string()),
         (
             "transport/link/tx/queue/congestion_control/block/wait_before_close",
@@ -224,9 +215,7 @@ fn with_port(endpoint: &str) -> Result<String, TransportError> {
         reason: error.to_string(),
     };
     let mut addresses = address.to_socket_addrs().map_err(failed)?;
-    let first = addresses
-        .next()
-        .ok_or_else(|| failed(std::io::Error::other("no address")))?;
+    let first = addresses.next().ok_or_else(|| failed(std::io::Error::other("no address")))?;
     let bound = match scheme {
         "quic" => UdpSocket::bind(first).and_then(|socket| socket.local_addr()),
         _ => TcpListener::bind(first).and_then(|listener| listener.local_addr()),
@@ -285,18 +274,9 @@ mod tests {
 
     #[test]
     fn actors_reach_any_address_by_loopback() {
-        let listen = [
-            "tcp/0.0.0.0:7447",
-            "tcp/[::]:7448",
-            "quic/node7:7449",
-            "quic/0.0.0.0:1",
-        ];
-        let reached = [
-            "tcp/127.0.0.1:7447",
-            "tcp/[::1]:7448",
-            "quic/node7:7449",
-            "quic/localhost:1",
-        ];
+        let listen = ["tcp/0.0.0.0:7447", "tcp/[::]:7448", "quic/node7:7449", "quic/0.0.0.0:1"];
+        let reached =
+            ["tcp/127.0.0.1:7447", "tcp/[::1]:7448", "quic/node7:7449", "quic/localhost:1"];
         assert_eq!(reachable(&listen.map(str::to_owned)), reached);
     }
 

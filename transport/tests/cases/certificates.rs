@@ -17,12 +17,8 @@ use crate::support::rig::limits;
 const TRIES: Duration = Duration::from_secs(2);
 
 fn certificate(authority: &Authority, role: Role, name: &str) -> TlsFiles {
-    let request = Request {
-        role,
-        name: name.to_owned(),
-        hosts: vec!["localhost".to_owned()],
-        days: 1,
-    };
+    let request =
+        Request { role, name: name.to_owned(), hosts: vec!["localhost".to_owned()], days: 1 };
     let folder = authority.issue(&request, SystemTime::now(), false).unwrap();
     TlsFiles::in_folder(&folder)
 }
@@ -44,10 +40,9 @@ fn learner(authority: &Authority, run_id: &str) -> Box<dyn LearnerLink> {
 
 fn towards(learner: &dyn LearnerLink, files: TlsFiles) -> TransportConfig {
     match learner.actor_config() {
-        TransportConfig::Zenoh(config) => TransportConfig::Zenoh(ZenohConfig {
-            tls: Some(files),
-            ..config
-        }),
+        TransportConfig::Zenoh(config) => {
+            TransportConfig::Zenoh(ZenohConfig { tls: Some(files), ..config })
+        }
         other => panic!("another transport: {other:?}"),
     }
 }
@@ -79,15 +74,10 @@ fn other_roles_and_strangers_get_nothing_in_and_nothing_out() {
     let ours = authority(&dir.path().join("ours"));
     let theirs = authority(&dir.path().join("theirs"));
     let mut learner = learner(&ours, "roles");
-    learner
-        .publish_policy(policy(1, 1_000, Control::Run))
-        .unwrap();
+    learner.publish_policy(policy(1, 1_000, Control::Run)).unwrap();
     let cases = [
         ("a robot", certificate(&ours, Role::Robot, "robot")),
-        (
-            "an operator",
-            certificate(&ours, Role::Operator, "operator"),
-        ),
+        ("an operator", certificate(&ours, Role::Operator, "operator")),
         ("a stranger", certificate(&theirs, Role::Actor, "actor")),
     ];
     for (who, files) in cases {
@@ -119,10 +109,7 @@ fn an_actor_cannot_pose_as_the_learner() {
         ("connect/endpoints", format!("{:?}", config.connect)),
         ("scouting/multicast/enabled", "false".to_owned()),
         ("transport/link/tls/root_ca_certificate", path(&files.ca)),
-        (
-            "transport/link/tls/connect_certificate",
-            path(&files.certificate),
-        ),
+        ("transport/link/tls/connect_certificate", path(&files.certificate)),
         ("transport/link/tls/connect_private_key", path(&files.key)),
         ("transport/link/tls/enable_mtls", "true".to_owned()),
     ] {
@@ -160,10 +147,7 @@ fn an_actor_cannot_pose_as_the_learner() {
         read(&mut *learner, &mut ledger, number);
     }
     // Said on behalf of the learner: the actor would stop.
-    impostor
-        .put("caudata/pose/down/1", vec![0u8; 64])
-        .wait()
-        .unwrap();
+    impostor.put("caudata/pose/down/1", vec![0u8; 64]).wait().unwrap();
     wait_until("everything is acknowledged", || actor.stats().depth == 0);
     assert!(!actor.stop_requested());
     let count =
@@ -201,10 +185,7 @@ fn both_directions(frames: u64) {
             scope.spawn(move || {
                 let mut newest = 0;
                 for number in 1..=frames {
-                    send(
-                        &mut *actor,
-                        &frame(label(u64::from(sender), number), 60_000),
-                    );
+                    send(&mut *actor, &frame(label(u64::from(sender), number), 60_000));
                     while let Some(update) = actor.next_policy(Duration::ZERO).unwrap() {
                         assert_eq!(update, policy(update.version, 60_000, Control::Run));
                         assert!(update.version > newest);
@@ -220,9 +201,7 @@ fn both_directions(frames: u64) {
         while ledger.total() < 2 * frames {
             if ledger.total() >= 20 * version {
                 version += 1;
-                learner
-                    .publish_policy(policy(version, 60_000, Control::Run))
-                    .unwrap();
+                learner.publish_policy(policy(version, 60_000, Control::Run)).unwrap();
             }
             ledger.take(&recv(&mut *learner));
         }

@@ -11,13 +11,7 @@ fn bad_run_ids_and_limits_are_refused() {
         let refused = learner_link(&config, run_id).err().unwrap();
         assert!(matches!(refused, TransportError::Config(_)), "{refused}");
     }
-    let config = remote(
-        Kind::Zenoh,
-        Limits {
-            window_frames: 0,
-            ..limits()
-        },
-    );
+    let config = remote(Kind::Zenoh, Limits { window_frames: 0, ..limits() });
     let refused = actor_link(&config, "run", 0).err().unwrap();
     assert!(refused.to_string().contains("window_frames"), "{refused}");
 }

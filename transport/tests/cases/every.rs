@@ -32,10 +32,7 @@ pub fn ten_thousand_frames_arrive_once_and_in_order(kind: Kind) {
     });
     assert_nothing_more(&mut *rig.learner);
     let stats = rig.learner.stats();
-    assert_eq!(
-        (stats.frames, stats.depth, stats.refused),
-        (SENDERS * EACH, 0, 0)
-    );
+    assert_eq!((stats.frames, stats.depth, stats.refused), (SENDERS * EACH, 0, 0));
     rig.finish();
 }
 
@@ -77,12 +74,8 @@ pub fn a_slow_learner_pushes_back_and_nothing_is_lost(kind: Kind) {
 pub fn large_messages_pass_and_larger_ones_are_refused(kind: Kind) {
     const FRAME: usize = 1 << 20;
     const POLICY: usize = 4 << 20;
-    let large = Limits {
-        max_frame_bytes: FRAME,
-        max_policy_bytes: POLICY,
-        window_frames: 2,
-        ..limits()
-    };
+    let large =
+        Limits { max_frame_bytes: FRAME, max_policy_bytes: POLICY, window_frames: 2, ..limits() };
     let mut rig = Rig::new(kind, large);
     let mut actor = rig.actor(0);
     for number in 1..=3 {
@@ -92,28 +85,13 @@ pub fn large_messages_pass_and_larger_ones_are_refused(kind: Kind) {
         assert_eq!(check(&got.bytes).number, number);
     }
     let refused = actor.send(&vec![0; FRAME + 1], PATIENCE).unwrap_err();
-    assert_eq!(
-        refused,
-        SendError::TooLarge {
-            size: FRAME + 1,
-            max: FRAME
-        }
-    );
+    assert_eq!(refused, SendError::TooLarge { size: FRAME + 1, max: FRAME });
     assert!(refused.to_string().contains("1048577") && refused.to_string().contains("1048576"));
     let update = policy(1, POLICY, Control::Run);
     rig.learner.publish_policy(update.clone()).unwrap();
     assert_eq!(next_policy(&mut *actor), update);
-    let refused = rig
-        .learner
-        .publish_policy(policy(2, POLICY + 1, Control::Run))
-        .unwrap_err();
-    assert_eq!(
-        refused,
-        TransportError::PolicyTooLarge {
-            size: POLICY + 1,
-            max: POLICY
-        }
-    );
+    let refused = rig.learner.publish_policy(policy(2, POLICY + 1, Control::Run)).unwrap_err();
+    assert_eq!(refused, TransportError::PolicyTooLarge { size: POLICY + 1, max: POLICY });
     assert!(refused.to_string().contains("4194305") && refused.to_string().contains("4194304"));
     drop(actor);
     rig.finish();
@@ -137,17 +115,10 @@ pub fn only_the_newest_policy_counts(kind: Kind) {
     let mut rig = Rig::new(kind, limits());
     let mut actors = [rig.actor(0), rig.actor(1)];
     for version in 1..=LAST {
-        rig.learner
-            .publish_policy(policy(version, 10_000, Control::Run))
-            .unwrap();
+        rig.learner.publish_policy(policy(version, 10_000, Control::Run)).unwrap();
     }
-    let goes_back = rig
-        .learner
-        .publish_policy(policy(LAST - 1, 10, Control::Run));
-    assert!(matches!(
-        goes_back,
-        Err(TransportError::VersionWentBack { .. })
-    ));
+    let goes_back = rig.learner.publish_policy(policy(LAST - 1, 10, Control::Run));
+    assert!(matches!(goes_back, Err(TransportError::VersionWentBack { .. })));
     for actor in &mut actors {
         let mut seen = 0;
         while seen < LAST {
@@ -159,9 +130,7 @@ pub fn only_the_newest_policy_counts(kind: Kind) {
         assert_eq!(actor.next_policy(ATTEMPT).unwrap(), None);
     }
     // The same version again is news: the learner may say it once more.
-    rig.learner
-        .publish_policy(policy(LAST, 10_000, Control::Run))
-        .unwrap();
+    rig.learner.publish_policy(policy(LAST, 10_000, Control::Run)).unwrap();
     for actor in &mut actors {
         assert_eq!(next_policy(&mut **actor).version, LAST);
     }
@@ -174,9 +143,7 @@ pub fn a_late_joiner_gets_the_newest_policy(kind: Kind) {
     let mut rig = Rig::new(kind, limits());
     let mut early = rig.actor(0);
     for version in 1..=3 {
-        rig.learner
-            .publish_policy(policy(version, 5_000, Control::Run))
-            .unwrap();
+        rig.learner.publish_policy(policy(version, 5_000, Control::Run)).unwrap();
     }
     while next_policy(&mut *early).version < 3 {}
     let mut late = rig.actor(1);
@@ -191,21 +158,15 @@ pub fn stop_reaches_every_actor(kind: Kind) {
     let mut rig = Rig::new(kind, limits());
     let mut idle = rig.actor(0);
     let mut stuck = rig.actor(1);
-    rig.learner
-        .publish_policy(policy(1, 100, Control::Run))
-        .unwrap();
+    rig.learner.publish_policy(policy(1, 100, Control::Run)).unwrap();
     assert_eq!(next_policy(&mut *idle).control, Control::Run);
     assert!(!idle.stop_requested());
     let mut number = 1;
-    while !matches!(
-        stuck.send(&frame(label(1, number), 100), ATTEMPT),
-        Err(SendError::Full { .. })
-    ) {
+    while !matches!(stuck.send(&frame(label(1, number), 100), ATTEMPT), Err(SendError::Full { .. }))
+    {
         number += 1;
     }
-    rig.learner
-        .publish_policy(policy(1, 0, Control::Stop))
-        .unwrap();
+    rig.learner.publish_policy(policy(1, 0, Control::Stop)).unwrap();
     let mut late = rig.actor(2);
     for actor in [&mut idle, &mut stuck, &mut late] {
         while next_policy(&mut **actor).control != Control::Stop {}
@@ -223,9 +184,7 @@ pub fn the_learner_counts_its_actors(kind: Kind) {
     assert_eq!(rig.learner.stats().peers, 0);
     let (first, second) = (rig.actor(0), rig.actor(1));
     wait_until("two actors", || rig.learner.stats().peers == 2);
-    wait_until("the learner", || {
-        first.is_connected() && second.is_connected()
-    });
+    wait_until("the learner", || first.is_connected() && second.is_connected());
     drop(first);
     wait_until("one actor", || rig.learner.stats().peers == 1);
     drop(second);

@@ -37,9 +37,7 @@ pub fn fault_62_a_flood_of_one_actor_holds_up_nobody(kind: Kind) {
         }
         let mut ledger = Ledger::default();
         for round in 1..=ROUNDS {
-            wait_until("two full windows", || {
-                rig.learner.stats().depth as u64 == 2 * window
-            });
+            wait_until("two full windows", || rig.learner.stats().depth as u64 == 2 * window);
             for _ in 0..2 * window {
                 ledger.take(&recv(&mut *rig.learner));
             }
@@ -110,10 +108,7 @@ pub fn fault_62_latency_under_a_flood(kind: Kind) {
         );
         flooded
     });
-    assert!(
-        waits[0] < Duration::from_millis(limits().peer_timeout_ms),
-        "{waits:?}"
-    );
+    assert!(waits[0] < Duration::from_millis(limits().peer_timeout_ms), "{waits:?}");
     drop((flood, polite));
     rig.finish();
 }
@@ -142,19 +137,12 @@ fn silent_connections(connections: usize) {
     let TransportConfig::Zenoh(config) = &rig.config else {
         panic!("another transport");
     };
-    let address: SocketAddr = config.connect[0]
-        .strip_prefix("tcp/")
-        .unwrap()
-        .parse()
-        .unwrap();
+    let address: SocketAddr = config.connect[0].strip_prefix("tcp/").unwrap().parse().unwrap();
     let mut early = rig.actor(0);
-    rig.learner
-        .publish_policy(policy(1, 10_000, Control::Run))
-        .unwrap();
+    rig.learner.publish_policy(policy(1, 10_000, Control::Run)).unwrap();
     assert_eq!(next_policy(&mut *early).version, 1);
-    let silent: Vec<TcpStream> = (0..connections)
-        .filter_map(|_| TcpStream::connect(address).ok())
-        .collect();
+    let silent: Vec<TcpStream> =
+        (0..connections).filter_map(|_| TcpStream::connect(address).ok()).collect();
     assert!(silent.len() > connections / 2, "{}", silent.len());
     let mut ledger = Ledger::default();
     for number in 1..=50 {

@@ -18,10 +18,7 @@ fn what_a_killed_learner_leaves_can_be_removed() {
     let (learner, _) = start_learner(&run_id, &config);
     let residue = Residue::of(&config).unwrap();
     let alive = clean_up(&config, &run_id);
-    assert!(
-        matches!(alive, Err(TransportError::AlreadyRunning { .. })),
-        "{alive:?}"
-    );
+    assert!(matches!(alive, Err(TransportError::AlreadyRunning { .. })), "{alive:?}");
     learner.kill();
     clean_up(&config, &run_id).unwrap();
     residue.assert_none();
@@ -32,10 +29,7 @@ fn refuses_a_second_learner_of_the_run() {
     let config = remote(Kind::Iceoryx2, limits());
     let first = learner_link(&config, "twice").unwrap();
     let second = learner_link(&config, "twice").err().unwrap();
-    assert!(
-        matches!(second, TransportError::AlreadyRunning { .. }),
-        "{second}"
-    );
+    assert!(matches!(second, TransportError::AlreadyRunning { .. }), "{second}");
     let other_run = learner_link(&config, "once").unwrap();
     drop((first, other_run));
 }
@@ -45,21 +39,14 @@ fn refuses_a_second_learner_of_the_run() {
 fn refuses_to_start_without_room() {
     let shm = nix::sys::statvfs::statvfs("/dev/shm").unwrap();
     let room = shm.blocks_available() * shm.fragment_size();
-    let huge = Limits {
-        max_frame_bytes: Limits::MAX_BYTES,
-        window_frames: Limits::MAX_COUNT,
-        ..limits()
-    };
+    let huge =
+        Limits { max_frame_bytes: Limits::MAX_BYTES, window_frames: Limits::MAX_COUNT, ..limits() };
     if room > (huge.max_frame_bytes * huge.window_frames) as u64 {
         return;
     }
     let config = remote(Kind::Iceoryx2, huge);
     match actor_link(&config, "huge", 0).err().unwrap() {
-        TransportError::NoSpace {
-            path,
-            needed,
-            available,
-        } => {
+        TransportError::NoSpace { path, needed, available } => {
             assert_eq!(path.to_str(), Some("/dev/shm"));
             assert!(needed > available);
         }
@@ -82,15 +69,7 @@ fn reports_limits_that_differ() {
         result = actor.send(b"x", Duration::ZERO);
         matches!(result, Err(SendError::Backend(_)))
     });
-    assert!(
-        result
-            .unwrap_err()
-            .to_string()
-            .contains("differ from the learner's")
-    );
-    assert!(matches!(
-        actor.next_policy(ATTEMPT),
-        Err(TransportError::Backend(_))
-    ));
+    assert!(result.unwrap_err().to_string().contains("differ from the learner's"));
+    assert!(matches!(actor.next_policy(ATTEMPT), Err(TransportError::Backend(_))));
     drop((actor, learner));
 }

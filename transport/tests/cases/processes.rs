@@ -13,21 +13,12 @@ use crate::support::rig::{Kind, Residue, Rig, for_actors, fresh_run_id, limits, 
 
 /// One actor more than the limit is kept out, not the others; when one leaves it comes in.
 pub fn one_actor_too_many_waits_for_its_turn(kind: Kind) {
-    let mut rig = Rig::new(
-        kind,
-        Limits {
-            max_actors: 2,
-            ..limits()
-        },
-    );
+    let mut rig = Rig::new(kind, Limits { max_actors: 2, ..limits() });
     let (mut first, second) = (rig.actor(0), rig.actor(1));
     wait_until("two actors", || rig.learner.stats().peers == 2);
     let mut third = rig.actor(2);
     let kept_out = third.send(b"x", ATTEMPT);
-    assert!(
-        matches!(kept_out, Err(SendError::Disconnected { .. })),
-        "{kept_out:?}"
-    );
+    assert!(matches!(kept_out, Err(SendError::Disconnected { .. })), "{kept_out:?}");
     send(&mut *first, b"y");
     assert_eq!(recv(&mut *rig.learner).bytes, b"y");
     drop(second);
@@ -45,20 +36,10 @@ pub fn a_killed_actor_harms_nobody(kind: Kind) {
 }
 
 pub fn killing(kind: Kind, kills: u64, others: u64) {
-    let large = Limits {
-        max_frame_bytes: 256 << 10,
-        ..limits()
-    };
+    let large = Limits { max_frame_bytes: 256 << 10, ..limits() };
     let mut rig = Rig::new(kind, large);
     let start = |sender, incarnation, frames| {
-        Helper::actor(
-            &rig.run_id,
-            &rig.config,
-            sender,
-            incarnation,
-            frames,
-            100_000,
-        )
+        Helper::actor(&rig.run_id, &rig.config, sender, incarnation, frames, 100_000)
     };
     let steady = [start(1, 1, others), start(2, 1, others)];
     let mut ledger = Ledger::default();
@@ -131,18 +112,13 @@ pub fn actors_find_a_restarted_learner(kind: Kind) {
     first.kill();
     wait_until("the loss to be seen", || !actor.is_connected());
     let alone = actor.send(&frame(label(0, 21), 1_000), ATTEMPT);
-    assert!(
-        matches!(alone, Err(SendError::Disconnected { .. })),
-        "{alone:?}"
-    );
+    assert!(matches!(alone, Err(SendError::Disconnected { .. })), "{alone:?}");
     // The second learner is this process. zenoh: at the same address, which is all that the actor knows.
     let mut second = learner_link(&same_address(&config, &actor_config), &run_id).unwrap();
     if let Some(residue) = &mut residue {
         residue.note();
     }
-    second
-        .publish_policy(policy(7, 1_000, Control::Run))
-        .unwrap();
+    second.publish_policy(policy(7, 1_000, Control::Run)).unwrap();
     assert_eq!(next_policy(&mut *actor).version, 7);
     std::thread::scope(|scope| {
         scope.spawn(move || {
@@ -270,10 +246,7 @@ pub fn an_actor_may_come_before_its_learner(kind: Kind) {
     let settled = for_actors(settled, &config);
     let mut actor = actor_link(&settled, &run_id, 0).unwrap();
     let early = actor.send(b"x", ATTEMPT);
-    assert!(
-        matches!(early, Err(SendError::Disconnected { .. })),
-        "{early:?}"
-    );
+    assert!(matches!(early, Err(SendError::Disconnected { .. })), "{early:?}");
     let mut learner = learner_link(&same_address(&config, &settled), &run_id).unwrap();
     send(&mut *actor, b"y");
     assert_eq!(recv(&mut *learner).bytes, b"y");

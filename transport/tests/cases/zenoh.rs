@@ -36,9 +36,7 @@ fn a_cut_connection_loses_nothing() {
         });
         let mut ledger = Ledger::default();
         for cut in 1..=CUTS {
-            rig.learner
-                .publish_policy(policy(cut, 60_000, Control::Run))
-                .unwrap();
+            rig.learner.publish_policy(policy(cut, 60_000, Control::Run)).unwrap();
             read(&mut *rig.learner, &mut ledger, cut * BETWEEN - BETWEEN / 2);
             wait_until("a connection to cut", || proxy.cut());
             read(&mut *rig.learner, &mut ledger, cut * BETWEEN);
@@ -71,9 +69,7 @@ fn keeps_to_the_learners_frame_limit() {
 /// to.
 #[test]
 fn links_work_inside_a_single_threaded_runtime() {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .build()
-        .unwrap();
+    let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
     runtime.block_on(async {
         let mut rig = Rig::new(Kind::Zenoh, limits());
         let mut actor = rig.actor(0);
@@ -192,9 +188,7 @@ fn names_an_address_that_is_taken() {
         ..ZenohConfig::default()
     });
     match learner_link(&config, "taken").err().unwrap() {
-        TransportError::Endpoint {
-            endpoint: named, ..
-        } => assert_eq!(named, endpoint),
+        TransportError::Endpoint { endpoint: named, .. } => assert_eq!(named, endpoint),
         other => panic!("{other}"),
     }
 }

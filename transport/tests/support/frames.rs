@@ -27,10 +27,7 @@ pub fn frame(label: Label, bytes: usize) -> Vec<u8> {
     for (i, byte) in out[HEAD..].iter_mut().enumerate() {
         *byte = (label.number as usize).wrapping_mul(31).wrapping_add(i) as u8;
     }
-    for (slot, field) in [label.sender, label.incarnation, label.number]
-        .iter()
-        .enumerate()
-    {
+    for (slot, field) in [label.sender, label.incarnation, label.number].iter().enumerate() {
         out[8 * slot..8 * slot + 8].copy_from_slice(&field.to_le_bytes());
     }
     let sum = checksum(&out);
@@ -42,11 +39,7 @@ pub fn frame(label: Label, bytes: usize) -> Vec<u8> {
 pub fn check(frame: &[u8]) -> Label {
     let field = |slot: usize| u64::from_le_bytes(frame[8 * slot..8 * slot + 8].try_into().unwrap());
     assert_eq!(field(3), checksum(frame), "torn frame");
-    Label {
-        sender: field(0),
-        incarnation: field(1),
-        number: field(2),
-    }
+    Label { sender: field(0), incarnation: field(1), number: field(2) }
 }
 
 /// FNV-1a over 64-bit words, the checksum's own place left out.
@@ -83,10 +76,7 @@ pub fn flush(actor: &mut dyn ActorLink) {
 
 /// The next frame, with patience.
 pub fn recv(learner: &mut dyn LearnerLink) -> Frame {
-    learner
-        .recv(PATIENCE)
-        .unwrap()
-        .expect("a frame within the patience of the test")
+    learner.recv(PATIENCE).unwrap().expect("a frame within the patience of the test")
 }
 
 /// Checks what arrives: whole, in order per sender and incarnation, none twice, none left out.
@@ -98,10 +88,7 @@ pub struct Ledger {
 impl Ledger {
     pub fn take(&mut self, frame: &Frame) -> Label {
         let label = check(&frame.bytes);
-        let last = self
-            .last
-            .entry((label.sender, label.incarnation))
-            .or_insert(0);
+        let last = self.last.entry((label.sender, label.incarnation)).or_insert(0);
         assert_eq!(label.number, *last + 1, "{label:?}");
         *last = label.number;
         label
@@ -111,10 +98,7 @@ impl Ledger {
     pub fn follows(&mut self, label: Label) {
         let key = (label.sender, label.incarnation);
         let last = self.last.insert(key, label.number);
-        assert!(
-            last.is_none_or(|last| label.number == last + 1),
-            "{label:?}"
-        );
+        assert!(last.is_none_or(|last| label.number == last + 1), "{label:?}");
     }
 
     /// The number of the last frame, or how many came from this sender in this incarnation.

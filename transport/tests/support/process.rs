@@ -29,10 +29,7 @@ pub enum Order {
         config: TransportConfig,
     },
     /// Receives for ever: prints its actors' configuration, then the number of each whole frame.
-    Learner {
-        run_id: String,
-        config: TransportConfig,
-    },
+    Learner { run_id: String, config: TransportConfig },
 }
 
 /// A running helper; killed with signal 9 when dropped.
@@ -139,23 +136,12 @@ pub fn run_order() {
     // A test that aborts leaves no helper behind.
     set_pdeathsig(Signal::SIGKILL).unwrap();
     match toml::from_str(&order).unwrap() {
-        Order::Actor {
-            run_id,
-            sender,
-            incarnation,
-            frames,
-            bytes,
-            config,
-        } => {
+        Order::Actor { run_id, sender, incarnation, frames, bytes, config } => {
             let mut actor = actor_link(&config, &run_id, sender as u32).unwrap();
             let mut number = 0;
             while frames == 0 || number < frames {
                 number += 1;
-                let label = Label {
-                    sender,
-                    incarnation,
-                    number,
-                };
+                let label = Label { sender, incarnation, number };
                 send(&mut *actor, &frame(label, bytes));
             }
             flush(&mut *actor);
@@ -181,15 +167,10 @@ fn say(mark: &str, text: &str) {
 
 /// Starts a learner in a process of its own. Returns it with what its actors are given.
 pub fn start_learner(run_id: &str, config: &TransportConfig) -> (Helper, TransportConfig) {
-    let mut helper = Helper::start(&Order::Learner {
-        run_id: run_id.to_owned(),
-        config: config.clone(),
-    });
+    let mut helper =
+        Helper::start(&Order::Learner { run_id: run_id.to_owned(), config: config.clone() });
     let quoted = helper.line("config ");
     // Debug quoting of a TOML document: newlines and quotes escaped.
-    let text = quoted
-        .trim_matches('"')
-        .replace("\\n", "\n")
-        .replace("\\\"", "\"");
+    let text = quoted.trim_matches('"').replace("\\n", "\n").replace("\\\"", "\"");
     (helper, for_actors(toml::from_str(&text).unwrap(), config))
 }

@@ -91,14 +91,10 @@ impl Rig {
 pub fn remote(kind: Kind, limits: Limits) -> TransportConfig {
     match kind {
         Kind::Inproc => panic!("not between processes"),
-        Kind::Iceoryx2 => TransportConfig::Iceoryx2(Iceoryx2Config {
-            limits,
-            root: Some(fresh_root()),
-        }),
-        Kind::Zenoh => TransportConfig::Zenoh(ZenohConfig {
-            limits,
-            ..ZenohConfig::default()
-        }),
+        Kind::Iceoryx2 => {
+            TransportConfig::Iceoryx2(Iceoryx2Config { limits, root: Some(fresh_root()) })
+        }
+        Kind::Zenoh => TransportConfig::Zenoh(ZenohConfig { limits, ..ZenohConfig::default() }),
         Kind::Quic => TransportConfig::Zenoh(ZenohConfig {
             limits,
             listen: vec!["quic/localhost:0".to_owned()],
@@ -178,10 +174,7 @@ impl Residue {
             return None;
         };
         let root = config.root.clone().unwrap();
-        let mut residue = Self {
-            root,
-            prefixes: Vec::new(),
-        };
+        let mut residue = Self { root, prefixes: Vec::new() };
         residue.note();
         Some(residue)
     }

@@ -34,11 +34,7 @@ pub struct Draw<'a> {
 impl<'a> Draw<'a> {
     /// For a case.
     pub fn new(seed: u64, reference: &'a Config, model: &'a RobotModel) -> Self {
-        Self {
-            stream: Stream::new(Key::for_run(seed), Purpose::Excitation),
-            reference,
-            model,
-        }
+        Self { stream: Stream::new(Key::for_run(seed), Purpose::Excitation), reference, model }
     }
 
     /// Between two values, evenly in its logarithm.
@@ -109,15 +105,8 @@ impl<'a> Draw<'a> {
 
     /// The standard observation with a term left out (`value` empty), replaced, or drowned in noise.
     fn seen(&mut self, part: &'static str, value: Option<&'static str>, noise: f64) -> Change {
-        const ALL: [&str; 7] = [
-            "joint_vel",
-            "joint_pos_offset",
-            "gyro",
-            "gravity",
-            "phase",
-            "command",
-            "actions",
-        ];
+        const ALL: [&str; 7] =
+            ["joint_vel", "joint_pos_offset", "gyro", "gravity", "phase", "command", "actions"];
         let kept = ALL.iter().filter(|name| value.is_some() || **name != part);
         let term = |name: &&'static str| match *name == part {
             true => (*name, value.unwrap_or(""), noise),
@@ -280,16 +269,10 @@ pub const MISTAKES: &[(&str, Make)] = &[
 
 /// A learning rate that stays where it is.
 fn to_rate(rate: f64) -> Change {
-    let keys = [
-        "learning_rate",
-        "learning_rate_min",
-        "learning_rate_max",
-        "target_kl",
-    ];
+    let keys = ["learning_rate", "learning_rate_min", "learning_rate_max", "target_kl"];
     let value = |key: &str| if key == "target_kl" { 0.0 } else { rate };
-    let all = keys
-        .iter()
-        .map(|key| to(&format!("learner.ppo.{key}"), &format!("{:?}", value(key))));
+    let all =
+        keys.iter().map(|key| to(&format!("learner.ppo.{key}"), &format!("{:?}", value(key))));
     all.reduce(both).unwrap_or_default()
 }
 

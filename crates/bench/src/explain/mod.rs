@@ -42,12 +42,7 @@ pub struct Plan {
     #[arg(long, value_name = "SECONDS", default_value_t = 120.0)]
     budget: f64,
     /// Only mistakes whose name contains this word
-    #[arg(
-        long,
-        value_name = "WORD",
-        default_value = "",
-        hide_default_value = true
-    )]
+    #[arg(long, value_name = "WORD", default_value = "", hide_default_value = true)]
     only: String,
     /// Leave run folders and reports in this folder; default: a temporary one
     #[arg(long, value_name = "DIR")]
@@ -59,17 +54,10 @@ pub struct Plan {
 pub struct Seeds(Vec<u64>);
 
 fn seeds(text: &str) -> Result<Seeds, String> {
-    let number = |word: &str| {
-        word.trim()
-            .parse::<u64>()
-            .map_err(|e| format!("`{word}`: {e}"))
-    };
+    let number = |word: &str| word.trim().parse::<u64>().map_err(|e| format!("`{word}`: {e}"));
     let all = match text.split_once("..") {
         Some((from, to)) => (number(from)?..number(to)?).collect(),
-        None => text
-            .split(',')
-            .map(number)
-            .collect::<Result<Vec<u64>, _>>()?,
+        None => text.split(',').map(number).collect::<Result<Vec<u64>, _>>()?,
     };
     match all.len() {
         1..=10_000 => Ok(Seeds(all)),
@@ -196,23 +184,15 @@ fn explained(
         .output()
         .or_exit(ExitCode::OsResource)?;
     let text = String::from_utf8_lossy(&answer.stdout);
-    let report: Value = text
-        .lines()
-        .last()
-        .and_then(|l| serde_json::from_str(l).ok())
-        .unwrap_or_default();
+    let report: Value =
+        text.lines().last().and_then(|l| serde_json::from_str(l).ok()).unwrap_or_default();
     if plan.keep.is_some() {
         files::write_json(&folder.join("explained.json"), &report)?;
     }
     let places = |list: &str| -> Vec<Vec<String>> {
         let of =
             |cause: &Value| serde_json::from_value(cause["places"].clone()).unwrap_or_default();
-        report[list]
-            .as_array()
-            .into_iter()
-            .flatten()
-            .map(of)
-            .collect()
+        report[list].as_array().into_iter().flatten().map(of).collect()
     };
     outcome.verdict = report["verdict"].as_str().unwrap_or("no report").to_owned();
     outcome.named = places("causes");
@@ -235,9 +215,7 @@ fn case(seed: u64, only: &str, folder: &Path) -> Result<Option<(Outcome, Config)
     if !only.is_empty() {
         let wanted = |i: &usize| MISTAKES[*i].0.contains(only);
         let some: Vec<usize> = (0..MISTAKES.len()).filter(wanted).collect();
-        which = *some
-            .get(seed as usize % some.len().max(1))
-            .unwrap_or(&which);
+        which = *some.get(seed as usize % some.len().max(1)).unwrap_or(&which);
     }
     let (name, make) = MISTAKES[which];
     let hidden = !seed.is_multiple_of(HEALTHY_EVERY);
@@ -277,10 +255,7 @@ fn configured(
     let source = Source {
         preset: Some(preset.to_owned()),
         file: None,
-        overrides: changes
-            .iter()
-            .flat_map(|change| change.sets.clone())
-            .collect(),
+        overrides: changes.iter().flat_map(|change| change.sets.clone()).collect(),
     };
     let mut config = Config::load(&source).or_exit(ExitCode::BadConfig)?;
     (config.run.seed, config.run.iterations) = (seed, ITERATIONS);
@@ -294,10 +269,11 @@ fn configured(
             });
         }
         if let Some((name, value)) = &change.when {
-            config.task.termination.when.push(OwnCondition {
-                name: (*name).to_owned(),
-                value: value.clone(),
-            });
+            config
+                .task
+                .termination
+                .when
+                .push(OwnCondition { name: (*name).to_owned(), value: value.clone() });
         }
         for (name, value, noise) in change.observation.iter().flatten() {
             config.learner.network.symmetric = false;
@@ -335,10 +311,7 @@ fn reversed(robot: &Path, joint: &str, folder: &Path) -> Result<PathBuf, Failure
 
 fn sum(outcomes: Vec<Outcome>) -> Finding {
     let count = |which: &dyn Fn(&Outcome) -> bool| outcomes.iter().filter(|o| which(o)).count();
-    let times = outcomes
-        .iter()
-        .filter(|o| o.verdict != "walks")
-        .map(|o| o.seconds);
+    let times = outcomes.iter().filter(|o| o.verdict != "walks").map(|o| o.seconds);
     Finding {
         mistakes: count(&Outcome::harms),
         first: count(&|o| o.harms() && o.first()),
@@ -371,16 +344,10 @@ mod tests {
         };
         let (power, slip) = ("task.reward.weights.power", "task.reward.weights.slip");
         assert!(outcome(&[power, slip], 1).first());
-        assert!(
-            !outcome(&[power, slip], 0).first(),
-            "a suspect is not named"
-        );
+        assert!(!outcome(&[power, slip], 0).first(), "a suspect is not named");
         assert!(outcome(&[slip, power], 1).wrong());
         let all = sum(vec![outcome(&[slip, power], 1), outcome(&[power], 1)]);
-        assert_eq!(
-            (all.mistakes, all.first, all.among_three, all.wrong),
-            (2, 1, 2, 1)
-        );
+        assert_eq!((all.mistakes, all.first, all.among_three, all.wrong), (2, 1, 2, 1));
     }
 
     /// Every mistake is among the suspects; most are the first of them before anything has been trained.

@@ -85,10 +85,8 @@ fn link(kind: Kind, plan: &Plan) -> Result<Speed, Failure> {
     // From the first frame on: a process takes its time to start.
     stage.learner.recv(LEAVE_MAX).or_exit(ExitCode::Internal)?;
     receive(&mut *stage.learner, WARM_UP_S)?;
-    let (streamed, cost) = Cost::of(
-        || ends.cpu_s(),
-        || receive(&mut *stage.learner, plan.time.seconds),
-    )?;
+    let (streamed, cost) =
+        Cost::of(|| ends.cpu_s(), || receive(&mut *stage.learner, plan.time.seconds))?;
     stage.publish(2, Arc::default(), Control::Run)?;
     receive(&mut *stage.learner, WARM_UP_S)?;
     let micros = receive(&mut *stage.learner, plan.time.seconds)?;
@@ -117,11 +115,7 @@ fn socket(plan: &Plan) -> Result<Speed, Failure> {
     let phase = |paced: bool| -> Result<(Vec<f64>, Cost), Failure> {
         let listener = TcpListener::bind("127.0.0.1:0").or_exit(ExitCode::OsResource)?;
         let address = listener.local_addr().or_exit(ExitCode::OsResource)?;
-        let peer = Peer::start(&Order::Socket {
-            address,
-            frame_bytes,
-            paced,
-        })?;
+        let peer = Peer::start(&Order::Socket { address, frame_bytes, paced })?;
         let (mut socket, _) = listener.accept().or_exit(ExitCode::OsResource)?;
         let mut frame = vec![0; frame_bytes];
         let mut read = |seconds: f64| -> Result<Vec<f64>, Failure> {
@@ -134,10 +128,7 @@ fn socket(plan: &Plan) -> Result<Speed, Failure> {
             Ok(micros)
         };
         read(WARM_UP_S)?;
-        let found = Cost::of(
-            || Ok(own_cpu_s()? + peer.cpu_s()),
-            || read(plan.time.seconds),
-        )?;
+        let found = Cost::of(|| Ok(own_cpu_s()? + peer.cpu_s()), || read(plan.time.seconds))?;
         drop(socket);
         peer.finish()?;
         Ok(found)

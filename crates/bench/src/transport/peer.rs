@@ -28,17 +28,9 @@ const ACK_MAX: Duration = Duration::from_secs(60);
 pub enum Order {
     /// An actor that streams time-stamped frames (policy version 1) or sends one at a time (2), until the
     /// stop.
-    Stream {
-        transport: TransportConfig,
-        run_id: String,
-        frame_bytes: usize,
-    },
+    Stream { transport: TransportConfig, run_id: String, frame_bytes: usize },
     /// Writes time-stamped frames to a TCP socket until it is closed; `paced`: one at a time.
-    Socket {
-        address: SocketAddr,
-        frame_bytes: usize,
-        paced: bool,
-    },
+    Socket { address: SocketAddr, frame_bytes: usize, paced: bool },
     /// Many light actors; all their waits are printed at the end as a JSON array, microseconds.
     Light(Light),
 }
@@ -78,10 +70,7 @@ impl Peer {
         let own = std::env::current_exe().or_exit(ExitCode::Internal)?;
         let order = serde_json::to_string(order).or_exit(ExitCode::Internal)?;
         let mut command = Command::new(own);
-        command
-            .args(["bench", "transport"])
-            .env(ORDER, order)
-            .stdout(Stdio::piped());
+        command.args(["bench", "transport"]).env(ORDER, order).stdout(Stdio::piped());
         Self::of(command)
     }
 
@@ -107,9 +96,7 @@ impl Peer {
     pub fn finish(mut self) -> Result<String, Failure> {
         let mut printed = String::new();
         if let Some(stdout) = &mut self.child.stdout {
-            stdout
-                .read_to_string(&mut printed)
-                .or_exit(ExitCode::Internal)?;
+            stdout.read_to_string(&mut printed).or_exit(ExitCode::Internal)?;
         }
         let status = self.child.wait().or_exit(ExitCode::OsResource)?;
         if !status.success() {
@@ -130,26 +117,16 @@ impl Drop for Peer {
 
 /// Time since 1970, ns: the processes of one machine agree about it.
 fn now_ns() -> u128 {
-    SystemTime::now()
-        .duration_since(SystemTime::UNIX_EPOCH)
-        .map_or(0, |since| since.as_nanos())
+    SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |since| since.as_nanos())
 }
 
 fn obey(order: Order) -> Result<(), Failure> {
     match order {
-        Order::Stream {
-            transport,
-            run_id,
-            frame_bytes,
-        } => {
+        Order::Stream { transport, run_id, frame_bytes } => {
             let mut link = actor_link(&transport, &run_id, 0).or_exit(ExitCode::Unavailable)?;
             stream(&mut *link, frame_bytes)
         }
-        Order::Socket {
-            address,
-            frame_bytes,
-            paced,
-        } => socket(address, frame_bytes, paced),
+        Order::Socket { address, frame_bytes, paced } => socket(address, frame_bytes, paced),
         Order::Light(order) => light(&order),
     }
 }
@@ -212,9 +189,7 @@ fn stamp(frame: &mut [u8]) {
 
 /// Microseconds since a frame was stamped.
 pub fn micros_since_stamp(frame: &[u8]) -> f64 {
-    let stamped = frame
-        .first_chunk()
-        .map_or(0, |head| u128::from_le_bytes(*head));
+    let stamped = frame.first_chunk().map_or(0, |head| u128::from_le_bytes(*head));
     now_ns().saturating_sub(stamped) as f64 / 1e3
 }
 
@@ -223,16 +198,8 @@ fn light(order: &Light) -> Result<(), Failure> {
         let threads: Vec<_> = (order.first..order.first + order.links)
             .map(|id| scope.spawn(move || light_actor(order, id)))
             .collect();
-        let panicked = |_| {
-            Err(Failure::message(
-                ExitCode::Internal,
-                "a light actor panicked",
-            ))
-        };
-        threads
-            .into_iter()
-            .map(|thread| thread.join().unwrap_or_else(panicked))
-            .collect()
+        let panicked = |_| Err(Failure::message(ExitCode::Internal, "a light actor panicked"));
+        threads.into_iter().map(|thread| thread.join().unwrap_or_else(panicked)).collect()
     });
     let mut micros = Vec::new();
     for waits in all {

@@ -51,13 +51,7 @@ pub fn all(kinds: &[Kind], plan: &Plan, actor: FindActor<'_>) -> Result<Vec<Roll
     let config = flags.load().or_exit(ExitCode::BadConfig)?;
     let model = Arc::new(files::robot(&config.robot_path())?);
     let contract = PolicyContract::new(&model, &config.task).or_exit(ExitCode::BadInput)?;
-    let scene = Scene {
-        flags,
-        config,
-        model,
-        contract,
-        seconds: plan.time.seconds,
-    };
+    let scene = Scene { flags, config, model, contract, seconds: plan.time.seconds };
     let mut bares = vec![scene.bare()?];
     let mut of_kinds: Vec<Vec<Rollouts>> = kinds.iter().map(|_| Vec::new()).collect();
     for _ in 0..plan.rounds {
@@ -123,10 +117,8 @@ impl Scene {
             }
         }
         self.collect(&mut stage, &mut version, WARM_UP_S)?;
-        let ((steps, made_s), cost) = Cost::of(
-            || ends.cpu_s(),
-            || self.collect(&mut stage, &mut version, self.seconds),
-        )?;
+        let ((steps, made_s), cost) =
+            Cost::of(|| ends.cpu_s(), || self.collect(&mut stage, &mut version, self.seconds))?;
         stage.publish(version, Arc::default(), Control::Stop)?;
         stage.let_go()?;
         ends.finish()?;
@@ -194,9 +186,7 @@ impl Scene {
 /// The chunk of a frame, checked; `None` for a greeting.
 fn chunk_of(frame: Frame) -> Result<Option<RolloutChunk>, Failure> {
     let limits = DecodeLimits::default();
-    let value = frame
-        .value
-        .map(|value| value.content.downcast::<RolloutChunk>());
+    let value = frame.value.map(|value| value.content.downcast::<RolloutChunk>());
     if let Some(Ok(chunk)) = value {
         chunk.check(&limits).or_exit(ExitCode::Internal)?;
         return Ok(Some(*chunk));

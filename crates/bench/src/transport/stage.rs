@@ -64,13 +64,7 @@ impl Stage {
             TransportConfig::Zenoh(zenoh) => TransportConfig::Zenoh(ZenohConfig { tls, ..zenoh }),
             other => other,
         };
-        Ok(Self {
-            learner,
-            actor,
-            run_id,
-            hub: None,
-            _folder: folder,
-        })
+        Ok(Self { learner, actor, run_id, hub: None, _folder: folder })
     }
 
     pub fn publish(
@@ -79,15 +73,9 @@ impl Stage {
         bytes: Arc<[u8]>,
         control: Control,
     ) -> Result<(), Failure> {
-        let update = PolicyUpdate {
-            version,
-            sha256: Sha256::digest(&bytes).into(),
-            bytes,
-            control,
-        };
-        self.learner
-            .publish_policy(update)
-            .or_exit(ExitCode::Internal)
+        let update =
+            PolicyUpdate { version, sha256: Sha256::digest(&bytes).into(), bytes, control };
+        self.learner.publish_policy(update).or_exit(ExitCode::Internal)
     }
 
     /// Reads on until the other ends have left, so that none is stuck behind a full window.
@@ -142,17 +130,10 @@ fn certificates(folder: &Path) -> Result<(TlsFiles, TlsFiles), Failure> {
     let now = SystemTime::now();
     let authority = Authority::create(folder, "bench", now).map_err(made)?;
     let issue = |role: Role, name: &str| {
-        let request = Request {
-            role,
-            name: name.to_owned(),
-            hosts: vec!["localhost".to_owned()],
-            days: 1,
-        };
+        let request =
+            Request { role, name: name.to_owned(), hosts: vec!["localhost".to_owned()], days: 1 };
         let folder = authority.issue(&request, now, false).map_err(made)?;
         Ok::<_, Failure>(TlsFiles::in_folder(&folder))
     };
-    Ok((
-        issue(Role::Learner, "learner")?,
-        issue(Role::Actor, "actor")?,
-    ))
+    Ok((issue(Role::Learner, "learner")?, issue(Role::Actor, "actor")?))
 }

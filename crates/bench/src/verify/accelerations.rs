@@ -39,10 +39,8 @@ struct Answer {
 }
 
 /// Relative error of the equations themselves in double and single precision.
-const DIRECT_TARGETS: [(Precision, &str, f64); 2] = [
-    (Precision::Double, "batch f64", 1e-6),
-    (Precision::Single, "batch f32", 1e-4),
-];
+const DIRECT_TARGETS: [(Precision, &str, f64); 2] =
+    [(Precision::Double, "batch f64", 1e-6), (Precision::Single, "batch f32", 1e-4)];
 /// Random joint torques of the direct comparison, N·m either way.
 const TORQUE_NM: f32 = 1.0;
 
@@ -58,13 +56,10 @@ pub(crate) fn check(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
     }
     for &fixed in bases {
         let held = if fixed { "fixed" } else { "free" };
-        let what = format!(
-            "{} random states, {held} base, over a step, worst",
-            bench.settings.states
-        );
-        let states: Vec<InitialState> = (0..bench.settings.states as u64)
-            .map(|i| random_state(bench, i, fixed))
-            .collect();
+        let what =
+            format!("{} random states, {held} base, over a step, worst", bench.settings.states);
+        let states: Vec<InitialState> =
+            (0..bench.settings.states as u64).map(|i| random_state(bench, i, fixed)).collect();
         let mut theirs: Option<Vec<Answer>> = None;
         for subject in bench.settings.subjects.clone() {
             let name = &subject.name;
@@ -100,14 +95,7 @@ pub(crate) fn check(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
                 .fold(missing(ours.len(), theirs.as_deref()), largest);
             let note = "from the change over steps of 0.4 and 0.2 ms";
             let value = (worst, "relative");
-            rows.push(Row::judged(
-                "accelerations",
-                name,
-                what.clone(),
-                value,
-                TARGET,
-                note,
-            ));
+            rows.push(Row::judged("accelerations", name, what.clone(), value, TARGET, note));
         }
     }
     Ok(rows)
@@ -116,10 +104,7 @@ pub(crate) fn check(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
 /// The equations of the batch engine against MuJoCo's, state by state.
 fn direct(bench: &mut Bench<'_>, fixed: bool) -> Result<Vec<Row>, VerifyError> {
     let held = if fixed { "fixed" } else { "free" };
-    let what = format!(
-        "{} random states, {held} base, worst",
-        bench.settings.states
-    );
+    let what = format!("{} random states, {held} base, worst", bench.settings.states);
     let mujoco = match bench.mujoco.get() {
         Ok(mujoco) => mujoco,
         Err(why) => {
@@ -129,9 +114,8 @@ fn direct(bench: &mut Bench<'_>, fixed: bool) -> Result<Vec<Row>, VerifyError> {
         }
     };
     let (model, seed) = (Arc::clone(&bench.model), bench.settings.seed);
-    let states: Vec<smooth::Motion> = (0..bench.settings.states as u64)
-        .map(|i| random_motion(&model, seed, i, fixed))
-        .collect();
+    let states: Vec<smooth::Motion> =
+        (0..bench.settings.states as u64).map(|i| random_motion(&model, seed, i, fixed)).collect();
     let options = json!({ "dt_s": 0.002, "cone": "elliptic" });
     let starts: Vec<Value> = states.iter().map(mujoco_state).collect();
     let more = json!({ "fixed_base": fixed, "states": starts });
@@ -144,11 +128,7 @@ fn direct(bench: &mut Bench<'_>, fixed: bool) -> Result<Vec<Row>, VerifyError> {
     let params = LaneParams::nominal(&model);
     let mut rows = Vec::new();
     for (precision, name, target) in DIRECT_TARGETS {
-        let config = EngineConfig {
-            precision,
-            fixed_base: fixed,
-            ..EngineConfig::default()
-        };
+        let config = EngineConfig { precision, fixed_base: fixed, ..EngineConfig::default() };
         let mut worst = missing(states.len(), Some(&answers));
         for (state, theirs) in states.iter().zip(&answers) {
             let ours = smooth::accelerations(&model, &config, &params, state)?;
@@ -156,11 +136,7 @@ fn direct(bench: &mut Bench<'_>, fixed: bool) -> Result<Vec<Row>, VerifyError> {
             if !fixed {
                 all.extend(ours.base_mps2);
                 // MuJoCo's are in the base's own frame
-                let turn = Pose {
-                    pos_m: [0.0; 3],
-                    ..state.world_from_base
-                }
-                .inverse();
+                let turn = Pose { pos_m: [0.0; 3], ..state.world_from_base }.inverse();
                 all.extend(turn.rotate(ours.base_radps2));
             }
             all.extend(&ours.joint_radps2);
@@ -181,10 +157,7 @@ fn direct(bench: &mut Bench<'_>, fixed: bool) -> Result<Vec<Row>, VerifyError> {
 }
 
 fn random_motion(model: &RobotModel, seed: u64, index: u64, fixed: bool) -> smooth::Motion {
-    let key = Key {
-        episode: 2000 + index,
-        ..Key::for_run(seed)
-    };
+    let key = Key { episode: 2000 + index, ..Key::for_run(seed) };
     let mut stream = Stream::new(key, Purpose::Reset);
     let mut draw = |half: f32| f64::from(stream.uniform(-half, half));
     let quat: [f64; 4] = std::array::from_fn(|_| draw(1.0));
@@ -195,18 +168,9 @@ fn random_motion(model: &RobotModel, seed: u64, index: u64, fixed: bool) -> smoo
     } else if fixed {
         model.links()[0].parent_from_link
     } else {
-        Pose {
-            pos_m: std::array::from_fn(|_| draw(2.0)),
-            quat_wxyz: quat.map(|c| c / length),
-        }
+        Pose { pos_m: std::array::from_fn(|_| draw(2.0)), quat_wxyz: quat.map(|c| c / length) }
     };
-    let mut joints = |half: f32| {
-        model
-            .joints()
-            .iter()
-            .map(|_| draw(half))
-            .collect::<Vec<f64>>()
-    };
+    let mut joints = |half: f32| model.joints().iter().map(|_| draw(half)).collect::<Vec<f64>>();
     let (joint_pos_rad, joint_vel_radps, joint_torque_nm) =
         (joints(1.0), joints(5.0), joints(TORQUE_NM));
     smooth::Motion {
@@ -221,11 +185,7 @@ fn random_motion(model: &RobotModel, seed: u64, index: u64, fixed: bool) -> smoo
 
 fn mujoco_state(at: &smooth::Motion) -> Value {
     let pose = at.world_from_base;
-    let turn = Pose {
-        pos_m: [0.0; 3],
-        ..pose
-    }
-    .inverse();
+    let turn = Pose { pos_m: [0.0; 3], ..pose }.inverse();
     let base = [pose.pos_m.to_vec(), pose.quat_wxyz.to_vec()].concat();
     let spin = turn.rotate(at.base_angvel_radps);
     let base_vel = [at.base_vel_mps, spin].concat();
@@ -249,18 +209,11 @@ fn relative(ours: &[f64], theirs: &Answer) -> f64 {
 
 /// 0 where there is an answer to every state, else not a number.
 fn missing(states: usize, answers: Option<&[Answer]>) -> f64 {
-    if answers.map(<[Answer]>::len) == Some(states) {
-        0.0
-    } else {
-        f64::NAN
-    }
+    if answers.map(<[Answer]>::len) == Some(states) { 0.0 } else { f64::NAN }
 }
 
 fn random_state(bench: &Bench<'_>, index: u64, fixed: bool) -> InitialState {
-    let key = Key {
-        episode: 1000 + index,
-        ..Key::for_run(bench.settings.seed)
-    };
+    let key = Key { episode: 1000 + index, ..Key::for_run(bench.settings.seed) };
     let mut stream = Stream::new(key, Purpose::Reset);
     let mut draw = |half: f32| stream.uniform(-half, half);
     let mut init = InitialState::nominal(&bench.model);
@@ -291,12 +244,7 @@ fn measured(
     dt_s: f64,
 ) -> Result<(Vec<Value>, Vec<Vec<f64>>), VerifyError> {
     let model = &bench.model;
-    let config = EngineConfig {
-        dt_s,
-        substeps: 1,
-        fixed_base: fixed,
-        ..subject.config.clone()
-    };
+    let config = EngineConfig { dt_s, substeps: 1, fixed_base: fixed, ..subject.config.clone() };
     let flat = TerrainConfig::default();
     let lanes = states.len();
     let threads = bench.settings.threads;
@@ -341,10 +289,7 @@ impl Motion {
     fn of(engine: &dyn Engine, lane: usize) -> Self {
         let s = engine.state();
         let row = |v: &[f32], k: usize| -> Vec<f64> {
-            v[lane * k..(lane + 1) * k]
-                .iter()
-                .map(|&x| f64::from(x))
-                .collect()
+            v[lane * k..(lane + 1) * k].iter().map(|&x| f64::from(x)).collect()
         };
         let three = |v: &[f32]| std::array::from_fn(|i| f64::from(v[lane * 3 + i]));
         Self {
@@ -357,10 +302,7 @@ impl Motion {
     }
 
     fn pose(&self) -> Pose {
-        Pose {
-            pos_m: [0.0; 3],
-            quat_wxyz: std::array::from_fn(|i| self.base[3 + i]),
-        }
+        Pose { pos_m: [0.0; 3], quat_wxyz: std::array::from_fn(|i| self.base[3 + i]) }
     }
 
     /// From here to `after`, one step of `dt_s` later.
@@ -373,12 +315,7 @@ impl Motion {
             let world: [f64; 3] = std::array::from_fn(|i| rate(spin[0][i], spin[1][i]));
             out.extend(self.pose().inverse().rotate(world));
         }
-        out.extend(
-            self.joint_vel
-                .iter()
-                .zip(&after.joint_vel)
-                .map(|(a, b)| rate(*a, *b)),
-        );
+        out.extend(self.joint_vel.iter().zip(&after.joint_vel).map(|(a, b)| rate(*a, *b)));
         out
     }
 }

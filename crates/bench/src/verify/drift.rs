@@ -93,10 +93,7 @@ fn loose(nominal: &LaneParams) -> LaneParams {
 
 /// High up, turning and folding slowly.
 fn tumble(bench: &Bench<'_>, lane: u64) -> InitialState {
-    let key = Key {
-        episode: lane,
-        ..Key::for_run(bench.settings.seed)
-    };
+    let key = Key { episode: lane, ..Key::for_run(bench.settings.seed) };
     let mut stream = Stream::new(key, Purpose::Reset);
     let mut draw = |half: f32| stream.uniform(-half, half);
     let mut init = InitialState::nominal(&bench.model);

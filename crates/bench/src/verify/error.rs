@@ -29,8 +29,6 @@ pub enum VerifyError {
 
 /// Reads a text file.
 pub(super) fn read(path: &Path) -> Result<String, VerifyError> {
-    std::fs::read_to_string(path).map_err(|e| VerifyError::Read {
-        path: path.to_owned(),
-        reason: e.to_string(),
-    })
+    std::fs::read_to_string(path)
+        .map_err(|e| VerifyError::Read { path: path.to_owned(), reason: e.to_string() })
 }

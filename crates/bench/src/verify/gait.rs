@@ -35,10 +35,7 @@ impl Gait {
 
     /// Gait number `index` of `seed`.
     pub fn random(seed: u64, index: u64) -> Self {
-        let key = Key {
-            episode: index,
-            ..Key::for_run(seed)
-        };
+        let key = Key { episode: index, ..Key::for_run(seed) };
         let mut stream = Stream::new(key, Purpose::Command);
         let mut draw = |low, high| stream.uniform_f64(low, high);
         Self {

@@ -40,9 +40,7 @@ pub(crate) fn standing(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
         if theirs.is_none() {
             let run = json!({ "joint_pos": start.joint_pos, "base": start.base, "targets": vec![&nominal; periods] });
             let more = json!({ "runs": [run], "control_period_s": 0.02 });
-            let ask = bench
-                .robot
-                .task("gaits", &model, request::converged(), more);
+            let ask = bench.robot.task("gaits", &model, request::converged(), more);
             let paths = travel::paths(&mujoco.ask(&ask)?)?;
             let last = paths[0].last().copied().unwrap_or([f64::NAN; 7]);
             theirs = Some([last[2], last[6]]);
@@ -97,11 +95,7 @@ pub(crate) fn incline(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
             let orderly =
                 slides[first.min(LANES - 1)..].iter().all(|s| *s) && first > 0 && first < LANES;
             let found = angle_deg(first) - EACH_DEG / 2.0;
-            let error = if orderly {
-                (found - limit_deg).abs()
-            } else {
-                f64::NAN
-            };
+            let error = if orderly { (found - limit_deg).abs() } else { f64::NAN };
             let note = if orderly {
                 format!("slides from {found:.2}°, atan 0.5 = {limit_deg:.2}°")
             } else {
@@ -112,14 +106,7 @@ pub(crate) fn incline(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
                 )
             };
             let what = format!("angle of sliding {what}");
-            rows.push(Row::judged(
-                "incline",
-                &subject.name,
-                what,
-                (error, "deg"),
-                1.0,
-                note,
-            ));
+            rows.push(Row::judged("incline", &subject.name, what, (error, "deg"), 1.0, note));
         }
     }
     Ok(rows)
@@ -138,8 +125,7 @@ fn sliding(
     let wrenches = vec![0.0; 6 * engine.lanes()];
     let place = |engine: &dyn Engine| -> Vec<f32> {
         let com = engine.state().com_pos_m.chunks_exact(3);
-        com.map(|p| p[0] * downhill[0] + p[1] * downhill[1])
-            .collect()
+        com.map(|p| p[0] * downhill[0] + p[1] * downhill[1]).collect()
     };
     let run = |engine: &mut dyn Engine, seconds: f64| -> Result<(), VerifyError> {
         for _ in 0..(seconds / engine.config().control_period_s()).round() as usize {
@@ -152,7 +138,5 @@ fn sliding(
     run(engine, WATCH_S)?;
     let after = place(engine);
     let moved = before.iter().zip(&after);
-    Ok(moved
-        .map(|(a, b)| b - a > MOVES_MPS * WATCH_S as f32)
-        .collect())
+    Ok(moved.map(|(a, b)| b - a > MOVES_MPS * WATCH_S as f32).collect())
 }

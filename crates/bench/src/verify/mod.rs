@@ -28,14 +28,8 @@ use row::Bench;
 pub use row::{Row, Settings, Subject};
 
 /// The names of all checks, in the order of the table.
-pub const CHECKS: [&str; 6] = [
-    "accelerations",
-    "conservation",
-    "standing",
-    "incline",
-    "travel",
-    "water",
-];
+pub const CHECKS: [&str; 6] =
+    ["accelerations", "conservation", "standing", "incline", "travel", "water"];
 
 /// Runs the checks; `progress` hears of each one that is done.
 ///

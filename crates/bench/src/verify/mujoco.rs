@@ -55,21 +55,14 @@ impl Mujoco {
     /// [`VerifyError::Mujoco`] where the process is gone or says no.
     pub fn ask(&mut self, request: &Value) -> Result<Value, VerifyError> {
         let failed = |reason: String| VerifyError::Mujoco(reason);
-        self.python
-            .write(format!("{request}\n").as_bytes())
-            .map_err(|e| failed(e.to_string()))?;
+        self.python.write(format!("{request}\n").as_bytes()).map_err(|e| failed(e.to_string()))?;
         let mut line = String::new();
-        self.python
-            .output
-            .read_line(&mut line)
-            .map_err(|e| failed(e.to_string()))?;
+        self.python.output.read_line(&mut line).map_err(|e| failed(e.to_string()))?;
         let mut answer: Value = serde_json::from_str(&line)
             .map_err(|_| failed(format!("it answered `{}`", line.trim())))?;
         match answer.get_mut("ok") {
             Some(value) => Ok(value.take()),
-            None => Err(failed(
-                answer["error"].as_str().unwrap_or("no answer").to_owned(),
-            )),
+            None => Err(failed(answer["error"].as_str().unwrap_or("no answer").to_owned())),
         }
     }
 }

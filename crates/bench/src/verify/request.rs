@@ -19,18 +19,12 @@ impl RobotRequest {
     /// # Errors
     /// [`VerifyError::Read`].
     pub fn read(robot: &Path) -> Result<Self, VerifyError> {
-        let wrong = |reason: &str| VerifyError::Read {
-            path: robot.to_owned(),
-            reason: reason.to_owned(),
-        };
-        let file: toml::Table = read(robot)?
-            .parse()
-            .map_err(|_| wrong("it is not valid TOML"))?;
+        let wrong =
+            |reason: &str| VerifyError::Read { path: robot.to_owned(), reason: reason.to_owned() };
+        let file: toml::Table = read(robot)?.parse().map_err(|_| wrong("it is not valid TOML"))?;
         let mjcf = file.get("mjcf").and_then(toml::Value::as_str);
         let name = mjcf.ok_or_else(|| wrong("it names no MJCF"))?;
-        Ok(Self {
-            mjcf: read(&robot.with_file_name(name))?,
-        })
+        Ok(Self { mjcf: read(&robot.with_file_name(name))? })
     }
 
     /// A request for `task`: `options` are MuJoCo's, `more` the task's own keys.

@@ -12,11 +12,7 @@ use super::request::RobotRequest;
 
 /// The larger one; not a number wins.
 pub(super) fn largest(a: f64, b: f64) -> f64 {
-    if a.is_nan() || b.is_nan() {
-        f64::NAN
-    } else {
-        a.max(b)
-    }
+    if a.is_nan() || b.is_nan() { f64::NAN } else { a.max(b) }
 }
 
 /// One figure.
@@ -139,10 +135,6 @@ pub(super) struct Bench<'a> {
 impl Bench<'_> {
     /// The engine of `subject` with steps of `dt_s`, `lanes` robots, control periods of 20 ms.
     pub fn config(&self, subject: &Subject, dt_s: f64) -> EngineConfig {
-        EngineConfig {
-            dt_s,
-            substeps: (0.02 / dt_s).round() as u32,
-            ..subject.config.clone()
-        }
+        EngineConfig { dt_s, substeps: (0.02 / dt_s).round() as u32, ..subject.config.clone() }
     }
 }

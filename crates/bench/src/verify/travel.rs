@@ -67,9 +67,8 @@ fn wrap(angle: f64) -> f64 {
 pub(crate) fn check(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
     let model = Arc::clone(&bench.model);
     let settings = bench.settings;
-    let gaits: Vec<Gait> = (0..settings.gaits as u64)
-        .map(|i| Gait::random(settings.seed, i))
-        .collect();
+    let gaits: Vec<Gait> =
+        (0..settings.gaits as u64).map(|i| Gait::random(settings.seed, i)).collect();
     let periods = (settings.gait_s / 0.02).round() as usize;
     let mut reference: Option<Outcomes> = None;
     let mut rows = Vec::new();
@@ -83,11 +82,7 @@ pub(crate) fn check(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
         let travel = |step: usize| by_step[step].1.iter().map(|path| outcome(path).0);
         for step in 0..STEPS_S.len() - 1 {
             let finest = travel(STEPS_S.len() - 1);
-            let change = mean(
-                travel(step)
-                    .zip(finest)
-                    .map(|(a, b)| 100.0 * (a - b).abs() / b),
-            );
+            let change = mean(travel(step).zip(finest).map(|(a, b)| 100.0 * (a - b).abs() / b));
             let ms = 1e3 * STEPS_S[step];
             let what = format!("travel at {ms} ms against 0.5 ms, mean change");
             rows.push(Row::reported("travel", name, what, (change, "%"), ""));
@@ -113,16 +108,10 @@ pub(crate) fn check(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
         rows.extend(against(name, &by_step[JUDGED].1, theirs));
         if subject.config.kind == EngineKind::Batch {
             // like for like: with MuJoCo's law of friction
-            let config = EngineConfig {
-                convex_friction: true,
-                ..bench.config(subject, STEPS_S[JUDGED])
-            };
+            let config =
+                EngineConfig { convex_friction: true, ..bench.config(subject, STEPS_S[JUDGED]) };
             let (_, convex) = ours(bench, &config, &gaits, periods)?;
-            rows.extend(against(
-                &format!("{name}, convex friction"),
-                &convex,
-                theirs,
-            ));
+            rows.extend(against(&format!("{name}, convex friction"), &convex, theirs));
         }
     }
     Ok(rows)
@@ -179,10 +168,7 @@ fn own_change(what: &str, fine: &[(f64, f64)], other: &[(f64, f64)]) -> [Row; 2]
     let heading = mean(pairs().map(|(a, b)| (a.1 - b.1).abs().to_degrees()));
     let row =
         |name: &str, value| Row::reported("travel", "mujoco", what.replace("{}", name), value, "");
-    [
-        row("travel", (travel, "%")),
-        row("heading", (heading, "deg")),
-    ]
+    [row("travel", (travel, "%")), row("heading", (heading, "deg"))]
 }
 
 /// Mean and worst differences of travel and heading.
@@ -193,13 +179,7 @@ fn against(name: &str, ours: &[Path], theirs: &[(f64, f64)]) -> Vec<Row> {
     let heading = || pairs().map(|(a, b)| (a.1 - b.1).abs().to_degrees());
     let note = pairs()
         .map(|(a, b)| {
-            format!(
-                "{:.2}/{:.2} m {:.0}/{:.0}°",
-                a.0,
-                b.0,
-                a.1.to_degrees(),
-                b.1.to_degrees()
-            )
+            format!("{:.2}/{:.2} m {:.0}/{:.0}°", a.0, b.0, a.1.to_degrees(), b.1.to_degrees())
         })
         .collect::<Vec<_>>()
         .join(", ");
@@ -270,15 +250,7 @@ fn ours(
         for (lane, path) in paths.iter_mut().enumerate() {
             let com = &s.com_pos_m[3 * lane..3 * lane + 3];
             let base = &s.base_pos_m[3 * lane..3 * lane + 3];
-            let row = [
-                com[0],
-                com[1],
-                com[2],
-                s.heading_rad[lane],
-                base[0],
-                base[1],
-                base[2],
-            ];
+            let row = [com[0], com[1], com[2], s.heading_rad[lane], base[0], base[1], base[2]];
             path.push(row.map(f64::from));
         }
     };

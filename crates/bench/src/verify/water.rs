@@ -28,18 +28,9 @@ pub(crate) fn check(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
     for subject in &bench.settings.subjects {
         let name = &subject.name;
         // one step per control period: peaks are seen to 2 ms
-        let config = EngineConfig {
-            dt_s: DT_S,
-            substeps: 1,
-            ..subject.config.clone()
-        };
-        let bobbing = run(
-            &model,
-            &config,
-            &quiet(&model, 1.0, HEAVE_NS_PER_M),
-            FLOAT_M + 0.005,
-            20.0,
-        )?;
+        let config = EngineConfig { dt_s: DT_S, substeps: 1, ..subject.config.clone() };
+        let bobbing =
+            run(&model, &config, &quiet(&model, 1.0, HEAVE_NS_PER_M), FLOAT_M + 0.005, 20.0)?;
         let sinking = run(&model, &config, &sinker(&model), 1.9, 1.2)?;
         let last = bobbing.last().map_or(f64::NAN, |p| p[0]);
         let draft = 100.0 * (last - FLOAT_M).abs() / 0.07;
@@ -72,10 +63,7 @@ fn run(
     let pool = TerrainConfig::of(TerrainKind::DeepWater);
     let mut engine = build(Arc::clone(model), 1, config, &pool, 1, 1)?;
     engine.set_params(0, params)?;
-    let start = InitialState {
-        base_z_m: Some(from_m as f32),
-        ..InitialState::nominal(model)
-    };
+    let start = InitialState { base_z_m: Some(from_m as f32), ..InitialState::nominal(model) };
     engine.reset(0, &start)?;
     let mut path = Vec::new();
     for _ in 0..(seconds / config.control_period_s()).round() as usize {
@@ -132,9 +120,5 @@ fn sinker(model: &RobotModel) -> LaneParams {
 fn raft() -> Result<RobotModel, VerifyError> {
     const ROBOT: &str = include_str!("raft.robot.toml");
     const MJCF: &str = include_str!("raft.xml");
-    Ok(RobotModel::from_bytes(
-        "raft.robot.toml",
-        ROBOT.as_bytes(),
-        MJCF.as_bytes(),
-    )?)
+    Ok(RobotModel::from_bytes("raft.robot.toml", ROBOT.as_bytes(), MJCF.as_bytes())?)
 }

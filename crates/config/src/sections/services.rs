@@ -78,11 +78,7 @@ settings! {
 impl PolicyServerConfig {
     /// The stream under which the policies of run `run_id` are published.
     pub fn stream_of<'a>(&'a self, run_id: &'a str) -> &'a str {
-        if self.stream.is_empty() {
-            run_id
-        } else {
-            &self.stream
-        }
+        if self.stream.is_empty() { run_id } else { &self.stream }
     }
 }
 

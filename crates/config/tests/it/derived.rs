@@ -40,10 +40,7 @@ fn a_robot_that_is_held_cannot_walk() {
     let check = can_walk(&model).unwrap_err().to_string();
     let walk = Source::preset("walk").set(format!("robot={}", rig.display()));
     assert_eq!(Config::load(&walk).unwrap_err().to_string(), check);
-    assert!(
-        check.contains("xl330_pendulum") && check.contains("held"),
-        "{check}"
-    );
+    assert!(check.contains("xl330_pendulum") && check.contains("held"), "{check}");
 }
 
 /// The quadruped with `change` made in both of its files.

@@ -26,11 +26,7 @@ fn defaults_and_presets_are_valid_and_survive_being_written() {
     sources.extend(PRESETS.iter().map(|preset| Source::preset(preset.name)));
     for source in sources {
         let config = Config::load(&source).unwrap();
-        assert_eq!(
-            load_text(&config.to_toml().unwrap()).unwrap(),
-            config,
-            "{source:?}"
-        );
+        assert_eq!(load_text(&config.to_toml().unwrap()).unwrap(), config, "{source:?}");
     }
 }
 
@@ -42,13 +38,7 @@ fn a_file_without_an_end_is_not_read_to_it() {
 
 #[test]
 fn terrain_that_is_not_finite_is_refused() {
-    for key in [
-        "size_m",
-        "cell_m",
-        "height_m",
-        "wavelength_m",
-        "patch_friction",
-    ] {
+    for key in ["size_m", "cell_m", "height_m", "wavelength_m", "patch_friction"] {
         for value in ["inf", "-inf", "nan"] {
             let found = complaint(load_with(&format!("terrain.{key}={value}")));
             assert!(found.contains(&format!("terrain.{key}")), "{found}");
@@ -67,14 +57,7 @@ fn later_layers_win() {
         overrides: vec!["run.seed=6".into()],
     };
     let config = Config::load(&source).unwrap();
-    assert_eq!(
-        (
-            config.run.name.as_str(),
-            config.run.iterations,
-            config.run.seed
-        ),
-        ("quick", 7, 6)
-    );
+    assert_eq!((config.run.name.as_str(), config.run.iterations, config.run.seed), ("quick", 7, 6));
 }
 
 #[test]
@@ -101,32 +84,21 @@ fn an_unknown_key_is_named_with_the_nearest_known_one() {
     let text = complaint(load_with("learner.gamma=0.9"));
     assert!(text.contains("did you mean `learner.ppo.gamma`?"), "{text}");
     let text = complaint(load_text("xyzzy = 1\n"));
-    assert!(
-        text.contains("unknown key `xyzzy`") && !text.contains("did you mean"),
-        "{text}"
-    );
+    assert!(text.contains("unknown key `xyzzy`") && !text.contains("did you mean"), "{text}");
 }
 
 #[test]
 fn a_wrong_type_names_its_key() {
     let text = complaint(load_with("actors.count=many"));
-    assert!(
-        text.contains("`actors.count`") && text.contains("many"),
-        "{text}"
-    );
+    assert!(text.contains("`actors.count`") && text.contains("many"), "{text}");
     let text = complaint(load_with("transport.kind=carrier-pigeon"));
-    assert!(
-        text.contains("`transport.kind`") && text.contains("iceoryx2"),
-        "{text}"
-    );
+    assert!(text.contains("`transport.kind`") && text.contains("iceoryx2"), "{text}");
 }
 
 #[test]
 fn not_toml_names_file_line_and_column() {
     let error = load_text("[run]\nseed = = 1\n").unwrap_err();
-    let ConfigError::Syntax { line, column, .. } = error else {
-        panic!("{error:?}")
-    };
+    let ConfigError::Syntax { line, column, .. } = error else { panic!("{error:?}") };
     assert_eq!((line, column), (2, 8));
 }
 
@@ -137,10 +109,7 @@ fn a_missing_file_a_missing_preset_and_a_bad_override_are_told_apart() {
     let text = complaint(Config::load(&Source::preset("fast")));
     assert!(text.contains("quick, flat"), "{text}");
     for bad in ["no-equals-sign", "=1", "a..b=1"] {
-        assert!(
-            matches!(load_with(bad), Err(ConfigError::BadOverride(_))),
-            "{bad}"
-        );
+        assert!(matches!(load_with(bad), Err(ConfigError::BadOverride(_))), "{bad}");
     }
 }
 
@@ -154,23 +123,11 @@ fn values_out_of_range_name_key_value_and_rule() {
         ("learner.ppo.gamma=1", "learner.ppo.gamma"),
         ("learner.ppo.gamma=nan", "learner.ppo.gamma"),
         ("learner.ppo.minibatches=1024", "learner.ppo.minibatches"),
-        (
-            "learner.ppo.value_learning_rate=-1",
-            "learner.ppo.value_learning_rate",
-        ),
-        (
-            "learner.ppo.value_learning_rate=nan",
-            "learner.ppo.value_learning_rate",
-        ),
-        (
-            "learner.ppo.target_kl_final=0.02",
-            "learner.ppo.target_kl_final",
-        ),
+        ("learner.ppo.value_learning_rate=-1", "learner.ppo.value_learning_rate"),
+        ("learner.ppo.value_learning_rate=nan", "learner.ppo.value_learning_rate"),
+        ("learner.ppo.target_kl_final=0.02", "learner.ppo.target_kl_final"),
         ("learner.network.init_std=9", "learner.network.init_std"),
-        (
-            "learner.network.policy_hidden=[]",
-            "learner.network.policy_hidden",
-        ),
+        ("learner.network.policy_hidden=[]", "learner.network.policy_hidden"),
         ("learner.min_batch_share=0", "learner.min_batch_share"),
         ("learner.starve_timeout_s=1", "learner.starve_timeout_s"),
         ("transport.peer_timeout_ms=500", "transport.peer_timeout_ms"),
@@ -178,25 +135,14 @@ fn values_out_of_range_name_key_value_and_rule() {
         ("policy_server.stream=a/b", "policy_server.stream"),
         ("telemetry.trace_every=0", "telemetry.trace_every"),
         // Plain beyond this host, encrypted without certificates, and no address at all.
-        (
-            "telemetry.otlp_endpoint=\"http://collector:4317\"",
-            "telemetry.otlp_endpoint",
-        ),
-        (
-            "telemetry.otlp_endpoint=\"https://collector:4317\"",
-            "telemetry.otlp_endpoint",
-        ),
-        (
-            "telemetry.otlp_endpoint=\"127.0.0.1:4317\"",
-            "telemetry.otlp_endpoint",
-        ),
+        ("telemetry.otlp_endpoint=\"http://collector:4317\"", "telemetry.otlp_endpoint"),
+        ("telemetry.otlp_endpoint=\"https://collector:4317\"", "telemetry.otlp_endpoint"),
+        ("telemetry.otlp_endpoint=\"127.0.0.1:4317\"", "telemetry.otlp_endpoint"),
     ];
     for (assignment, key) in cases {
         // Few steps, so that 1,024 minibatches are too many.
-        let source = Source::default()
-            .set("actors.lanes=2")
-            .set("actors.chunk_steps=2")
-            .set(assignment);
+        let source =
+            Source::default().set("actors.lanes=2").set("actors.chunk_steps=2").set(assignment);
         match Config::load(&source) {
             Err(ConfigError::OutOfRange { key: named, .. }) => {
                 assert_eq!(named, key, "{assignment}")
@@ -208,11 +154,7 @@ fn values_out_of_range_name_key_value_and_rule() {
 
 #[test]
 fn traces_go_to_this_host_or_are_encrypted() {
-    for endpoint in [
-        "http://127.0.0.1:4317",
-        "http://localhost:4317",
-        "http://[::1]:4317",
-    ] {
+    for endpoint in ["http://127.0.0.1:4317", "http://localhost:4317", "http://[::1]:4317"] {
         let config = load_with(&format!("telemetry.otlp_endpoint={endpoint:?}")).unwrap();
         assert_eq!(config.telemetry.otlp_endpoint, endpoint);
     }
@@ -253,20 +195,14 @@ fn what_other_hosts_reach_is_encrypted() {
 fn the_hash_covers_what_decides_training_and_nothing_else() {
     let hash = |assignment: &str| load_with(assignment).unwrap().hash_hex();
     let base = Config::default().hash_hex();
-    for same in [
-        "run.iterations=9",
-        "run.name=x",
-        "telemetry.metrics=false",
-        "transport.kind=zenoh",
-    ] {
+    for same in
+        ["run.iterations=9", "run.name=x", "telemetry.metrics=false", "transport.kind=zenoh"]
+    {
         assert_eq!(hash(same), base, "{same}");
     }
-    for other in [
-        "run.seed=2",
-        "learner.ppo.gamma=0.9",
-        "actors.lanes=2",
-        "engine.solver_iterations=3",
-    ] {
+    for other in
+        ["run.seed=2", "learner.ppo.gamma=0.9", "actors.lanes=2", "engine.solver_iterations=3"]
+    {
         assert_ne!(hash(other), base, "{other}");
     }
 }

@@ -62,26 +62,11 @@ fn read_structs(text: &str, structs: &mut BTreeMap<String, Described>) {
         if line.starts_with("#[") {
             continue;
         }
-        if let Some(name) = line
-            .strip_prefix("pub struct ")
-            .and_then(|s| s.strip_suffix(" {"))
-        {
-            open = Some((
-                name.into(),
-                Described {
-                    doc: doc.clone(),
-                    fields: Vec::new(),
-                },
-            ));
+        if let Some(name) = line.strip_prefix("pub struct ").and_then(|s| s.strip_suffix(" {")) {
+            open = Some((name.into(), Described { doc: doc.clone(), fields: Vec::new() }));
         } else if line == "reward_terms! {" {
             let doc = "`[task.reward.weights]`: weight of each term; 0 switches a term off.".into();
-            open = Some((
-                "RewardWeights".into(),
-                Described {
-                    doc,
-                    fields: Vec::new(),
-                },
-            ));
+            open = Some(("RewardWeights".into(), Described { doc, fields: Vec::new() }));
         } else if line == "}" {
             // A struct without fields of its own is a macro's pattern.
             if let Some((name, described)) = open.take().filter(|(_, d)| !d.fields.is_empty()) {
@@ -110,20 +95,12 @@ fn write_section(
     defaults: &BTreeMap<String, String>,
 ) {
     let described = &structs[kind];
-    let title = if prefix.is_empty() {
-        "Top level".into()
-    } else {
-        format!("`[{prefix}]`")
-    };
+    let title = if prefix.is_empty() { "Top level".into() } else { format!("`[{prefix}]`") };
     writeln!(out, "\n## {title}\n\n{}\n", without_title(&described.doc)).unwrap();
     let mut inner = Vec::new();
     let mut rows = String::new();
     for (name, kind, doc) in &described.fields {
-        let key = if prefix.is_empty() {
-            name.clone()
-        } else {
-            format!("{prefix}.{name}")
-        };
+        let key = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
         match defaults.get(&key) {
             Some(default) => {
                 let doc = doc.replace('|', "\\|");
@@ -191,11 +168,7 @@ fn wrapped(line: &str) -> String {
         out += word;
         width = more + long;
     }
-    if line.starts_with('|') {
-        line.to_owned()
-    } else {
-        out
-    }
+    if line.starts_with('|') { line.to_owned() } else { out }
 }
 
 #[test]
@@ -217,9 +190,7 @@ fn every_key_is_explained() {
     let page = reference();
     for (key, default) in Config::default().entries() {
         let row = format!("| `{key}` | `{default}` | ");
-        let at = page
-            .find(&row)
-            .unwrap_or_else(|| panic!("no row for {key} = {default}"));
+        let at = page.find(&row).unwrap_or_else(|| panic!("no row for {key} = {default}"));
         let meaning = page[at + row.len()..].lines().next().unwrap();
         assert!(meaning.len() > 15, "{key} is not explained: {meaning}");
     }

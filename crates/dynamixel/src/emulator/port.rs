@@ -25,13 +25,7 @@ pub struct EmulatedPort {
 impl EmulatedPort {
     /// A port to `bus`.
     pub fn new(bus: EmulatedBus) -> Self {
-        Self {
-            bus,
-            now_us: 0,
-            start: Instant::now(),
-            arrived: Vec::new(),
-            babbles: false,
-        }
+        Self { bus, now_us: 0, start: Instant::now(), arrived: Vec::new(), babbles: false }
     }
 
     /// The far end.

@@ -28,20 +28,12 @@ impl Pty {
         unlockpt(&near)?;
         let name = ptsname(&near, Vec::new())?;
         let path = PathBuf::from(std::ffi::OsStr::from_bytes(name.as_bytes()));
-        let far = open(
-            &path,
-            OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC,
-            Mode::empty(),
-        )?;
+        let far = open(&path, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?;
         let mut settings = tcgetattr(&far)?;
         settings.make_raw();
         tcsetattr(&far, OptionalActions::Now, &settings)?;
         fcntl_setfl(&near, OFlags::NONBLOCK)?;
-        Ok(Self {
-            near: File::from(near),
-            far: File::from(far),
-            path,
-        })
+        Ok(Self { near: File::from(near), far: File::from(far), path })
     }
 
     /// Where programs open it.

@@ -200,9 +200,7 @@ impl EmulatedServo {
             let register = xm430::register_at(address).ok_or(ErrorNumber::Access)?;
             let size = usize::from(register.size);
             let (value, rest) = data.split_at_checked(size).ok_or(ErrorNumber::DataLength)?;
-            let value = register
-                .value_in(value, address)
-                .ok_or(ErrorNumber::DataLength)?;
+            let value = register.value_in(value, address).ok_or(ErrorNumber::DataLength)?;
             self.write_one(register, value)?;
             address += register.size;
             data = rest;

@@ -17,18 +17,8 @@ fn instruction_packets() {
     for (id, instruction, parameters, packet) in [
         (1, Ping, "", "FF FF FD 00 01 03 00 01 19 4E"),
         (BROADCAST_ID, Ping, "", "FF FF FD 00 FE 03 00 01 31 42"),
-        (
-            1,
-            Read,
-            "84 00 04 00",
-            "FF FF FD 00 01 07 00 02 84 00 04 00 1D 15",
-        ),
-        (
-            1,
-            Write,
-            "74 00 00 02 00 00",
-            "FF FF FD 00 01 09 00 03 74 00 00 02 00 00 CA 89",
-        ),
+        (1, Read, "84 00 04 00", "FF FF FD 00 01 07 00 02 84 00 04 00 1D 15"),
+        (1, Write, "74 00 00 02 00 00", "FF FF FD 00 01 09 00 03 74 00 00 02 00 00 CA 89"),
         (1, Reboot, "", "FF FF FD 00 01 03 00 08 2F 4E"),
         (
             BROADCAST_ID,
@@ -64,16 +54,8 @@ fn instruction_packets() {
 #[test]
 fn status_packets() {
     for (packet, id, body) in [
-        (
-            "FF FF FD 00 01 07 00 55 00 06 04 26 65 5D",
-            1,
-            "55 00 06 04 26",
-        ),
-        (
-            "FF FF FD 00 01 08 00 55 00 A6 00 00 00 8C C0",
-            1,
-            "55 00 A6 00 00 00",
-        ),
+        ("FF FF FD 00 01 07 00 55 00 06 04 26 65 5D", 1, "55 00 06 04 26"),
+        ("FF FF FD 00 01 08 00 55 00 A6 00 00 00 8C C0", 1, "55 00 A6 00 00 00"),
         ("FF FF FD 00 01 04 00 55 00 A1 0C", 1, "55 00"),
     ] {
         let mut framer = Framer::new();
@@ -109,10 +91,7 @@ fn the_common_answer_of_fast_sync_read() {
     ];
     let mut out = Vec::new();
     common_answer(&shares, &mut out);
-    assert_eq!(
-        out[..16],
-        hex("FF FF FD 00 FE 19 00 55 00 03 A6 00 00 00 84 08")
-    );
+    assert_eq!(out[..16], hex("FF FF FD 00 FE 19 00 55 00 03 A6 00 00 00 84 08"));
     // Header, id, length; then per servo error, id, data, CRC.
     assert_eq!(out.len(), 7 + 1 + 3 * 8);
     let mut framer = Framer::new();

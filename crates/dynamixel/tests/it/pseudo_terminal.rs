@@ -41,12 +41,8 @@ fn a_servo_behind_a_pseudo_terminal_answers_at_its_own_speed_only() {
     assert_eq!(pong.model, xm430::MODEL_W350);
     // Terminal settings must not touch any byte: 0x0A, 0x0D, 0x11, 0x13, 0x03 and 0xFF all come back.
     for value in [0x0D0A_1311_i32, 0x7F03_FF00, -1] {
-        bus.write(1, &xm430::PROFILE_VELOCITY, value, PATIENT)
-            .unwrap();
-        assert_eq!(
-            bus.read(1, &xm430::PROFILE_VELOCITY, PATIENT).unwrap().0,
-            value
-        );
+        bus.write(1, &xm430::PROFILE_VELOCITY, value, PATIENT).unwrap();
+        assert_eq!(bus.read(1, &xm430::PROFILE_VELOCITY, PATIENT).unwrap().0, value);
     }
     stop.store(true, Ordering::Relaxed);
     servos.join().unwrap();
@@ -58,11 +54,7 @@ fn a_port_is_one_programs_alone_and_left_as_it_is_by_others() {
     let first = SerialPort::open(pty.path(), 1_000_000).unwrap();
     let error = SerialPort::open(pty.path(), 57_600).unwrap_err();
     assert_eq!(error.kind(), std::io::ErrorKind::ResourceBusy, "{error}");
-    assert_eq!(
-        pty.baud().unwrap(),
-        1_000_000,
-        "the first one's speed stays"
-    );
+    assert_eq!(pty.baud().unwrap(), 1_000_000, "the first one's speed stays");
     // Whoever must be obeyed comes in all the same, and is told.
     let (order, alone) = SerialPort::open_anyway(pty.path(), 1_000_000).unwrap();
     assert!(!alone);

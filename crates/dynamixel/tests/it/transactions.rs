@@ -32,10 +32,7 @@ fn bus(count: u8) -> Bus<EmulatedPort> {
         );
         servo
     });
-    Bus::new(
-        EmulatedPort::new(EmulatedBus::new(servos.collect(), 1)),
-        1_000_000,
-    )
+    Bus::new(EmulatedPort::new(EmulatedBus::new(servos.collect(), 1)), 1_000_000)
 }
 
 fn ids(count: u8) -> Vec<u8> {
@@ -73,13 +70,7 @@ fn goals_of_a_group_arrive() {
         goals.set(index, 2000 + index as i32);
     }
     bus.write_group(&mut goals, DEADLINE).unwrap();
-    let held: Vec<i32> = bus
-        .port_mut()
-        .bus()
-        .servos()
-        .iter()
-        .map(EmulatedServo::goal)
-        .collect();
+    let held: Vec<i32> = bus.port_mut().bus().servos().iter().map(EmulatedServo::goal).collect();
     assert_eq!(held, (2000..2016).collect::<Vec<_>>());
 }
 
@@ -88,8 +79,7 @@ fn a_goal_that_needs_stuffing_arrives() {
     // Counts −131,073 are FF FF FD FF: three bytes of a header.
     let mut bus = bus(1);
     bus.port_mut().bus().servos_mut()[0].put(&xm430::OPERATING_MODE, 5);
-    bus.write(1, &xm430::GOAL_POSITION, -131_073, DEADLINE)
-        .unwrap();
+    bus.write(1, &xm430::GOAL_POSITION, -131_073, DEADLINE).unwrap();
     assert_eq!(bus.port_mut().bus().servos()[0].goal(), -131_073);
     let (back, _) = bus.read(1, &xm430::GOAL_POSITION, DEADLINE).unwrap();
     assert_eq!(back, -131_073);
@@ -102,14 +92,8 @@ fn one_silent_servo_is_named_and_the_deadline_holds() {
     let mut group = GroupRead::new(&ids(16), TICK_ADDRESS, TICK_BYTES, false);
     bus.read_group(&mut group, DEADLINE).unwrap();
     // In the emulated port's own time: nothing here waits by the machine's clock.
-    assert!(
-        bus.port_mut().now_us() <= 7_000,
-        "waited {} µs",
-        bus.port_mut().now_us()
-    );
-    let silent: Vec<usize> = (0..16)
-        .filter(|i| group.answer(*i) == Answer::Silent)
-        .collect();
+    assert!(bus.port_mut().now_us() <= 7_000, "waited {} µs", bus.port_mut().now_us());
+    let silent: Vec<usize> = (0..16).filter(|i| group.answer(*i) == Answer::Silent).collect();
     assert_eq!(silent, [4]);
     assert_eq!(bus.counts().silent, 1);
 }
@@ -127,10 +111,7 @@ fn fast_sync_read_with_a_silent_servo_falls_back_to_plain() {
     assert!(bus.fast_is_hopeless());
     let mut plain = GroupRead::new(&ids(4), TICK_ADDRESS, TICK_BYTES, false);
     bus.read_group(&mut plain, DEADLINE).unwrap();
-    assert_eq!(
-        positions(&plain),
-        [Some(1001), None, Some(1003), Some(1004)]
-    );
+    assert_eq!(positions(&plain), [Some(1001), None, Some(1003), Some(1004)]);
 }
 
 #[test]
@@ -192,23 +173,9 @@ fn refusals_and_alerts_reach_the_caller() {
     let mut bus = bus(2);
     bus.write(1, &xm430::TORQUE_ENABLE, 1, DEADLINE).unwrap();
     let refused = bus.write(1, &xm430::ID, 5, DEADLINE).unwrap_err();
-    assert!(matches!(
-        refused,
-        BusFault::Refused {
-            id: 1,
-            error: ErrorNumber::Access
-        }
-    ));
-    let far = bus
-        .write(1, &xm430::GOAL_POSITION, 4096, DEADLINE)
-        .unwrap_err();
-    assert!(matches!(
-        far,
-        BusFault::Refused {
-            error: ErrorNumber::DataLimit,
-            ..
-        }
-    ));
+    assert!(matches!(refused, BusFault::Refused { id: 1, error: ErrorNumber::Access }));
+    let far = bus.write(1, &xm430::GOAL_POSITION, 4096, DEADLINE).unwrap_err();
+    assert!(matches!(far, BusFault::Refused { error: ErrorNumber::DataLimit, .. }));
     // Overload: torque off, alert in every answer, good data all the same.
     bus.port_mut().bus().servos_mut()[0].raise(HardwareError(HardwareError::OVERLOAD));
     let (_, error) = bus.read(1, &xm430::PRESENT_POSITION, DEADLINE).unwrap();
@@ -217,10 +184,7 @@ fn refusals_and_alerts_reach_the_caller() {
     bus.read_group(&mut group, DEADLINE).unwrap();
     assert_eq!(
         [group.answer(0), group.answer(1)],
-        [
-            Answer::Data(StatusError(0x80)),
-            Answer::Data(StatusError(0))
-        ]
+        [Answer::Data(StatusError(0x80)), Answer::Data(StatusError(0))]
     );
     assert!(!bus.port_mut().bus().servos()[0].torque_on());
     assert!(bus.write(1, &xm430::TORQUE_ENABLE, 1, DEADLINE).is_err());
@@ -237,21 +201,9 @@ fn the_watchdog_holds_the_pose_when_the_host_goes_silent_and_must_be_cleared() {
     assert!(!bus.port_mut().bus().servos()[0].watchdog_fired());
     bus.port_mut().wait_us(2_000);
     assert!(bus.port_mut().bus().servos()[0].watchdog_fired());
-    assert_eq!(
-        bus.port_mut().bus().servos()[0].goal(),
-        1001,
-        "where it was"
-    );
-    let refused = bus
-        .write(1, &xm430::GOAL_POSITION, 3000, DEADLINE)
-        .unwrap_err();
-    assert!(matches!(
-        refused,
-        BusFault::Refused {
-            error: ErrorNumber::DataRange,
-            ..
-        }
-    ));
+    assert_eq!(bus.port_mut().bus().servos()[0].goal(), 1001, "where it was");
+    let refused = bus.write(1, &xm430::GOAL_POSITION, 3000, DEADLINE).unwrap_err();
+    assert!(matches!(refused, BusFault::Refused { error: ErrorNumber::DataRange, .. }));
     assert_eq!(bus.read(1, &xm430::BUS_WATCHDOG, DEADLINE).unwrap().0, 255);
     bus.write(1, &xm430::BUS_WATCHDOG, 0, DEADLINE).unwrap();
     bus.write(1, &xm430::GOAL_POSITION, 3000, DEADLINE).unwrap();
@@ -260,8 +212,7 @@ fn the_watchdog_holds_the_pose_when_the_host_goes_silent_and_must_be_cleared() {
 #[test]
 fn a_reboot_forgets_torque_watchdog_and_gains() {
     let mut bus = bus(1);
-    bus.write(1, &xm430::POSITION_P_GAIN, 900, DEADLINE)
-        .unwrap();
+    bus.write(1, &xm430::POSITION_P_GAIN, 900, DEADLINE).unwrap();
     bus.write(1, &xm430::BUS_WATCHDOG, 5, DEADLINE).unwrap();
     bus.write(1, &xm430::TORQUE_ENABLE, 1, DEADLINE).unwrap();
     bus.reboot(1, DEADLINE).unwrap();
@@ -281,10 +232,7 @@ fn a_servo_at_factory_speed_is_found_and_moved() {
     bus.port_mut().bus().servos_mut()[0].put(&xm430::RETURN_DELAY_TIME, 250);
     assert_eq!(find_baud(&mut bus, 1).unwrap(), 57_600);
     move_to_baud(&mut bus, 1, 1_000_000).unwrap();
-    let delay = Want {
-        register: &xm430::RETURN_DELAY_TIME,
-        value: 0,
-    };
+    let delay = Want { register: &xm430::RETURN_DELAY_TIME, value: 0 };
     let seen = compare(&mut bus, 1, &[delay], false).unwrap();
     assert_eq!((seen[0].found, seen[0].right), (250, false));
     let mended = compare(&mut bus, 1, &[delay], true).unwrap();
@@ -295,9 +243,6 @@ fn a_servo_at_factory_speed_is_found_and_moved() {
 #[test]
 fn an_id_that_nobody_has_is_silence_at_every_speed() {
     let mut bus = bus(1);
-    assert!(matches!(
-        find_baud(&mut bus, 9),
-        Err(BusFault::Silent { id: 9, .. })
-    ));
+    assert!(matches!(find_baud(&mut bus, 9), Err(BusFault::Silent { id: 9, .. })));
     assert_eq!(bus.baud(), 1_000_000);
 }

@@ -8,10 +8,7 @@ use caudata_task::TaskConfig;
 
 /// Everything random that a task has.
 fn busy_task() -> TaskConfig {
-    let mut task = TaskConfig {
-        episode_steps: 30,
-        ..TaskConfig::default()
-    };
+    let mut task = TaskConfig { episode_steps: 30, ..TaskConfig::default() };
     task.critic.sees = ["velocity", "friction", "push"].map(str::to_owned).into();
     task.command.resample_s = [0.1, 0.3];
     task.command.course_share = 0.5;
@@ -84,11 +81,7 @@ fn restored_at_any_step_it_goes_on_with_the_same_bits() {
         resumed.restore(&saved).unwrap();
         assert_eq!(resumed.observations(), original.observations());
         assert_eq!(resumed.snapshot().unwrap(), saved);
-        assert_eq!(
-            run(&mut resumed, at..at + 70),
-            run(&mut original, at..at + 70),
-            "at {at}"
-        );
+        assert_eq!(run(&mut resumed, at..at + 70), run(&mut original, at..at + 70), "at {at}");
     }
 }
 

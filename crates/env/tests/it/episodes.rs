@@ -20,15 +20,9 @@ fn the_time_limit_truncates_and_does_not_terminate() {
         let at_limit = step % 20 == 0;
         assert_eq!(output.truncated, [at_limit; 2], "step {step}");
         assert_eq!(output.terminated, [false; 2]);
-        assert_eq!(
-            output.final_observations.len(),
-            if at_limit { 2 } else { 0 }
-        );
+        assert_eq!(output.final_observations.len(), if at_limit { 2 } else { 0 });
         for episode in &output.episodes {
-            assert_eq!(
-                (episode.steps, episode.terminated, episode.reason),
-                (20, false, None)
-            );
+            assert_eq!((episode.steps, episode.terminated, episode.reason), (20, false, None));
             assert_eq!(episode.episode, step as u64 / 20 - 1);
         }
     }
@@ -139,10 +133,7 @@ fn a_diverged_lane_is_counted_reset_and_stays_finite() {
                 // The last observation that can be trusted.
                 assert_eq!(output.final_observations, [(1, before)]);
             }
-            assert!(
-                env.observations().iter().all(|o| o.is_finite()),
-                "{how:?} {step}"
-            );
+            assert!(env.observations().iter().all(|o| o.is_finite()), "{how:?} {step}");
             for episode in &output.episodes {
                 assert!(episode.return_sum.is_finite() && episode.mean_speed_mps.is_finite());
             }
@@ -196,22 +187,11 @@ fn bad_actions_are_refused_and_change_nothing() {
     let before = env.snapshot().unwrap();
     assert!(matches!(
         env.step(&[0.0; 31]).unwrap_err(),
-        EnvError::Shape {
-            found: 31,
-            expected: 32,
-            ..
-        }
+        EnvError::Shape { found: 31, expected: 32, .. }
     ));
     let mut actions = vec![0.0; 32];
     actions[18] = f32::NAN;
-    assert!(matches!(
-        env.step(&actions).unwrap_err(),
-        EnvError::Action {
-            lane: 1,
-            action: 2,
-            ..
-        }
-    ));
+    assert!(matches!(env.step(&actions).unwrap_err(), EnvError::Action { lane: 1, action: 2, .. }));
     assert_eq!(env.snapshot().unwrap(), before);
 }
 
@@ -220,9 +200,7 @@ fn engines_that_do_not_fit_are_refused() {
     let model = model();
     let build = |task, lanes| {
         let engine = FakeEngine::new(Arc::clone(&model), lanes);
-        VecEnv::new(Arc::clone(&model), task, Box::new(engine), 0, 0)
-            .err()
-            .unwrap()
+        VecEnv::new(Arc::clone(&model), task, Box::new(engine), 0, 0).err().unwrap()
     };
     let mut task = calm_task();
     assert!(matches!(build(task.clone(), 0), EnvError::NoLanes));
@@ -250,10 +228,7 @@ fn the_contract_is_the_robots_and_the_tasks() {
     let mut other = task.clone();
     other.action.scale = 1.0;
     let other = crate::support::env(&other, 1, 1);
-    assert_eq!(
-        contract.differences(other.contract()),
-        [ContractDifference::Action]
-    );
+    assert_eq!(contract.differences(other.contract()), [ContractDifference::Action]);
 }
 
 /// Weights of which those that are not 0 by default are 0.

@@ -30,26 +30,14 @@ fn mirrored_actions_lead_to_mirrored_observations() {
     let model = model();
     for kind in [TerrainKind::Flat, TerrainKind::DeepWater] {
         let terrain = TerrainConfig::of(kind);
-        let engine = caudata_sim::build(
-            Arc::clone(&model),
-            2,
-            &EngineConfig::default(),
-            &terrain,
-            1,
-            1,
-        )
-        .unwrap();
+        let engine =
+            caudata_sim::build(Arc::clone(&model), 2, &EngineConfig::default(), &terrain, 1, 1)
+                .unwrap();
         let mut env = VecEnv::new(Arc::clone(&model), task.clone(), engine, 1, 0).unwrap();
         let layout = env.contract().observation.clone();
         let mirror = Mirror::new(&model, &layout).unwrap();
         // Apart for each quantity: large joint velocities must not hide a wrong sign of the gyroscope.
-        let parts = [
-            "joint_vel",
-            "joint_pos_offset",
-            "gyro",
-            "gravity",
-            "actions",
-        ];
+        let parts = ["joint_vel", "joint_pos_offset", "gyro", "gravity", "actions"];
         let mut squares = [[0.0_f64; 2]; 5];
         let of_critic = env.critic().mirrored(&mirror);
         let mut of_views = [[0.0_f64; 2]; 3];

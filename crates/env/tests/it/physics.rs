@@ -45,10 +45,7 @@ fn draws_become_parameters() {
     for i in 0..ACT_DIM {
         assert_eq!(p.joint_friction_nm[i], 2.0 * n.joint_friction_nm[i]);
         assert_eq!(p.joint_armature_kgm2[i], 4.0 * n.joint_armature_kgm2[i]);
-        assert_eq!(
-            p.joint_damping_nms_per_rad[i],
-            0.5 * n.joint_damping_nms_per_rad[i]
-        );
+        assert_eq!(p.joint_damping_nms_per_rad[i], 0.5 * n.joint_damping_nms_per_rad[i]);
         assert_eq!(p.kp_nm_per_rad[i], 0.5 * n.kp_nm_per_rad[i]);
         assert_eq!(p.kd_nms_per_rad[i], 2.0 * n.kd_nms_per_rad[i]);
         assert_eq!(p.torque_scale[i], 0.75);
@@ -56,11 +53,7 @@ fn draws_become_parameters() {
     assert_eq!(p.supply_v, 0.5 * n.supply_v);
     assert_eq!(p.command_delay_s, 0.015625);
     assert_eq!(p.payload_kg, 0.25);
-    for (p, n) in p
-        .backlash_half_width_rad
-        .iter()
-        .zip(&n.backlash_half_width_rad)
-    {
+    for (p, n) in p.backlash_half_width_rad.iter().zip(&n.backlash_half_width_rad) {
         assert_eq!(*p, 0.5 * n);
     }
 }
@@ -205,10 +198,7 @@ fn commands_change_while_an_episode_runs_and_a_zero_command_stops_the_clock() {
         }
     }
     // 80 commands of 5 steps each, half of them zero.
-    assert!(
-        standing > 100 && walking > 100 && changes > 40,
-        "{standing} {walking} {changes}"
-    );
+    assert!(standing > 100 && walking > 100 && changes > 40, "{standing} {walking} {changes}");
 }
 
 #[test]

@@ -25,10 +25,7 @@ fn env(task: &TaskConfig, lanes: usize, threads: usize) -> VecEnv {
 
 /// Everything random, short episodes.
 fn busy_task() -> TaskConfig {
-    let mut task = TaskConfig {
-        episode_steps: 12,
-        ..TaskConfig::default()
-    };
+    let mut task = TaskConfig { episode_steps: 12, ..TaskConfig::default() };
     task.push.interval_s = [0.05, 0.1];
     task.command.resample_s = [0.05, 0.1];
     task
@@ -52,11 +49,7 @@ fn the_same_bits_on_any_number_of_threads_and_after_restoring() {
     let (mut one, mut two) = (env(&task, 3, 1), env(&task, 3, 2));
     let expected = run(&mut one, 0..15);
     assert_eq!(run(&mut two, 0..15), expected);
-    assert!(
-        expected
-            .iter()
-            .any(|(_, truncated, _)| truncated.contains(&true))
-    );
+    assert!(expected.iter().any(|(_, truncated, _)| truncated.contains(&true)));
     assert!(
         expected
             .iter()
@@ -83,16 +76,11 @@ fn a_robot_told_to_stand_stands() {
         assert!(!output.terminated[0]);
         last.extend(output.episodes.clone());
     }
-    let [episode] = &last[..] else {
-        panic!("one episode, found {}", last.len())
-    };
+    let [episode] = &last[..] else { panic!("one episode, found {}", last.len()) };
     // Nothing is asked for and nothing moves: all three rewarding terms are near their most, 2.5·0.02·100 =
     // 5.
     assert!(episode.return_sum > 4.5, "{episode:?}");
-    assert!(
-        episode.duty_factor > 0.9 && episode.mean_speed_mps < 0.05,
-        "{episode:?}"
-    );
+    assert!(episode.duty_factor > 0.9 && episode.mean_speed_mps < 0.05, "{episode:?}");
     assert!(episode.mean_power_w < 2.0, "{episode:?}");
     let gravity = &env.observations()[35..38];
     assert!(gravity[2] < -0.99, "{gravity:?}");

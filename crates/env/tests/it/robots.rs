@@ -25,19 +25,10 @@ struct Body {
 
 const QUADRUPED: Body = Body {
     name: "quadruped",
-    hips: &[
-        ("FL", 0.15, 0.08),
-        ("FR", 0.15, -0.08),
-        ("HL", -0.15, 0.08),
-        ("HR", -0.15, -0.08),
-    ],
+    hips: &[("FL", 0.15, 0.08), ("FR", 0.15, -0.08), ("HL", -0.15, 0.08), ("HR", -0.15, -0.08)],
     spine: 0,
 };
-const BIPED: Body = Body {
-    name: "biped",
-    hips: &[("L", 0.0, 0.06), ("R", 0.0, -0.06)],
-    spine: 0,
-};
+const BIPED: Body = Body { name: "biped", hips: &[("L", 0.0, 0.06), ("R", 0.0, -0.06)], spine: 0 };
 const HEXAPOD: Body = Body {
     name: "hexapod",
     hips: &[
@@ -50,11 +41,7 @@ const HEXAPOD: Body = Body {
     ],
     spine: 0,
 };
-const SNAKE: Body = Body {
-    name: "snake",
-    hips: &[],
-    spine: 9,
-};
+const SNAKE: Body = Body { name: "snake", hips: &[], spine: 9 };
 
 const INERTIA: &str = "diaginertia=\"2e-4 2e-4 2e-4\"";
 
@@ -96,10 +83,8 @@ impl Body {
             joints.push(format!("spine_{i}"));
         }
         bodies.push_str(&"</body>".repeat(self.spine));
-        let actuators: String = joints
-            .iter()
-            .map(|j| format!("<position name=\"{j}\" joint=\"{j}\"/>"))
-            .collect();
+        let actuators: String =
+            joints.iter().map(|j| format!("<position name=\"{j}\" joint=\"{j}\"/>")).collect();
         let mjcf = format!(
             "<mujoco><compiler angle=\"radian\"/><worldbody><body name=\"trunk\"><freejoint/>\
              <inertial pos=\"0 0 0\" mass=\"1.0\" diaginertia=\"4e-3 6e-3 8e-3\"/>\
@@ -128,28 +113,18 @@ fn runs(body: &Body, joints: usize, feet: usize) -> VecEnv {
     let model = body.model();
     assert_eq!((model.actuated().len(), model.feet().len()), (joints, feet));
     let task = TaskConfig::default();
-    let terrain = TerrainConfig {
-        water_level_m: 0.05,
-        ..TerrainConfig::default()
-    };
-    let engine = caudata_sim::build(
-        Arc::clone(&model),
-        2,
-        &EngineConfig::default(),
-        &terrain,
-        1,
-        1,
-    )
-    .unwrap();
+    let terrain = TerrainConfig { water_level_m: 0.05, ..TerrainConfig::default() };
+    let engine =
+        caudata_sim::build(Arc::clone(&model), 2, &EngineConfig::default(), &terrain, 1, 1)
+            .unwrap();
     let mut env = VecEnv::new(model, task, engine, 1, 0).unwrap();
     // joint velocities and positions, gyro, gravity, phases, command, three actions
     let dim = 2 * joints + 6 + 2 * feet.max(1) + 3 + 3 * joints;
     assert_eq!((env.obs_dim(), env.act_dim()), (dim, joints));
     assert!(env.contract().validate().is_ok());
     for step in 0..100 {
-        let actions: Vec<f32> = (0..2 * joints)
-            .map(|i| 0.4 * (0.2 * step as f32 + i as f32).sin())
-            .collect();
+        let actions: Vec<f32> =
+            (0..2 * joints).map(|i| 0.4 * (0.2 * step as f32 + i as f32).sin()).collect();
         let output = env.step(&actions).unwrap();
         assert!(output.rewards.iter().all(|r| r.is_finite()));
         assert!(env.observations().iter().all(|x| x.is_finite()));
@@ -181,10 +156,8 @@ fn a_foot_of_two_shapes() {
         );
         assert!(mjcf.contains(&foot));
         mjcf = mjcf.replace(&foot, &two);
-        let (one, both) = (
-            format!("geom = \"{leg}_foot\""),
-            format!("geoms = [\"{leg}_heel\", \"{leg}_toe\"]"),
-        );
+        let (one, both) =
+            (format!("geom = \"{leg}_foot\""), format!("geoms = [\"{leg}_heel\", \"{leg}_toe\"]"));
         robot = robot.replace(&one, &both);
     }
     let read = |robot: &str| RobotModel::from_bytes("t", robot.as_bytes(), mjcf.as_bytes());
@@ -202,45 +175,26 @@ fn a_foot_of_two_shapes() {
     let state = engine.state();
     let force_n: f32 = (0..4).map(|foot| state.foot_force_n[3 * foot + 2]).sum();
     let weight_n = 9.81 * model.total_mass_kg() as f32;
-    assert!(
-        (force_n / weight_n - 1.0).abs() < 0.02,
-        "{force_n} {weight_n}"
-    );
-    assert!(
-        state.foot_height_m.iter().all(|h| h.abs() < 2e-3),
-        "{:?}",
-        state.foot_height_m
-    );
-    for (wrong, says) in [
-        ("[]", "needs `geom`"),
-        ("[\"FL_heel\", \"FR_toe\"]", "another link"),
-    ] {
+    assert!((force_n / weight_n - 1.0).abs() < 0.02, "{force_n} {weight_n}");
+    assert!(state.foot_height_m.iter().all(|h| h.abs() < 2e-3), "{:?}", state.foot_height_m);
+    for (wrong, says) in [("[]", "needs `geom`"), ("[\"FL_heel\", \"FR_toe\"]", "another link")] {
         let robot = robot.replace("[\"FL_heel\", \"FL_toe\"]", wrong);
         let refused = read(&robot).unwrap_err().to_string();
-        assert!(
-            refused.contains("feet.FL") && refused.contains(says),
-            "{refused}"
-        );
+        assert!(refused.contains("feet.FL") && refused.contains(says), "{refused}");
     }
 }
 
 #[test]
 fn a_biped() {
     let env = runs(&BIPED, 6, 2);
-    assert_eq!(
-        env.contract().phase.offsets_rad,
-        [0.0, std::f32::consts::PI]
-    );
+    assert_eq!(env.contract().phase.offsets_rad, [0.0, std::f32::consts::PI]);
 }
 
 #[test]
 fn a_hexapod() {
     let env = runs(&HEXAPOD, 18, 6);
     let pi = std::f32::consts::PI;
-    assert_eq!(
-        env.contract().phase.offsets_rad,
-        [0.0, pi, pi, 0.0, 0.0, pi]
-    );
+    assert_eq!(env.contract().phase.offsets_rad, [0.0, pi, pi, 0.0, 0.0, pi]);
 }
 
 #[test]
@@ -295,16 +249,7 @@ fn a_task_of_ones_own() {
     }
     assert!(ended, "no joint was fast");
     let unknown = OWN_TASK.replace("foot_height.FL", "foot_height.XL");
-    let error = VecEnv::new(
-        model.clone(),
-        toml::from_str(&unknown).unwrap(),
-        build(),
-        1,
-        0,
-    );
+    let error = VecEnv::new(model.clone(), toml::from_str(&unknown).unwrap(), build(), 1, 0);
     let error = error.err().unwrap().to_string();
-    assert!(
-        error.contains("no such foot; it has: FL, FR, HL, HR"),
-        "{error}"
-    );
+    assert!(error.contains("no such foot; it has: FL, FR, HL, HR"), "{error}");
 }

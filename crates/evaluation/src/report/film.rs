@@ -99,10 +99,8 @@ impl Curves {
         }
         let every = (CURVE_STEP_S / period_s).round().max(1.0) as usize;
         let half = (STRIDE_S / period_s / 2.0).round() as usize;
-        let smooth: Vec<Vec<[f32; 6]>> = tracks
-            .iter()
-            .map(|t| smoothed(&t.rows, half, every))
-            .collect();
+        let smooth: Vec<Vec<[f32; 6]>> =
+            tracks.iter().map(|t| smoothed(&t.rows, half, every)).collect();
         let signal = |s: usize| {
             let mut curve = Curve::default();
             for k in 0..longest.div_ceil(every) {
@@ -118,10 +116,7 @@ impl Curves {
             }
             curve
         };
-        Some(Self {
-            step_s: every as f64 * period_s,
-            signals: std::array::from_fn(signal),
-        })
+        Some(Self { step_s: every as f64 * period_s, signals: std::array::from_fn(signal) })
     }
 }
 
@@ -172,11 +167,7 @@ mod tests {
     /// Ten episodes of 4 s at 0.3 m/s commanded; number e does 0.01·e more than 0.2 m/s.
     fn tracks() -> Vec<Track> {
         let row = |e: usize| [0.3, 0.0, 0.0, 0.2 + 0.01 * e as f32, 0.0, 0.1];
-        (0..11)
-            .map(|e| Track {
-                rows: vec![row(e); 200],
-            })
-            .collect()
+        (0..11).map(|e| Track { rows: vec![row(e); 200] }).collect()
     }
 
     #[test]
@@ -185,10 +176,7 @@ mod tests {
         let vx = &curves.signals[0];
         assert_eq!((vx.mean.len(), curves.step_s), (40, 0.1));
         // 0.20 … 0.30 in eleven steps: tenth percentile 0.21, ninetieth 0.29
-        assert_eq!(
-            [vx.command[20], vx.mean[20], vx.low[20], vx.high[20]],
-            [0.3, 0.25, 0.21, 0.29]
-        );
+        assert_eq!([vx.command[20], vx.mean[20], vx.low[20], vx.high[20]], [0.3, 0.25, 0.21, 0.29]);
         assert_eq!(curves.signals[2].mean[0], 0.1);
         assert_eq!(Curves::of(&[], 0.02), None);
     }

@@ -128,11 +128,7 @@ pub fn page(
         shown: outcomes.iter().map(|o| shown(o, settings)).collect(),
     };
     let data = serde_json::to_string(&page)?;
-    let title = format!(
-        "caudata: policy {} on {}",
-        result.policy_version,
-        model.name()
-    );
+    let title = format!("caudata: policy {} on {}", result.policy_version, model.name());
     Ok(filled(&title, &data))
 }
 
@@ -149,12 +145,7 @@ fn shown(outcome: &Outcome, settings: &Settings) -> Shown {
             true => Curves::of(&outcome.tracks, period_s),
             false => None,
         },
-        grid: film::grid(
-            &outcome.tracks,
-            outcome.commands,
-            period_s,
-            settings.settle_s,
-        ),
+        grid: film::grid(&outcome.tracks, outcome.commands, period_s, settings.settle_s),
         film: FilmData::of(outcome),
     }
 }
@@ -169,21 +160,14 @@ fn paper_row(row: &(&'static str, &str, f64), result: &SuiteResult) -> PaperRow 
         ci_high: s.vx_mps.ci_high,
         walks: s.walks(),
     };
-    PaperRow {
-        name,
-        paper_mps,
-        measured: index.map(|i| speed(i, &result.scenarios[i])),
-    }
+    PaperRow { name, paper_mps, measured: index.map(|i| speed(i, &result.scenarios[i])) }
 }
 
 /// Puts style, script, title and data into a frame. `<` never appears in the data as itself: a name in it
 /// cannot close the element it is in.
 pub fn fill(frame: &str, style: &str, script: &str, title: &str, data: &str) -> String {
     let escaped = data.replace('<', "\\u003c");
-    let plain = title
-        .replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;");
+    let plain = title.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
     frame
         .replace("{{title}}", &plain)
         .replace("{{style}}", style)

@@ -34,9 +34,8 @@ impl Packed {
             .map(|c| column(c).fold(f64::INFINITY, f64::min))
             .map(|low| if low.is_finite() { low } else { 0.0 })
             .collect();
-        let step: Vec<f64> = (0..columns)
-            .map(|c| (column(c).fold(low[c], f64::max) - low[c]) / STEPS)
-            .collect();
+        let step: Vec<f64> =
+            (0..columns).map(|c| (column(c).fold(low[c], f64::max) - low[c]) / STEPS).collect();
         let mut bytes = Vec::with_capacity(2 * rows.len() * columns);
         for row in rows {
             for ((value, low), step) in row.iter().zip(&low).zip(&step) {
@@ -47,12 +46,7 @@ impl Packed {
                 bytes.extend((steps.clamp(0.0, STEPS) as u16).to_le_bytes());
             }
         }
-        Self {
-            rows: rows.len(),
-            low,
-            step,
-            data: STANDARD.encode(&bytes),
-        }
+        Self { rows: rows.len(), low, step, data: STANDARD.encode(&bytes) }
     }
 }
 

@@ -109,11 +109,7 @@ fn link_scene(model: &RobotModel, index: usize, link: &Link) -> LinkScene {
         pos_m: link.parent_from_link.pos_m,
         quat: link.parent_from_link.quat_wxyz,
         joints: link.joints.clone(),
-        part: if model.leg_of(index).is_some() {
-            "leg"
-        } else {
-            "body"
-        },
+        part: if model.leg_of(index).is_some() { "leg" } else { "body" },
         depth: std::iter::successors(link.parent, |&l| up(l)).count(),
         geoms: geoms.collect(),
     }
@@ -122,13 +118,7 @@ fn link_scene(model: &RobotModel, index: usize, link: &Link) -> LinkScene {
 fn geom_scene(geom: &Geom, foot: Option<usize>) -> Option<GeomScene> {
     let (kind, size_m) = geom.shape.mjcf()?;
     let Pose { pos_m, quat_wxyz } = geom.link_from_geom;
-    Some(GeomScene {
-        kind,
-        size_m,
-        pos_m,
-        quat: quat_wxyz,
-        foot,
-    })
+    Some(GeomScene { kind, size_m, pos_m, quat: quat_wxyz, foot })
 }
 
 /// The ground around a film.
@@ -168,10 +158,7 @@ impl GroundScene {
                     }
                     let least = way(axis).fold(f32::INFINITY, f32::min);
                     let most = way(axis).fold(f32::NEG_INFINITY, f32::max);
-                    [
-                        index(f64::from(least) - MARGIN_M),
-                        index(f64::from(most) + MARGIN_M),
-                    ]
+                    [index(f64::from(least) - MARGIN_M), index(f64::from(most) + MARGIN_M)]
                 };
                 let ([x0, x1], [y0, y1]) = (range(0), range(1));
                 let thin = (x1 - x0).max(y1 - y0).div_ceil(MOST_POINTS).max(1);

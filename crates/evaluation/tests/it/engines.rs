@@ -12,20 +12,12 @@ use caudata_sim::EngineKind;
 
 use crate::by_hand::robot;
 
-const SETTINGS: Settings = Settings {
-    episodes: 4,
-    episode_s: 6.0,
-    settle_s: 2.0,
-    seed: 31,
-    film: false,
-};
+const SETTINGS: Settings =
+    Settings { episodes: 4, episode_s: 6.0, settle_s: 2.0, seed: 31, film: false };
 
 /// `policies/flat.onnx`, the robot, and the task that it was trained for.
 fn shipped() -> (Config, Arc<RobotModel>, PolicyFile) {
-    let preset = ConfigArgs {
-        preset: Some("flat".into()),
-        ..ConfigArgs::default()
-    };
+    let preset = ConfigArgs { preset: Some("flat".into()), ..ConfigArgs::default() };
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../policies/flat.onnx");
     let policy = PolicyFile::parse(std::fs::read(file).unwrap().into()).unwrap();
     (preset.load().unwrap(), robot(), policy)
@@ -79,12 +71,9 @@ fn what_mujoco_does_not_simulate_is_refused() {
         referee: Some(EngineKind::Mujoco),
     };
     match evaluation.run(&|| true, &mut |_, _| {}) {
-        Err(error @ EvaluationError::Build(_)) => assert!(
-            error
-                .to_string()
-                .contains("it does not simulate self_collision"),
-            "{error}"
-        ),
+        Err(error @ EvaluationError::Build(_)) => {
+            assert!(error.to_string().contains("it does not simulate self_collision"), "{error}")
+        }
         other => panic!("{other:?}"),
     }
 }

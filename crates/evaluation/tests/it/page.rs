@@ -20,12 +20,7 @@ fn page() -> (String, Film) {
         model: &model,
         policy: &policy,
         suite: Suite::Transition,
-        settings: Settings {
-            episodes: 2,
-            episode_s: 4.0,
-            film: true,
-            ..Settings::default()
-        },
+        settings: Settings { episodes: 2, episode_s: 4.0, film: true, ..Settings::default() },
         referee: None,
     };
     let (mut result, outcomes) = evaluation.run(&|| true, &mut |_, _| {}).unwrap();
@@ -44,11 +39,7 @@ fn element<'a>(page: &'a str, open: &str) -> &'a str {
 }
 
 fn data(page: &str) -> Value {
-    serde_json::from_str(element(
-        page,
-        r#"<script type="application/json" id="data">"#,
-    ))
-    .unwrap()
+    serde_json::from_str(element(page, r#"<script type="application/json" id="data">"#)).unwrap()
 }
 
 /// Whether a program is there to be run; says so where it is not.
@@ -162,9 +153,8 @@ fn run_with_input(program: &str, args: &[&str], input: &str) -> String {
 
 #[test]
 fn a_browser_opens_the_page_without_an_error() {
-    let Some(browser) = ["chromium", "chromium-browser", "google-chrome"]
-        .into_iter()
-        .find(|b| found(b))
+    let Some(browser) =
+        ["chromium", "chromium-browser", "google-chrome"].into_iter().find(|b| found(b))
     else {
         eprintln!("skipped: no Chromium here");
         return;
@@ -195,10 +185,7 @@ fn dump(browser: &str, home: &Path, path: &Path) -> Option<String> {
         .args(["--headless", "--no-sandbox", "--disable-dev-shm-usage"])
         .args(["--use-gl=angle", "--use-angle=swiftshader"])
         .args(["--enable-unsafe-swiftshader", "--virtual-time-budget=2000"])
-        .arg(format!(
-            "--user-data-dir={}",
-            home.join("profile").display()
-        ))
+        .arg(format!("--user-data-dir={}", home.join("profile").display()))
         .arg("--dump-dom")
         .arg(format!("file://{}", path.display()))
         .stderr(Stdio::null())

@@ -15,11 +15,7 @@ const ACT_DIM: usize = 16;
 
 /// Episodes of each verdict, and their length.
 fn settings() -> Settings {
-    Settings {
-        episodes: 2,
-        episode_s: 6.0,
-        ..Settings::default()
-    }
+    Settings { episodes: 2, episode_s: 6.0, ..Settings::default() }
 }
 
 fn verdict(make: impl Fn(&PolicyContract) -> PolicyFile) -> ScenarioResult {
@@ -50,15 +46,8 @@ fn a_vibrating_policy_is_not_called_walking() {
     assert_eq!(result.walks(), Some(false));
     let missed = result.gates.as_ref().unwrap().missed();
     assert!(missed.contains(&"joint power above 6 Hz"), "{missed:?}");
-    assert!(
-        missed.contains(&"stride frequency off the clock"),
-        "{missed:?}"
-    );
-    assert!(
-        (result.stride_hz.mean - 7.5).abs() < 1.0,
-        "{:?}",
-        result.stride_hz
-    );
+    assert!(missed.contains(&"stride frequency off the clock"), "{missed:?}");
+    assert!((result.stride_hz.mean - 7.5).abs() < 1.0, "{:?}", result.stride_hz);
 }
 
 #[test]
@@ -74,19 +63,13 @@ fn a_standing_policy_is_not_called_walking() {
 #[test]
 fn a_standing_policy_stays_as_it_falls() {
     let thrown = Suite::Righting.scenarios(2.6, 0.3).remove(0);
-    let settings = Settings {
-        episodes: 32,
-        ..settings()
-    };
+    let settings = Settings { episodes: 32, ..settings() };
     let still =
         |contract: &PolicyContract| policy(contract, vec![layer(ACT_DIM, contract.obs_dim())]);
     let righting = run_with(&settings, &thrown, still).righting.unwrap();
     // those that land on their feet stand at once, those that land on their back never do
     assert!((0.2..0.8).contains(&righting.upright.mean), "{righting:?}");
-    assert!(
-        (righting.upright.mean - righting.in_time.mean).abs() < 0.1,
-        "{righting:?}"
-    );
+    assert!((righting.upright.mean - righting.in_time.mean).abs() < 0.1, "{righting:?}");
 }
 
 #[test]
@@ -136,10 +119,7 @@ fn who_stays_where_it_is_arrives_nowhere_and_rough_gets_over_three_centimetres()
     let rough = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../policies/rough.onnx");
     let rough = PolicyFile::parse(Arc::from(std::fs::read(rough).unwrap())).unwrap();
     // in 12 s it meets two risers
-    let settings = Settings {
-        episode_s: 12.0,
-        ..settings()
-    };
+    let settings = Settings { episode_s: 12.0, ..settings() };
     let outcome = run_scenario(&config, &robot(), &rough, &up, &settings, &|| true).unwrap();
     assert_eq!(outcome.result.arrived.unwrap().mean, 1.0);
 }
@@ -180,18 +160,9 @@ fn two_policies_in_one_network_get_up_and_walk() {
     let config = Config::load(&Source::preset("flat")).unwrap();
     let model = Arc::new(RobotModel::load(&config.robot_path()).unwrap());
     let thrown = Suite::Righting.scenarios(2.6, 0.3).remove(0);
-    let settings = Settings {
-        episodes: 32,
-        episode_s: 8.0,
-        settle_s: 4.0,
-        ..settings()
-    };
+    let settings = Settings { episodes: 32, episode_s: 8.0, settle_s: 4.0, ..settings() };
     let outcome = run_scenario(&config, &model, &both, &thrown, &settings, &|| true).unwrap();
     let righting = outcome.result.righting.unwrap();
     assert!(righting.in_time.mean > 0.85, "{righting:?}");
-    assert!(
-        outcome.result.vx_mps.mean > 0.27,
-        "{:?}",
-        outcome.result.vx_mps
-    );
+    assert!(outcome.result.vx_mps.mean > 0.27, "{:?}", outcome.result.vx_mps);
 }

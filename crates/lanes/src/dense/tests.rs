@@ -18,10 +18,7 @@ fn numbers(count: usize, seed: u32) -> Vec<f32> {
 /// `[rows, width]` with rows padded.
 fn rows_of(values: &[f32], width: usize) -> Vec<f32> {
     let pad = vec![0.0; padded(width) - width];
-    values
-        .chunks_exact(width)
-        .flat_map(|row| [row, &pad].concat())
-        .collect()
+    values.chunks_exact(width).flat_map(|row| [row, &pad].concat()).collect()
 }
 
 fn layer(inputs: usize, outputs: usize) -> (Dense, Vec<f32>, Vec<f32>) {
@@ -33,30 +30,18 @@ fn layer(inputs: usize, outputs: usize) -> (Dense, Vec<f32>, Vec<f32>) {
 
 fn near(found: f32, expected: f64, what: &str) {
     let off = (f64::from(found) - expected).abs();
-    assert!(
-        off <= 1e-5 * expected.abs().max(1.0),
-        "{what}: {found} instead of {expected}"
-    );
+    assert!(off <= 1e-5 * expected.abs().max(1.0), "{what}: {found} instead of {expected}");
 }
 
 #[test]
 fn layers_and_their_gradients_are_the_plain_sums() {
-    for (inputs, outputs, rows) in [
-        (97, 128, 13),
-        (128, 16, 7),
-        (33, 1, 6),
-        (1, 1, 1),
-        (16, 50, 2),
-    ] {
+    for (inputs, outputs, rows) in [(97, 128, 13), (128, 16, 7), (33, 1, 6), (1, 1, 1), (16, 50, 2)]
+    {
         let (dense, weight, bias) = layer(inputs, outputs);
         let (x, dy) = (numbers(rows * inputs, 3), numbers(rows * outputs, 4));
         let (wide_x, wide_dy) = (rows_of(&x, inputs), rows_of(&dy, outputs));
         let mut y = vec![f32::NAN; rows * padded(outputs)];
-        let lie = Rows {
-            count: rows,
-            input: padded(inputs),
-            output: padded(outputs),
-        };
+        let lie = Rows { count: rows, input: padded(inputs), output: padded(outputs) };
         dense.forward(lie, &wide_x, &mut y);
         let mut dx = vec![f32::NAN; rows * padded(inputs)];
         dense.input_gradient(lie, &wide_dy, &mut dx);
@@ -73,11 +58,7 @@ fn layers_and_their_gradients_are_the_plain_sums() {
                         .map(|i| at(&weight, o * inputs + i) * at(&x, r * inputs + i))
                         .sum::<f64>()
                 };
-                let expected = if o < outputs {
-                    at(&bias, o) + sum(o)
-                } else {
-                    0.0
-                };
+                let expected = if o < outputs { at(&bias, o) + sum(o) } else { 0.0 };
                 near(y[r * padded(outputs) + o], expected, "output");
             }
             for i in 0..inputs {
@@ -89,16 +70,11 @@ fn layers_and_their_gradients_are_the_plain_sums() {
         }
         for o in 0..outputs {
             for i in 0..inputs {
-                let sum: f64 = (0..rows)
-                    .map(|r| at(&dy, r * outputs + o) * at(&x, r * inputs + i))
-                    .sum();
+                let sum: f64 =
+                    (0..rows).map(|r| at(&dy, r * outputs + o) * at(&x, r * inputs + i)).sum();
                 near(dw[o * padded(inputs) + i], sum, "gradient of a weight");
             }
-            near(
-                db[o],
-                (0..rows).map(|r| at(&dy, r * outputs + o)).sum(),
-                "gradient of a bias",
-            );
+            near(db[o], (0..rows).map(|r| at(&dy, r * outputs + o)).sum(), "gradient of a bias");
         }
     }
 }
@@ -108,11 +84,7 @@ fn a_row_gets_alone_what_it_gets_in_a_batch() {
     let (dense, _, _) = layer(97, 128);
     let x = rows_of(&numbers(13 * 97, 5), 97);
     let (mut together, mut alone) = (vec![0.0; 13 * 128], vec![0.0; 128]);
-    let lie = |count| Rows {
-        count,
-        input: padded(97),
-        output: 128,
-    };
+    let lie = |count| Rows { count, input: padded(97), output: 128 };
     dense.forward(lie(13), &x, &mut together);
     for (row, expected) in x.chunks_exact(padded(97)).zip(together.chunks_exact(128)) {
         dense.forward(lie(1), row, &mut alone);
@@ -135,20 +107,11 @@ fn non_linearities_are_their_formulas_and_gradients_their_slopes() {
         Activation::Tanh => x.tanh(),
         Activation::Relu => x.max(0.0),
     };
-    for activation in [
-        Activation::Elu,
-        Activation::Swish,
-        Activation::Tanh,
-        Activation::Relu,
-    ] {
+    for activation in [Activation::Elu, Activation::Swish, Activation::Tanh, Activation::Relu] {
         let mut h = z.clone();
         activate(activation, &mut h);
         let mut slope = vec![1.0; z.len()];
-        let kept = if activation == Activation::Swish {
-            &z
-        } else {
-            &h
-        };
+        let kept = if activation == Activation::Swish { &z } else { &h };
         activation_gradient(activation, kept, &mut slope);
         for i in 0..z.len() {
             let x = f64::from(z[i]);
@@ -162,10 +125,7 @@ fn non_linearities_are_their_formulas_and_gradients_their_slopes() {
         }
         let mut nan = [f32::NAN; 16];
         activate(activation, &mut nan);
-        assert!(
-            nan.iter().all(|x| x.is_nan()),
-            "{activation:?} hides what is not a number"
-        );
+        assert!(nan.iter().all(|x| x.is_nan()), "{activation:?} hides what is not a number");
     }
 }
 
@@ -180,10 +140,7 @@ impl<R: Lanes<Elem = f32>> Kernel for At<R> {
         let x = rows_of(&numbers(9 * 40, 6), 40);
         let mut y = vec![0.0; 9 * 48];
         Product {
-            left: Left::Rows {
-                values: &x,
-                stride: 48,
-            },
+            left: Left::Rows { values: &x, stride: 48 },
             right: &dense.by_output,
             right_stride: BLOCK,
             block_stride: 40 * BLOCK,

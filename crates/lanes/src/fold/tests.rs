@@ -24,15 +24,8 @@ fn a_layer_by_hand() {
     let raw = [1.0, 5.0, 7.0, 2.0];
     normalise(&raw, (&[0.0; 4], &[1.0; 4], 9.0), &input, &mut seen);
     // ½(1 + 5), 2; ½(1 − 5), 7
-    assert_eq!(
-        (&seen[..2], &seen[16..18]),
-        (&[3.0, 2.0][..], &[-2.0, 7.0][..])
-    );
-    let x = Inputs {
-        rows: 1,
-        values: &seen,
-        side: &input,
-    };
+    assert_eq!((&seen[..2], &seen[16..18]), (&[3.0, 2.0][..], &[-2.0, 7.0][..]));
+    let x = Inputs { rows: 1, values: &seen, side: &input };
     let mut tape = Tape::default();
     let folded = net.forward(x, &mut tape, &mut |_| ());
     let mut row = [f32::NAN; 2];
@@ -41,9 +34,7 @@ fn a_layer_by_hand() {
     assert_eq!(row, [40.5, 5.5]);
     // Of a loss with slopes (2, 1): of the weights (2, 10, 14, 4) and (1, 5, 7, 2), of the biases (2, 1). The mean
     // of tied ones: ½(2 − 5), ½(10 − 1), ½(14 + 7), ½(4 − 2); ½(2 − 1).
-    tape.fill_gradients(&output, |_, _, gradient| {
-        gradient.copy_from_slice(&[2.0, 1.0])
-    });
+    tape.fill_gradients(&output, |_, _, gradient| gradient.copy_from_slice(&[2.0, 1.0]));
     let mut gradient = vec![f32::NAN; net.gradient_len()];
     net.backward(x, &mut tape, &mut gradient, &mut |_| ());
     let (mut weight, mut bias) = ([f32::NAN; 8], [f32::NAN; 2]);
@@ -54,9 +45,7 @@ fn a_layer_by_hand() {
 
 /// Numbers without a pattern, within ±1.
 fn numbers(count: usize, seed: f32) -> Vec<f32> {
-    (0..count)
-        .map(|i| (37.7 * (i as f32 + seed)).sin())
-        .collect()
+    (0..count).map(|i| (37.7 * (i as f32 + seed)).sin()).collect()
 }
 
 /// The mean of `weight` `[out, in]` and its image.
@@ -80,12 +69,7 @@ fn a_folded_network_is_the_plain_one() {
         (vec![0], vec![1.0]),
         (vec![2, 1, 0], vec![-1.0, 1.0, -1.0]),
     ] {
-        for activation in [
-            Activation::Elu,
-            Activation::Swish,
-            Activation::Tanh,
-            Activation::Relu,
-        ] {
+        for activation in [Activation::Elu, Activation::Swish, Activation::Tanh, Activation::Relu] {
             let input = (&[1, 0, 2, 3][..], &[1.0, 1.0, -1.0, 1.0][..]);
             let middle = (&hidden[..], &[1.0; 33][..]);
             let output = (&source[..], &sign[..]);
@@ -99,21 +83,15 @@ fn a_folded_network_is_the_plain_one() {
                 let weight = numbers(count * input.0.len(), at as f32);
                 let weight = commuting(&weight, output, input);
                 let bias = commuting(&numbers(count, 5.0), output, (&[0], &[1.0]));
-                nets.iter_mut()
-                    .for_each(|net| net.pack(at, &weight, &bias, true));
+                nets.iter_mut().for_each(|net| net.pack(at, &weight, &bias, true));
             }
             let rows = 7;
             let raw = numbers(rows * 4, 9.0);
-            let found = nets
-                .each_ref()
-                .map(|net| outputs_and_gradients(net, &raw, rows));
+            let found = nets.each_ref().map(|net| outputs_and_gradients(net, &raw, rows));
             let near = |a: &[f32], b: &[f32]| {
                 let off = a.iter().zip(b).map(|(a, b)| (a - b).abs());
                 let off = off.fold(0.0, f32::max);
-                assert!(
-                    a.len() == b.len() && off < 1e-4,
-                    "{activation:?} {sign:?}: {off}"
-                );
+                assert!(a.len() == b.len() && off < 1e-4, "{activation:?} {sign:?}: {off}");
             };
             near(&found[0].0, &found[1].0);
             for (at, pair) in sides.windows(2).enumerate() {
@@ -139,11 +117,7 @@ fn outputs_and_gradients(
     let side = net.input();
     let mut values = vec![0.0; rows * side.width()];
     normalise(raw, (&[0.1; 4], &[0.5; 4], 3.0), side, &mut values);
-    let x = Inputs {
-        rows,
-        values: &values,
-        side,
-    };
+    let x = Inputs { rows, values: &values, side };
     let (mut tape, mut outputs, mut layers) = (Tape::default(), Vec::new(), Vec::new());
     // twice: what is left of the first pass must not show
     for _ in 0..2 {

@@ -114,11 +114,7 @@ impl Width {
 
     /// The widest one this processor has.
     pub fn best() -> Self {
-        Self::ALL
-            .into_iter()
-            .rev()
-            .find(|w| w.is_available())
-            .unwrap_or(Self::One)
+        Self::ALL.into_iter().rev().find(|w| w.is_available()).unwrap_or(Self::One)
     }
 }
 
@@ -130,10 +126,7 @@ fn gather_one_by_one<R: Lanes>(table: &[f32], index: R) -> R {
     index.write(&mut at);
     let last = table.len().saturating_sub(1);
     for slot in &mut at[..R::LANES] {
-        *slot = table
-            .get((*slot as usize).min(last))
-            .copied()
-            .unwrap_or(0.0);
+        *slot = table.get((*slot as usize).min(last)).copied().unwrap_or(0.0);
     }
     R::read(&at)
 }
@@ -154,16 +147,11 @@ fn sin_cos<R: Real>(x: R) -> (R, R) {
         .mul_add(z, R::splat(-1.666_665_461_1e-1));
     let s = (s * z).mul_add(r, r);
     let c = z
-        .mul_add(
-            R::splat(2.443_315_711_809_948e-5),
-            R::splat(-1.388_731_625_493_765e-3),
-        )
+        .mul_add(R::splat(2.443_315_711_809_948e-5), R::splat(-1.388_731_625_493_765e-3))
         .mul_add(z, R::splat(4.166_664_568_298_827e-2));
     let c = (c * z).mul_add(z, z.mul_add(R::splat(-0.5), R::one()));
     // quadrant 0..=3
-    let quadrant = (turns * R::splat(0.25))
-        .floor()
-        .mul_add(R::splat(-4.0), turns);
+    let quadrant = (turns * R::splat(0.25)).floor().mul_add(R::splat(-4.0), turns);
     let half = R::splat(0.5);
     let odd_low = half.lt(quadrant) & quadrant.lt(R::splat(1.5));
     let odd_high = R::splat(2.5).lt(quadrant);
@@ -171,10 +159,7 @@ fn sin_cos<R: Real>(x: R) -> (R, R) {
     let (sin, cos) = (R::select(odd, c, s), R::select(odd, s, c));
     let sin_negative = R::splat(1.5).lt(quadrant);
     let cos_negative = half.lt(quadrant) & quadrant.lt(R::splat(2.5));
-    (
-        R::select(sin_negative, -sin, sin),
-        R::select(cos_negative, -cos, cos),
-    )
+    (R::select(sin_negative, -sin, sin), R::select(cos_negative, -cos, cos))
 }
 
 /// What is left of e^x after taking out 2^n: (n, polynomial), with `x` held within ±87. Relative error below

@@ -39,10 +39,7 @@ impl<R: Lanes> Kernel for Probe<R> {
 
 fn agrees<R: Lanes>(width: Width) {
     if !width.is_available() {
-        let _ = writeln!(
-            std::io::stderr(),
-            "skipped: this processor has no {width:?}"
-        );
+        let _ = writeln!(std::io::stderr(), "skipped: this processor has no {width:?}");
         return;
     }
     for (x, y) in [
@@ -70,11 +67,7 @@ fn agrees<R: Lanes>(width: Width) {
             if x < y { x } else { -y },
         ];
         for (i, (got, want)) in got.iter().zip(want).enumerate() {
-            let tolerance = if i < 2 {
-                3e-7
-            } else {
-                4e-7 * want.abs() + 1e-37
-            };
+            let tolerance = if i < 2 { 3e-7 } else { 4e-7 * want.abs() + 1e-37 };
             assert!(
                 (got - want).abs() <= tolerance,
                 "{width:?}, operation {i} of {x}, {y}: {got}, want {want}"

@@ -112,8 +112,5 @@ vector! {
 /// count.
 #[inline(always)]
 fn last_index(table: &[f32]) -> Option<i32> {
-    i32::try_from(table.len())
-        .ok()?
-        .checked_sub(1)
-        .filter(|&last| last >= 0)
+    i32::try_from(table.len()).ok()?.checked_sub(1).filter(|&last| last >= 0)
 }

@@ -21,11 +21,7 @@ pub(super) fn say(robot: &Robot, root: &Element, remarks: &mut Remarks) {
     let reach_m = reach_m(robot);
     for body in &robot.bodies {
         inertia(body, reach_m, remarks);
-        for joint in body
-            .joints
-            .iter()
-            .filter(|j| j.motion == JointMotion::Hinge)
-        {
+        for joint in body.joints.iter().filter(|j| j.motion == JointMotion::Hinge) {
             if let Some((low, high)) = joint.range.filter(|(l, h)| l.min(-h) < -FAR_RAD) {
                 let message =
                     format!("limits of {low} and {high} rad: are they degrees? {RADIANS}");
@@ -33,11 +29,7 @@ pub(super) fn say(robot: &Robot, root: &Element, remarks: &mut Remarks) {
             }
         }
     }
-    let strongest_nm = robot
-        .actuators
-        .iter()
-        .filter_map(|a| a.force_limit)
-        .fold(0.0, f64::max);
+    let strongest_nm = robot.actuators.iter().filter_map(|a| a.force_limit).fold(0.0, f64::max);
     let load_nm = weight_n(robot) * reach_m;
     let share = strongest_nm / load_nm;
     if strongest_nm > 0.0 && !(TORQUE_SHARE.0..TORQUE_SHARE.1).contains(&share) {

@@ -63,10 +63,7 @@ fn drive_all(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
     };
     robot.actuators = robot.joints().map(drive).collect();
     let count = robot.actuators.len();
-    remarks.note(
-        root,
-        format!("names no actuators; each of the {count} joints is given a drive"),
-    );
+    remarks.note(root, format!("names no actuators; each of the {count} joints is given a drive"));
 }
 
 /// A body without a joint becomes part of its parent.
@@ -109,9 +106,7 @@ fn merge_welded(robot: &mut Robot) {
     // an MJCF has a world already
     if let Some(body) = bodies.iter_mut().find(|b| b.name == MJCF_WORLD) {
         body.name = format!("{MJCF_WORLD}_link");
-        robot
-            .merged
-            .insert(MJCF_WORLD.to_owned(), body.name.clone());
+        robot.merged.insert(MJCF_WORLD.to_owned(), body.name.clone());
         for host in robot.merged.values_mut().filter(|h| *h == MJCF_WORLD) {
             host.clone_from(&body.name);
         }
@@ -153,10 +148,7 @@ fn limit_actuated(robot: &mut Robot, remarks: &mut Remarks) {
             };
             joint.range = Some((-half, half));
             let label = joint.element.label();
-            remarks.note(
-                &joint.element,
-                format!("{label} has no limits; ±{half:.4} written"),
-            );
+            remarks.note(&joint.element, format!("{label} has no limits; ±{half:.4} written"));
         }
     }
 }
@@ -196,18 +188,11 @@ const ROTOR_S2: f64 = 8.5e-4;
 /// A drive without a greatest torque and gains gets the median of those that have one; one of a URDF
 /// also a rotor.
 fn strengthen(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
-    let mut known: Vec<f64> = robot
-        .actuators
-        .iter()
-        .filter_map(|a| a.force_limit)
-        .collect();
+    let mut known: Vec<f64> = robot.actuators.iter().filter_map(|a| a.force_limit).collect();
     known.sort_by(f64::total_cmp);
     let (torque_nm, source) = match known.get(known.len() / 2) {
         Some(median) => (*median, "the median of the others"),
-        None => (
-            unsaid_torque_nm(robot),
-            "a guess: the weight times the reach of its limbs",
-        ),
+        None => (unsaid_torque_nm(robot), "a guess: the weight times the reach of its limbs"),
     };
     let mut weak: Vec<&str> = Vec::new();
     for drive in &mut robot.actuators {
@@ -217,10 +202,8 @@ fn strengthen(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
         }
     }
     if !weak.is_empty() {
-        let message = format!(
-            "no greatest torque of {}: {torque_nm} N·m written, {source}",
-            weak.join(", ")
-        );
+        let message =
+            format!("no greatest torque of {}: {torque_nm} N·m written, {source}", weak.join(", "));
         remarks.note(root, message);
     }
     if root.tag == "robot" {
@@ -247,12 +230,7 @@ pub(super) fn word(text: &str) -> String {
             'a'..='z' | 'A'..='Z' | '0'..='9' | '-' => out.push(c),
             'ä' | 'ö' | 'ü' | 'ß' | 'Ä' | 'Ö' | 'Ü' => {
                 let two = ["ae", "oe", "ue", "ss", "Ae", "Oe", "Ue"];
-                out.push_str(
-                    "äöüßÄÖÜ"
-                        .chars()
-                        .position(|u| u == c)
-                        .map_or("_", |i| two[i]),
-                );
+                out.push_str("äöüßÄÖÜ".chars().position(|u| u == c).map_or("_", |i| two[i]));
             }
             _ => out.push('_'),
         }

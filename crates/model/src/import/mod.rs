@@ -110,12 +110,7 @@ pub fn import(file: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
         remarks.refuse_plain(&root.file, error.to_string());
         return Err(ImportError::Refused(remarks.refusals));
     }
-    Ok(Imported {
-        name,
-        mjcf,
-        robot_toml,
-        notes: remarks.notes,
-    })
+    Ok(Imported { name, mjcf, robot_toml, notes: remarks.notes })
 }
 
 /// Macros that nobody expanded are no robot yet.
@@ -145,9 +140,5 @@ fn unexpanded(root: &Element, file: &Path, remarks: &mut Remarks) -> Result<(), 
 /// Letters, digits, _ and - only, in small letters.
 fn plain(name: &str) -> String {
     let name = finish::word(name).trim_matches('_').to_lowercase();
-    if name.is_empty() {
-        "robot".to_owned()
-    } else {
-        name
-    }
+    if name.is_empty() { "robot".to_owned() } else { name }
 }

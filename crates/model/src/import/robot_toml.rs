@@ -37,10 +37,7 @@ pub(super) struct Foot {
 pub(super) fn write(name: &str, file: &Path, robot: &Robot, notes: &[Remark]) -> String {
     let mut out = String::new();
     let w = &mut out;
-    let source = file
-        .file_name()
-        .map(|f| f.to_string_lossy().into_owned())
-        .unwrap_or_default();
+    let source = file.file_name().map(|f| f.to_string_lossy().into_owned()).unwrap_or_default();
     // writing to a string does not fail
     let _ = writeln!(
         w,
@@ -58,11 +55,8 @@ pub(super) fn write(name: &str, file: &Path, robot: &Robot, notes: &[Remark]) ->
         if robot.free_base { "free" } else { "fixed" }
     );
     let joints = joints(robot);
-    let driven: Vec<&Joint> = robot
-        .actuators
-        .iter()
-        .filter_map(|a| joints.get(a.joint.as_str()).copied())
-        .collect();
+    let driven: Vec<&Joint> =
+        robot.actuators.iter().filter_map(|a| joints.get(a.joint.as_str()).copied()).collect();
     let (types, of) = drive_types(robot, &driven);
     let _ = writeln!(w, "assumed = [");
     for path in assumed(robot, &types) {
@@ -150,12 +144,7 @@ fn assumed(robot: &Robot, types: &[DriveType]) -> Vec<String> {
         let all = guessed.chain(UNSAID_OF_SERVOS);
         out.extend(all.map(|key| format!("servo.preset.drive_{k}.{key}")));
     }
-    let supply = [
-        "default_v",
-        "bench_v",
-        "battery_full_v",
-        "battery_nominal_v",
-    ];
+    let supply = ["default_v", "bench_v", "battery_full_v", "battery_nominal_v"];
     out.extend(supply.map(|key| format!("supply.{key}")));
     out.push("contact.body_friction".to_owned());
     out
@@ -286,10 +275,7 @@ fn passive(w: &mut String, robot: &Robot, joints: &BTreeMap<&str, &Joint>) {
     if free.is_empty() {
         return;
     }
-    let _ = writeln!(
-        w,
-        "\n# [mjcf] joints without a drive\n[passive]\nlocked = false"
-    );
+    let _ = writeln!(w, "\n# [mjcf] joints without a drive\n[passive]\nlocked = false");
     for joint in free {
         let _ = writeln!(
             w,
@@ -329,9 +315,7 @@ pub(super) fn feet(robot: &Robot) -> Vec<Foot> {
             continue;
         };
         // toes without a drive belong to the foot that stands on the ground before them
-        let foot = robot.bodies[end]
-            .parent
-            .filter(|&p| p > 0 && !driven(robot, end));
+        let foot = robot.bodies[end].parent.filter(|&p| p > 0 && !driven(robot, end));
         let stands = |&p: &usize| lowest(p).is_some_and(|(_, z, _)| z - toe_z < FOOT_LEVEL_M);
         let i = foot.filter(stands).unwrap_or(end);
         let Some((at, z, geom)) = lowest(i) else {
@@ -365,9 +349,8 @@ pub(super) fn raise(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
     let (mut origins_m, mut moves): (Vec<f64>, Vec<bool>) = (Vec::new(), Vec::new());
     let mut reach_m = 0.0f64;
     for (i, body) in robot.bodies.iter().enumerate() {
-        let parent = body.parent.map_or(0.0, |p| {
-            origins_m[p] + pose::norm(body.parent_from_body.pos_m)
-        });
+        let parent =
+            body.parent.map_or(0.0, |p| origins_m[p] + pose::norm(body.parent_from_body.pos_m));
         let travel = |j: &Joint| match (j.motion, j.range) {
             (JointMotion::Slide, Some((low, high))) => low.abs().max(high.abs()),
             _ => 2.0 * pose::norm(j.anchor_m),
@@ -403,9 +386,7 @@ pub(super) fn raise(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
 /// Whether a drive moves a body against its parent.
 pub(super) fn driven(robot: &Robot, body: usize) -> bool {
     let joints = robot.bodies[body].joints.iter();
-    joints
-        .into_iter()
-        .any(|j| robot.actuators.iter().any(|a| a.joint == j.name))
+    joints.into_iter().any(|j| robot.actuators.iter().any(|a| a.joint == j.name))
 }
 
 /// Where each body is in the nominal pose.
@@ -431,14 +412,9 @@ pub(super) fn moved(joint: &Joint, q: f64) -> Pose {
     match joint.motion {
         JointMotion::Slide => Pose::from_pos(joint.axis.map(|a| a * q)),
         JointMotion::Hinge => {
-            let turn = Pose {
-                pos_m: [0.0; 3],
-                quat_wxyz: pose::quat_from_axis_angle(joint.axis, q),
-            };
-            Pose {
-                pos_m: pose::sub(joint.anchor_m, turn.rotate(joint.anchor_m)),
-                ..turn
-            }
+            let turn =
+                Pose { pos_m: [0.0; 3], quat_wxyz: pose::quat_from_axis_angle(joint.axis, q) };
+            Pose { pos_m: pose::sub(joint.anchor_m, turn.rotate(joint.anchor_m)), ..turn }
         }
     }
 }

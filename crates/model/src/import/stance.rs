@@ -93,9 +93,7 @@ impl Limb {
 
 /// Writes down angles in which the robot stands; not where it has no legs, or stands as its file is.
 pub(super) fn find(robot: &mut Robot) -> bool {
-    let mut legs: Vec<Limb> = (1..robot.bodies.len())
-        .filter_map(|b| limb(robot, b))
-        .collect();
+    let mut legs: Vec<Limb> = (1..robot.bodies.len()).filter_map(|b| limb(robot, b)).collect();
     let mirrored = |a: &Limb, place: fn(&Limb) -> [f64; 3]| {
         let [x, y, z] = place(a);
         let off = |b: &Limb| pose::norm(pose::sub(place(b), [x, -y, z]));
@@ -109,10 +107,7 @@ pub(super) fn find(robot: &mut Robot) -> bool {
     let longest_m = legs.iter().map(Limb::length_m).fold(0.0, f64::max);
     legs.retain(|l| l.length_m() > LEG_SHARE * longest_m);
     // what ends high above the others is an arm
-    let deepest_m = legs
-        .iter()
-        .map(|l| l.deepest_m)
-        .fold(f64::INFINITY, f64::min);
+    let deepest_m = legs.iter().map(|l| l.deepest_m).fold(f64::INFINITY, f64::min);
     legs.retain(|l| l.deepest_m < deepest_m + (1.0 - BENT) * longest_m);
     if legs.len() < 2 || legs.iter().all(Limb::stands) {
         return false;
@@ -135,9 +130,7 @@ pub(super) fn find(robot: &mut Robot) -> bool {
         let (mass_kg, moment) = masses.fold((0.0, 0.0), |(mass, moment), (i, at)| {
             (mass + i.mass_kg, moment + i.mass_kg * at.point(i.com_m)[0])
         });
-        let feet = legs
-            .iter()
-            .filter_map(|l| Some(places[*l.chain.last()?].point(l.tip_m)[0]));
+        let feet = legs.iter().filter_map(|l| Some(places[*l.chain.last()?].point(l.tip_m)[0]));
         let off_m = moment / mass_kg - feet.sum::<f64>() / legs.len() as f64;
         ahead_m = (ahead_m + off_m).clamp(-AHEAD_MAX * longest_m, AHEAD_MAX * longest_m);
     }
@@ -160,13 +153,8 @@ fn limb(robot: &Robot, end: usize) -> Option<Limb> {
         .take_while(|&b| b > 0)
         .collect();
     chain.reverse();
-    let mut limb = Limb {
-        chain,
-        tip_m: [0.0; 3],
-        hip_m: [0.0; 3],
-        zero_m: [0.0; 3],
-        deepest_m: 0.0,
-    };
+    let mut limb =
+        Limb { chain, tip_m: [0.0; 3], hip_m: [0.0; 3], zero_m: [0.0; 3], deepest_m: 0.0 };
     let count = limb.joints(robot).count();
     if !ends || !(2..=JOINTS_MAX).contains(&count) {
         return None;
@@ -195,10 +183,7 @@ fn bend(robot: &Robot, leg: &Limb, [ahead_m, ground_m]: [f64; 2], legs: usize) -
     // knees of two legs go forward, of more backward
     let forward = if legs == 2 { 1.0 } else { -1.0 };
     let count = leg.joints(robot).count();
-    let flat = leg
-        .frames(robot, &vec![0.0; count])
-        .pop()
-        .map(|p| p.rotate([0.0, 0.0, 1.0]));
+    let flat = leg.frames(robot, &vec![0.0; count]).pop().map(|p| p.rotate([0.0, 0.0, 1.0]));
     let cost = |q: &[f64]| {
         let frames = leg.frames(robot, q);
         let end = frames[frames.len() - 1];
@@ -210,10 +195,7 @@ fn bend(robot: &Robot, leg: &Limb, [ahead_m, ground_m]: [f64; 2], legs: usize) -
         } else {
             1.0 - pose::dot(flat.unwrap_or_default(), end.rotate([0.0, 0.0, 1.0]))
         };
-        let knee = frames
-            .iter()
-            .map(|f| (f.pos_m[0] - hip_x) / length_m)
-            .sum::<f64>();
+        let knee = frames.iter().map(|f| (f.pos_m[0] - hip_x) / length_m).sum::<f64>();
         off * off + TURN_COST * turned + SOLE_COST * sole - KNEE_COST * forward * knee
     };
     search(robot, leg, cost)

@@ -112,12 +112,10 @@ impl<'a> Reader<'a> {
                             carried.push(link);
                         }
                     }
-                    Some(link) => self
-                        .remarks
-                        .refuse_of(joint, format!("there is no link `{link}`")),
-                    None => self
-                        .remarks
-                        .refuse_of(joint, format!("<{tag}> names no link")),
+                    Some(link) => {
+                        self.remarks.refuse_of(joint, format!("there is no link `{link}`"))
+                    }
+                    None => self.remarks.refuse_of(joint, format!("<{tag}> names no link")),
                 }
             }
         }
@@ -128,21 +126,16 @@ impl<'a> Reader<'a> {
                 self.remarks.refuse_of(element, message);
             }
         }
-        let roots: Vec<&str> = self
-            .links
-            .keys()
-            .filter(|l| !carried.contains(l))
-            .copied()
-            .collect();
+        let roots: Vec<&str> =
+            self.links.keys().filter(|l| !carried.contains(l)).copied().collect();
         if let [one] = roots.as_slice() {
             self.loops(one);
         }
         match roots.as_slice() {
             [one] if self.remarks.refusals.len() == before => return Some(one),
-            [] => self.remarks.refuse(
-                self.root,
-                "every link hangs on a joint: there is a loop, or no link",
-            ),
+            [] => self
+                .remarks
+                .refuse(self.root, "every link hangs on a joint: there is a loop, or no link"),
             [_] => {}
             [_, _, ..] => {
                 let message = format!(
@@ -177,14 +170,10 @@ impl<'a> Reader<'a> {
         let lost: Vec<&str> = lost.copied().collect();
         // a joint between links that are not there is refused for itself
         if !lost.is_empty()
-            && lost
-                .iter()
-                .all(|l| ends.iter().any(|e| e.1 == *l && lost.contains(&e.0)))
+            && lost.iter().all(|l| ends.iter().any(|e| e.1 == *l && lost.contains(&e.0)))
         {
-            let message = format!(
-                "{} carry each other in a loop and hang on nothing",
-                lost.join(", ")
-            );
+            let message =
+                format!("{} carry each other in a loop and hang on nothing", lost.join(", "));
             self.remarks.refuse(self.root, message);
         }
     }
@@ -212,10 +201,8 @@ impl<'a> Reader<'a> {
             return;
         };
         if depth > CHAIN_LIMIT {
-            self.remarks.refuse_of(
-                element,
-                format!("a chain of more than {CHAIN_LIMIT} links, or a loop"),
-            );
+            self.remarks
+                .refuse_of(element, format!("a chain of more than {CHAIN_LIMIT} links, or a loop"));
             return;
         }
         let index = self.robot.bodies.len();
@@ -239,10 +226,7 @@ impl<'a> Reader<'a> {
             } else {
                 Vec::new()
             },
-            element: Element {
-                children: Vec::new(),
-                ..element.clone()
-            },
+            element: Element { children: Vec::new(), ..element.clone() },
         });
         if inertial.is_none() {
             self.weightless(element, name);
@@ -289,10 +273,7 @@ impl<'a> Reader<'a> {
             self.remarks.refuse_of(e, "its axis has no direction");
         }
         if e.first("mimic").is_some() {
-            self.remarks.note_of(
-                e,
-                "<mimic> is not simulated; the joint has a drive of its own",
-            );
+            self.remarks.note_of(e, "<mimic> is not simulated; the joint has a drive of its own");
         }
         let of = |remarks: &mut Remarks, tag: &str, key: &str| {
             e.first(tag).and_then(|l| l.number(key, remarks))
@@ -321,13 +302,9 @@ impl<'a> Reader<'a> {
             stop: Softness::default(),
             stiffness: 0.0,
             spring_ref: 0.0,
-            damping: of(self.remarks, "dynamics", "damping")
-                .unwrap_or(0.0)
-                .max(0.0),
+            damping: of(self.remarks, "dynamics", "damping").unwrap_or(0.0).max(0.0),
             armature: 0.0,
-            friction_loss: of(self.remarks, "dynamics", "friction")
-                .unwrap_or(0.0)
-                .max(0.0),
+            friction_loss: of(self.remarks, "dynamics", "friction").unwrap_or(0.0).max(0.0),
             force_limit: effort,
             element: e.clone(),
         })
@@ -357,11 +334,7 @@ impl<'a> Reader<'a> {
             mass_kg = mass.no_mass("value", self.remarks);
         }
         let tensor = e.first("inertia");
-        let mut of = |key: &str| {
-            tensor
-                .and_then(|i| i.number(key, self.remarks))
-                .unwrap_or(0.0)
-        };
+        let mut of = |key: &str| tensor.and_then(|i| i.number(key, self.remarks)).unwrap_or(0.0);
         let (xx, yy, zz) = (of("ixx"), of("iyy"), of("izz"));
         let (xy, xz, yz) = (of("ixy"), of("ixz"), of("iyz"));
         let own = Inertial {
@@ -379,32 +352,21 @@ impl<'a> Reader<'a> {
         let number =
             |key: &str, remarks: &mut Remarks| geometry.number(key, remarks).filter(|x| *x > 0.0);
         let shape = match geometry.tag.as_str() {
-            "sphere" => Shape::Sphere {
-                radius_m: number("radius", self.remarks)?,
-            },
+            "sphere" => Shape::Sphere { radius_m: number("radius", self.remarks)? },
             "box" => {
                 let size = geometry.array::<3>("size", self.remarks)?;
-                Shape::Box {
-                    half_size_m: size.map(|s| (0.5 * s).max(1e-6)),
-                }
+                Shape::Box { half_size_m: size.map(|s| (0.5 * s).max(1e-6)) }
             }
             kind @ ("cylinder" | "capsule") => {
                 let radius_m = number("radius", self.remarks)?;
                 let half_length_m = 0.5 * number("length", self.remarks)?;
                 match kind {
-                    "capsule" => Shape::Capsule {
-                        radius_m,
-                        half_length_m,
-                    },
-                    _ => Shape::Cylinder {
-                        radius_m,
-                        half_length_m,
-                    },
+                    "capsule" => Shape::Capsule { radius_m, half_length_m },
+                    _ => Shape::Cylinder { radius_m, half_length_m },
                 }
             }
             "mesh" if !collides => {
-                self.remarks
-                    .note_once(&geometry, "meshes for the eye are not kept");
+                self.remarks.note_once(&geometry, "meshes for the eye are not kept");
                 return None;
             }
             "mesh" => {
@@ -423,17 +385,11 @@ impl<'a> Reader<'a> {
                     &geometry,
                     "meshes that touch something become the boxes that they fill",
                 );
-                at = Pose {
-                    pos_m: at.point(mesh.middle_m),
-                    ..at
-                };
-                Shape::Box {
-                    half_size_m: mesh.half_size_m.map(|h| h.max(1e-4)),
-                }
+                at = Pose { pos_m: at.point(mesh.middle_m), ..at };
+                Shape::Box { half_size_m: mesh.half_size_m.map(|h| h.max(1e-4)) }
             }
             other => {
-                self.remarks
-                    .refuse(&geometry, format!("<{other}> is not a shape that is read"));
+                self.remarks.refuse(&geometry, format!("<{other}> is not a shape that is read"));
                 return None;
             }
         };
@@ -460,9 +416,6 @@ impl<'a> Reader<'a> {
         let below = inside.split_once('/').map_or(inside, |(_, rest)| rest);
         let folders = beside.ancestors().map(Path::to_owned).collect::<Vec<_>>();
         let tries = folders.iter().flat_map(|f| [f.join(inside), f.join(below)]);
-        tries
-            .into_iter()
-            .find(|p| p.is_file())
-            .unwrap_or_else(|| beside.join(inside))
+        tries.into_iter().find(|p| p.is_file()).unwrap_or_else(|| beside.join(inside))
     }
 }

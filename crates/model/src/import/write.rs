@@ -14,41 +14,17 @@ pub(super) fn mjcf(name: &str, robot: &Robot) -> String {
     let w = &mut out;
     let [gx, gy, gz] = robot.gravity_mps2;
     line(w, 0, &format!("<mujoco model=\"{name}\">"));
-    line(
-        w,
-        1,
-        "<compiler angle=\"radian\" autolimits=\"true\" inertiafromgeom=\"false\"/>",
-    );
-    line(
-        w,
-        1,
-        &format!("<option gravity=\"{gx} {gy} {gz}\" integrator=\"implicitfast\"/>"),
-    );
+    line(w, 1, "<compiler angle=\"radian\" autolimits=\"true\" inertiafromgeom=\"false\"/>");
+    line(w, 1, &format!("<option gravity=\"{gx} {gy} {gz}\" integrator=\"implicitfast\"/>"));
     line(w, 1, "<worldbody>");
-    line(
-        w,
-        2,
-        "<geom name=\"floor\" type=\"plane\" size=\"0 0 0.05\"/>",
-    );
+    line(w, 2, "<geom name=\"floor\" type=\"plane\" size=\"0 0 0.05\"/>");
     body(w, robot, 0, 2);
     line(w, 1, "</worldbody>");
-    let pairs: Vec<[&str; 2]> = robot
-        .excluded
-        .iter()
-        .filter_map(|p| pair(robot, p))
-        .collect();
+    let pairs: Vec<[&str; 2]> = robot.excluded.iter().filter_map(|p| pair(robot, p)).collect();
     if !pairs.is_empty() {
         line(w, 1, "<contact>");
         for [a, b] in pairs {
-            line(
-                w,
-                2,
-                &format!(
-                    "<exclude body1=\"{}\" body2=\"{}\"/>",
-                    escaped(a),
-                    escaped(b)
-                ),
-            );
+            line(w, 2, &format!("<exclude body1=\"{}\" body2=\"{}\"/>", escaped(a), escaped(b)));
         }
         line(w, 1, "</contact>");
     }
@@ -72,11 +48,7 @@ fn pair<'a>(robot: &'a Robot, names: &'a [String; 2]) -> Option<[&'a str; 2]> {
 fn body(w: &mut String, robot: &Robot, index: usize, depth: usize) {
     let own: &Body = &robot.bodies[index];
     let place = pose(&own.parent_from_body);
-    line(
-        w,
-        depth,
-        &format!("<body name=\"{}\"{place}>", escaped(&own.name)),
-    );
+    line(w, depth, &format!("<body name=\"{}\"{place}>", escaped(&own.name)));
     if index == 0 && robot.free_base {
         line(w, depth + 1, "<freejoint/>");
     }
@@ -98,18 +70,9 @@ fn body(w: &mut String, robot: &Robot, index: usize, depth: usize) {
         write_geom(w, geom, depth + 1);
     }
     for (name, at) in &own.sites {
-        line(
-            w,
-            depth + 1,
-            &format!("<site name=\"{}\"{}/>", escaped(name), pose(at)),
-        );
+        line(w, depth + 1, &format!("<site name=\"{}\"{}/>", escaped(name), pose(at)));
     }
-    for (child, _) in robot
-        .bodies
-        .iter()
-        .enumerate()
-        .filter(|(_, b)| b.parent == Some(index))
-    {
+    for (child, _) in robot.bodies.iter().enumerate().filter(|(_, b)| b.parent == Some(index)) {
         body(w, robot, child, depth + 1);
     }
     line(w, depth, "</body>");
@@ -153,19 +116,12 @@ fn write_geom(w: &mut String, Painted { geom, rgba }: &Painted, depth: usize) {
     if let Some(name) = &geom.name {
         let _ = write!(text, " name=\"{}\"", escaped(name));
     }
-    let _ = write!(
-        text,
-        " type=\"{kind}\" size=\"{}\"{}",
-        size.join(" "),
-        pose(&geom.link_from_geom)
-    );
+    let _ =
+        write!(text, " type=\"{kind}\" size=\"{}\"{}", size.join(" "), pose(&geom.link_from_geom));
     // an ellipsoid touches nothing here: it is for the eye
     let touches = !matches!(geom.shape, Shape::Ellipsoid { .. });
     let bits = |b: u32| if touches { b } else { 0 };
-    for (key, value) in [
-        ("contype", bits(geom.contype)),
-        ("conaffinity", bits(geom.conaffinity)),
-    ] {
+    for (key, value) in [("contype", bits(geom.contype)), ("conaffinity", bits(geom.conaffinity))] {
         if value != 1 {
             let _ = write!(text, " {key}=\"{value}\"");
         }
@@ -182,13 +138,7 @@ fn write_geom(w: &mut String, Painted { geom, rgba }: &Painted, depth: usize) {
 
 fn soft(text: &mut String, given: &Softness, solref: &str, solimp: &str) {
     let default = Softness::default();
-    let list = |values: &[f64]| {
-        values
-            .iter()
-            .map(f64::to_string)
-            .collect::<Vec<_>>()
-            .join(" ")
-    };
+    let list = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
     if given.solref != default.solref {
         let _ = write!(text, " {solref}=\"{}\"", list(&given.solref));
     }
@@ -208,10 +158,9 @@ fn actuator(w: &mut String, robot: &Robot, drive: &Actuator) {
     };
     let range = |j: &&Joint| j.name == drive.joint;
     let joints = robot.bodies.iter().flat_map(|b| &b.joints);
-    if let (Some(_), Some((low, high))) = (
-        drive.gains,
-        joints.into_iter().find(range).and_then(|j| j.range),
-    ) {
+    if let (Some(_), Some((low, high))) =
+        (drive.gains, joints.into_iter().find(range).and_then(|j| j.range))
+    {
         let _ = write!(text, " ctrlrange=\"{low} {high}\"");
     }
     if let Some(limit) = drive.force_limit {

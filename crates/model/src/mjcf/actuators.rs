@@ -29,9 +29,7 @@ pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot)
     for element in elements(root) {
         let e = context.resolved(element, None);
         let Some(joint) = e.get("joint").or(e.get("jointinparent")).map(str::to_owned) else {
-            context
-                .remarks
-                .note_of(&e, "drives no joint and is not kept");
+            context.remarks.note_of(&e, "drives no joint and is not kept");
             continue;
         };
         let own = robot.joints().find(|j| j.name == joint);
@@ -47,15 +45,12 @@ pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot)
         };
         // a robot's own file is held against the order of the robot file, which says more
         if !context.remarks.strict && robot.actuators.iter().any(|a| a.joint == joint) {
-            context.remarks.note_of(
-                &e,
-                format!("`{joint}` has an actuator already; this one is not kept"),
-            );
+            context
+                .remarks
+                .note_of(&e, format!("`{joint}` has an actuator already; this one is not kept"));
             continue;
         }
-        let gear = e
-            .numbers("gear", context.remarks)
-            .and_then(|g| g.first().copied());
+        let gear = e.numbers("gear", context.remarks).and_then(|g| g.first().copied());
         let gear = gear.unwrap_or(1.0).abs();
         let limit = |context: &mut Context<'_>, key: &str| {
             let range = e.array::<2>(key, context.remarks)?;
@@ -86,9 +81,7 @@ fn gains(context: &mut Context<'_>, e: &Element) -> Option<(f64, f64)> {
             let kp = e.number("kp", context.remarks).unwrap_or(1.0);
             let kv = e.number("kv", context.remarks).unwrap_or(0.0);
             if e.get("dampratio").is_some() {
-                context
-                    .remarks
-                    .note_once(e, "dampratio is not read; kv is 0 in its place");
+                context.remarks.note_once(e, "dampratio is not read; kv is 0 in its place");
             }
             Some((kp, kv))
         }
@@ -96,17 +89,12 @@ fn gains(context: &mut Context<'_>, e: &Element) -> Option<(f64, f64)> {
             let gain = e.numbers("gainprm", context.remarks);
             let bias = e.numbers("biasprm", context.remarks);
             let kp = first(gain, 0).unwrap_or(1.0);
-            let (back, kv) = (
-                first(bias.clone(), 1).unwrap_or(0.0),
-                first(bias, 2).unwrap_or(0.0),
-            );
+            let (back, kv) = (first(bias.clone(), 1).unwrap_or(0.0), first(bias, 2).unwrap_or(0.0));
             ((kp + back).abs() <= 1e-9 * kp.abs() && kp > 0.0).then_some((kp, -kv))
         }
         "motor" | "general" => None,
         other => {
-            context
-                .remarks
-                .note_of(e, format!("a {other} actuator is read as one of torque"));
+            context.remarks.note_of(e, format!("a {other} actuator is read as one of torque"));
             None
         }
     }

@@ -34,11 +34,7 @@ impl Compiler {
             let mut unit = [0.0; 3];
             unit[axis] = 1.0;
             let turn = pose::quat_from_axis_angle(unit, angle * self.rad_per_unit);
-            q = if moving {
-                pose::quat_mul(q, turn)
-            } else {
-                pose::quat_mul(turn, q)
-            };
+            q = if moving { pose::quat_mul(q, turn) } else { pose::quat_mul(turn, q) };
         }
         q
     }

@@ -30,11 +30,7 @@ const KINDS: &[&str] = &[
 
 /// Under which element a class keeps the defaults of `tag`.
 fn default_tag(tag: &str) -> &str {
-    if KINDS.contains(&tag) {
-        "actuator"
-    } else {
-        tag
-    }
+    if KINDS.contains(&tag) { "actuator" } else { tag }
 }
 
 /// Everything needed to read an element.
@@ -77,10 +73,7 @@ impl<'a> Context<'a> {
         for default in root.all("default") {
             context.class(default, "main", true);
         }
-        let scale = context.classes["main"]
-            .get("mesh")
-            .cloned()
-            .unwrap_or_default();
+        let scale = context.classes["main"].get("mesh").cloned().unwrap_or_default();
         context.meshes = Meshes::read(root, file, &scale.attributes, context.remarks);
         context
     }
@@ -94,8 +87,7 @@ impl<'a> Context<'a> {
                 ("eulerseq", sequence) if self.compiler.set_euler(sequence) => {}
                 ("eulerseq", sequence) => {
                     let what = "is not three of x y z X Y Z";
-                    self.remarks
-                        .refuse(e, format!("<compiler>: eulerseq `{sequence}` {what}"));
+                    self.remarks.refuse(e, format!("<compiler>: eulerseq `{sequence}` {what}"));
                 }
                 ("coordinate", "global") => {
                     self.remarks.refuse(e, "<compiler>: coordinate=\"global\" is not read; convert the file to local coordinates");
@@ -144,8 +136,7 @@ impl<'a> Context<'a> {
             own.attributes.extend(child.attributes.clone());
             let place = Arc::new((child.file.clone(), child.line));
             let keys = child.attributes.keys().cloned();
-            own.elsewhere
-                .extend(keys.map(|key| (key, Arc::clone(&place))));
+            own.elsewhere.extend(keys.map(|key| (key, Arc::clone(&place))));
         }
         self.classes.insert(name.clone(), class);
         for child in e.all("default") {
@@ -157,19 +148,12 @@ impl<'a> Context<'a> {
     pub fn resolved(&mut self, e: &Element, childclass: Option<&str>) -> Element {
         let name = e.get("class").or(childclass).unwrap_or("main");
         let Some(class) = self.classes.get(name) else {
-            let attribute = if e.get("class").is_some() {
-                "class"
-            } else {
-                "childclass"
-            };
+            let attribute = if e.get("class").is_some() { "class" } else { "childclass" };
             let message = format!("attribute `{attribute}`: there is no default class `{name}`");
             self.remarks.refuse_of(e, message);
             return e.clone();
         };
-        let mut out = Element {
-            children: Vec::new(),
-            ..e.clone()
-        };
+        let mut out = Element { children: Vec::new(), ..e.clone() };
         let Some(class) = class.get(default_tag(&e.tag)) else {
             return out;
         };
@@ -183,8 +167,7 @@ impl<'a> Context<'a> {
             }
             if !said(&key.as_str()) {
                 out.attributes.insert(key.clone(), value.clone());
-                out.elsewhere
-                    .insert(key.clone(), Arc::clone(&class.elsewhere[key]));
+                out.elsewhere.insert(key.clone(), Arc::clone(&class.elsewhere[key]));
             }
         }
         out
@@ -255,10 +238,7 @@ pub(super) fn softness(e: &Element, solref: &str, solimp: &str, remarks: &mut Re
         let message =
             "must be a time constant and a damping ratio above zero, or -stiffness and -damping";
         remarks.refuse_if_strict(e, format!("attribute `{solref}`: {message}"));
-        remarks.note_of(
-            e,
-            format!("{solref} is not usable; MuJoCo's default is written"),
-        );
+        remarks.note_of(e, format!("{solref} is not usable; MuJoCo's default is written"));
     }
     let [low, high, width, middle, _] = out.solimp;
     if !([low, high, middle].iter().all(|x| (0.0..1.0).contains(x)) && width >= 0.0) {
@@ -278,10 +258,7 @@ pub(super) fn softness(e: &Element, solref: &str, solimp: &str, remarks: &mut Re
             "attribute `{solimp}`: has a power other than 1 and 2, which are those supported"
         );
         remarks.refuse_if_strict(e, message);
-        remarks.note_once(
-            e,
-            format!("{solimp}: the power {power} is rounded to 1 or 2"),
-        );
+        remarks.note_once(e, format!("{solimp}: the power {power} is rounded to 1 or 2"));
     }
     out
 }

@@ -33,35 +33,23 @@ pub(super) fn read(
         JointMotion::Hinge => context.compiler.rad_per_unit,
         JointMotion::Slide => 1.0,
     };
-    let axis = e
-        .array::<3>("axis", context.remarks)
-        .unwrap_or([0.0, 0.0, 1.0]);
+    let axis = e.array::<3>("axis", context.remarks).unwrap_or([0.0, 0.0, 1.0]);
     let length = pose::norm(axis);
     if length < 1e-9 {
-        context
-            .remarks
-            .refuse_of(e, "attribute `axis`: has no direction");
+        context.remarks.refuse_of(e, "attribute `axis`: has no direction");
     }
     let anchor = e.array::<3>("pos", context.remarks).unwrap_or([0.0; 3]);
     // positions are counted from where the file draws the joint
     let start = e.number("ref", context.remarks).unwrap_or(0.0) * unit;
     if start != 0.0 {
-        context
-            .remarks
-            .note_of(e, "`ref` is taken off: its positions count from 0");
+        context.remarks.note_of(e, "`ref` is taken off: its positions count from 0");
     }
     if index == 0 && robot.free_base {
-        context
-            .remarks
-            .refuse_if_strict(e, "stands beside <freejoint>");
+        context.remarks.refuse_if_strict(e, "stands beside <freejoint>");
     }
     let number = |context: &mut Context<'_>, key: &str| e.number(key, context.remarks);
-    if e.get("springdamper")
-        .is_some_and(|s| s.split_whitespace().any(|w| w != "0"))
-    {
-        context
-            .remarks
-            .refuse_of(e, "springdamper is not read; write stiffness and damping");
+    if e.get("springdamper").is_some_and(|s| s.split_whitespace().any(|w| w != "0")) {
+        context.remarks.refuse_of(e, "springdamper is not read; write stiffness and damping");
     }
     let spring_ref = number(context, "springref").map_or(0.0, |s| s * unit) - start;
     let force_limit = e.array::<2>("actuatorfrcrange", context.remarks);
@@ -100,9 +88,7 @@ fn free(context: &mut Context<'_>, e: &Element, index: usize, robot: &mut Robot)
         context.remarks.refuse_of(e, message);
     }
     if robot.free_base || !robot.bodies[index].joints.is_empty() {
-        context
-            .remarks
-            .refuse_if_strict(e, "must be the only joint of its body");
+        context.remarks.refuse_if_strict(e, "must be the only joint of its body");
     }
     let drags = ["damping", "armature", "frictionloss"];
     let dragged = |key: &&str| e.get(key).is_some_and(|v| v.trim() != "0");
@@ -137,9 +123,7 @@ fn range(context: &mut Context<'_>, e: &Element, unit: f64) -> Option<(f64, f64)
         let message = "attribute `limited`: must be given beside `range` when autolimits is off";
         context.remarks.refuse_if_strict(e, message);
     }
-    let (low, high) = range
-        .filter(|_| limited)
-        .map(|[a, b]| (a * unit, b * unit))?;
+    let (low, high) = range.filter(|_| limited).map(|[a, b]| (a * unit, b * unit))?;
     if low < high {
         return Some((low, high));
     }

@@ -22,10 +22,7 @@ pub(crate) use read::read;
 /// Reads a robot's own MJCF; `file` names it in errors.
 pub(crate) fn parse(file: &str, text: &str) -> Result<Robot, ModelError> {
     let root = tree::of_text(file, text)?;
-    let mut remarks = Remarks {
-        strict: true,
-        ..Remarks::default()
-    };
+    let mut remarks = Remarks { strict: true, ..Remarks::default() };
     subset::check(&root, &mut remarks);
     let robot = match remarks.refusals.is_empty() {
         true => read(&root, Path::new(file), &mut remarks),

@@ -21,15 +21,9 @@ const PASSED_OVER: &[(&str, &str)] = &[
     ("statistic", "is for the eye"),
     ("size", "is MuJoCo's own"),
     ("custom", "is MuJoCo's own"),
-    (
-        "sensor",
-        "only where gyroscope and accelerometer sit is kept",
-    ),
+    ("sensor", "only where gyroscope and accelerometer sit is kept"),
     ("tendon", "tendons are not simulated"),
-    (
-        "equality",
-        "couplings and closed loops are not simulated; the joints move freely",
-    ),
+    ("equality", "couplings and closed loops are not simulated; the joints move freely"),
     ("extension", "plugins are not run"),
     ("deformable", "is not simulated"),
 ];
@@ -49,17 +43,13 @@ pub(crate) fn read(root: &Element, file: &Path, remarks: &mut Remarks) -> Option
                 let gravity = section.array("gravity", context.remarks);
                 robot.gravity_mps2 = gravity.unwrap_or(robot.gravity_mps2);
                 if !context.remarks.strict {
-                    context
-                        .remarks
-                        .note(section, "<option>: only gravity is kept");
+                    context.remarks.note(section, "<option>: only gravity is kept");
                 }
             }
             "contact" => {
                 let names =
                     |e: &Element| Some([e.get("body1")?.to_owned(), e.get("body2")?.to_owned()]);
-                robot
-                    .excluded
-                    .extend(section.all("exclude").filter_map(names));
+                robot.excluded.extend(section.all("exclude").filter_map(names));
                 if section.first("pair").is_some() {
                     context.remarks.note(
                         section,
@@ -69,9 +59,9 @@ pub(crate) fn read(root: &Element, file: &Path, remarks: &mut Remarks) -> Option
             }
             tag => match PASSED_OVER.iter().find(|(known, _)| *known == tag) {
                 Some((_, why)) => context.remarks.note(section, format!("<{tag}>: {why}")),
-                None => context
-                    .remarks
-                    .refuse(section, format!("<{tag}> is not known; take it out")),
+                None => {
+                    context.remarks.refuse(section, format!("<{tag}> is not known; take it out"))
+                }
             },
         }
     }
@@ -113,10 +103,7 @@ fn home(context: &mut Context<'_>, root: &Element, order: &[String], robot: &mut
         let has = |k: &&&Element| k.get("name").is_some_and(|n| n.contains(word));
         keys.iter().find(has).copied()
     };
-    let Some(key) = called("home")
-        .or_else(|| called("stand"))
-        .or(keys.first().copied())
-    else {
+    let Some(key) = called("home").or_else(|| called("stand")).or(keys.first().copied()) else {
         return;
     };
     let Some(numbers) = key.numbers("qpos", context.remarks) else {
@@ -131,10 +118,7 @@ fn home(context: &mut Context<'_>, root: &Element, order: &[String], robot: &mut
     let joints = order.iter().cloned().zip(numbers[base..].iter().copied());
     robot.home = joints.collect();
     let name = key.get("name").unwrap_or("its first");
-    context.remarks.note(
-        key,
-        format!("<keyframe>: the nominal pose is that of `{name}`"),
-    );
+    context.remarks.note(key, format!("<keyframe>: the nominal pose is that of `{name}`"));
 }
 
 impl Context<'_> {
@@ -149,16 +133,12 @@ impl Context<'_> {
                     other,
                     "what is fixed to the world is not kept; the ground is a plane",
                 ),
-                tag => self
-                    .remarks
-                    .note(other, format!("<{tag}> of the world is not kept")),
+                tag => self.remarks.note(other, format!("<{tag}> of the world is not kept")),
             }
         }
         for frame in worlds.iter().flat_map(|w| w.all("frame")) {
-            self.remarks.refuse(
-                frame,
-                "<frame> around the robot is not read; put its pose into the body",
-            );
+            self.remarks
+                .refuse(frame, "<frame> around the robot is not read; put its pose into the body");
         }
         let trees = worlds.iter().flat_map(|w| w.all("body"));
         let (moving, still): (Vec<&Element>, Vec<&Element>) = trees.partition(|b| moves(b));
@@ -171,18 +151,13 @@ impl Context<'_> {
         // what is driven by far less beside a robot is no second one, but something left over
         let counts = |b: &&&Element| drives(b) * LEFT_OVER > most || most == 0;
         let robots: Vec<&Element> = moving.iter().filter(counts).copied().collect();
-        for body in moving
-            .iter()
-            .filter(|b| !robots.iter().any(|r| std::ptr::eq(*r, **b)))
-        {
-            self.remarks
-                .note_of(body, "stands beside the robot and is not kept");
+        for body in moving.iter().filter(|b| !robots.iter().any(|r| std::ptr::eq(*r, **b))) {
+            self.remarks.note_of(body, "stands beside the robot and is not kept");
         }
         match robots.as_slice() {
             [one] => Some((*one).clone()),
             [] => {
-                self.remarks
-                    .refuse(root, "has no body that moves in its <worldbody>");
+                self.remarks.refuse(root, "has no body that moves in its <worldbody>");
                 None
             }
             [_, second, ..] => {
@@ -208,10 +183,7 @@ impl Context<'_> {
                 e.attributes.insert("size".to_owned(), "1".to_owned());
             }
             shapes.extend(self.geom(&e, &Pose::IDENTITY).0.map(|found| match plane {
-                true => Geom {
-                    shape: Shape::Plane,
-                    ..found.geom
-                },
+                true => Geom { shape: Shape::Plane, ..found.geom },
                 false => found.geom,
             }));
         }
@@ -228,23 +200,15 @@ impl Context<'_> {
         robot: &mut Robot,
     ) {
         if e.get("mocap").is_some_and(|m| m == "true") {
-            self.remarks
-                .refuse_of(e, "mocap bodies are not read; take it out");
+            self.remarks.refuse_of(e, "mocap bodies are not read; take it out");
         }
         if e.get("gravcomp").is_some_and(|g| g.trim() != "0") {
-            self.remarks.note_once(
-                e,
-                "gravcomp is not simulated: the robot carries its own weight",
-            );
+            self.remarks
+                .note_once(e, "gravcomp is not simulated: the robot carries its own weight");
         }
         let index = robot.bodies.len();
-        let name = e
-            .get("name")
-            .map_or_else(|| format!("body_{index}"), str::to_owned);
-        if let Some(class) = e
-            .get("childclass")
-            .filter(|c| !self.classes.contains_key(*c))
-        {
+        let name = e.get("name").map_or_else(|| format!("body_{index}"), str::to_owned);
+        if let Some(class) = e.get("childclass").filter(|c| !self.classes.contains_key(*c)) {
             let message = format!("attribute `childclass`: there is no default class `{class}`");
             self.remarks.refuse_of(e, message);
         }
@@ -258,10 +222,7 @@ impl Context<'_> {
             joints: Vec::new(),
             geoms: Vec::new(),
             sites: Vec::new(),
-            element: Element {
-                children: Vec::new(),
-                ..e.clone()
-            },
+            element: Element { children: Vec::new(), ..e.clone() },
         });
         let mut solids = Vec::new();
         self.contents(e, index, Pose::IDENTITY, childclass, robot, &mut solids);
@@ -333,13 +294,12 @@ impl Context<'_> {
                         robot.bodies[index].sites.push((name.to_owned(), at));
                     }
                 }
-                "camera" | "light" => self
+                "camera" | "light" => {
+                    self.remarks.note_once(child, "cameras and lights are not kept")
+                }
+                tag => self
                     .remarks
-                    .note_once(child, "cameras and lights are not kept"),
-                tag => self.remarks.refuse(
-                    child,
-                    format!("<{tag}> inside <body> is not read; take it out"),
-                ),
+                    .refuse(child, format!("<{tag}> inside <body> is not read; take it out")),
             }
         }
     }
@@ -347,17 +307,9 @@ impl Context<'_> {
     fn inertial(&mut self, e: &Element) -> Option<Inertial> {
         let at = self.pose(e);
         let inertia = e.get("diaginertia").or(e.get("fullinertia"));
-        let needed = [
-            ("pos", e.get("pos")),
-            ("mass", e.get("mass")),
-            ("diaginertia", inertia),
-        ];
+        let needed = [("pos", e.get("pos")), ("mass", e.get("mass")), ("diaginertia", inertia)];
         for (key, _) in needed.iter().filter(|(_, text)| text.is_none()) {
-            let or = if *key == "diaginertia" {
-                " (or `fullinertia`)"
-            } else {
-                ""
-            };
+            let or = if *key == "diaginertia" { " (or `fullinertia`)" } else { "" };
             let message = format!("attribute `{key}`: is missing{or}");
             self.remarks.refuse_if_strict(e, message);
         }
@@ -372,14 +324,9 @@ impl Context<'_> {
             ("fullinertia", [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         };
         if let Err(why) = check_inertia(own) {
-            self.remarks
-                .refuse_if_strict(e, format!("attribute `{key}`: {why}"));
+            self.remarks.refuse_if_strict(e, format!("attribute `{key}`: {why}"));
         }
-        let own = Inertial {
-            mass_kg,
-            com_m: [0.0; 3],
-            inertia_kgm2: own,
-        };
+        let own = Inertial { mass_kg, com_m: [0.0; 3], inertia_kgm2: own };
         let own = if self.balance { own.balanced() } else { own };
         Some(own.seen_from(&at))
     }

@@ -23,20 +23,14 @@ impl Context<'_> {
             }
         };
         let (contype, conaffinity) = (bits("contype"), bits("conaffinity"));
-        let kind = e.get("type").unwrap_or(if e.get("mesh").is_some() {
-            "mesh"
-        } else {
-            "sphere"
-        });
+        let kind = e.get("type").unwrap_or(if e.get("mesh").is_some() { "mesh" } else { "sphere" });
         let collides = contype != 0 || conaffinity != 0;
         let Some((shape, at, solid)) = self.shape(e, kind, collides) else {
             return (None, None);
         };
         let at = within(frame, at);
         let mass = e.number("mass", self.remarks);
-        let density = e
-            .number("density", self.remarks)
-            .unwrap_or(DENSITY_KG_PER_M3);
+        let density = e.number("density", self.remarks).unwrap_or(DENSITY_KG_PER_M3);
         let inertial = solid.and_then(|solid: Solid| {
             let mass = mass.unwrap_or(density * solid.volume_m3);
             (mass > 0.0).then(|| solid.with_mass(mass, &at))
@@ -85,19 +79,11 @@ impl Context<'_> {
             if !collides {
                 return Some((None, at, Some(solid)));
             }
-            self.remarks.note_once(
-                e,
-                "meshes that touch something become the boxes that they fill",
-            );
-            at = Pose {
-                pos_m: at.point(mesh.middle_m),
-                ..at
-            };
+            self.remarks
+                .note_once(e, "meshes that touch something become the boxes that they fill");
+            at = Pose { pos_m: at.point(mesh.middle_m), ..at };
             // the volume is about the mesh's own origin, the box about its middle
-            let solid = Solid {
-                centre_m: pose::sub(solid.centre_m, mesh.middle_m),
-                ..solid
-            };
+            let solid = Solid { centre_m: pose::sub(solid.centre_m, mesh.middle_m), ..solid };
             let half_size_m = mesh.half_size_m.map(|h| h.max(1e-4));
             return Some((Some(Shape::Box { half_size_m }), at, Some(solid)));
         }
@@ -133,8 +119,7 @@ impl Context<'_> {
             };
             self.remarks.refuse_if_strict(e, message);
             if matches!(kind, "plane" | "hfield") || collides {
-                self.remarks
-                    .note_of(e, format!("a {kind} of this size is left out"));
+                self.remarks.note_of(e, format!("a {kind} of this size is left out"));
             }
             return None;
         };

@@ -8,11 +8,7 @@ use crate::tree::{Element, Remarks};
 const BODY_LIMIT: usize = 512;
 
 /// An element, its attributes, and what it may hold.
-type Row = (
-    &'static str,
-    &'static [&'static str],
-    &'static [&'static str],
-);
+type Row = (&'static str, &'static [&'static str], &'static [&'static str]);
 
 // Attributes after the blank line steer MuJoCo's own solver or viewer, or are the robot file's to say; they
 // are accepted and have no effect here.

@@ -8,15 +8,8 @@ use caudata_model::{BaseKind, JointKind, JointMotion, Pose, RobotModel, Shape};
 
 /// A robot file for `joints` (all actuated, nominal 0) with an optional tail of tables.
 fn robot_toml(joints: &[&str], tail: &str) -> String {
-    let names = joints
-        .iter()
-        .map(|j| format!("\"{j}\""))
-        .collect::<Vec<_>>()
-        .join(", ");
-    let nominal = joints
-        .iter()
-        .map(|j| format!("{j} = 0.0\n"))
-        .collect::<String>();
+    let names = joints.iter().map(|j| format!("\"{j}\"")).collect::<Vec<_>>().join(", ");
+    let nominal = joints.iter().map(|j| format!("{j} = 0.0\n")).collect::<String>();
     format!(
         r#"
 format = "caudata.robot.v1"
@@ -63,12 +56,8 @@ body_friction = 0.3
 }
 
 fn load(joints: &[&str], tail: &str, mjcf: &str) -> RobotModel {
-    RobotModel::from_bytes(
-        "test.robot.toml",
-        robot_toml(joints, tail).as_bytes(),
-        mjcf.as_bytes(),
-    )
-    .unwrap()
+    RobotModel::from_bytes("test.robot.toml", robot_toml(joints, tail).as_bytes(), mjcf.as_bytes())
+        .unwrap()
 }
 
 fn at(m: &RobotModel, q: &[f64], link: &str, point: [f64; 3]) -> [f64; 3] {
@@ -107,25 +96,12 @@ fn a_pendulum_on_the_world() {
         (j.axis, j.parent_link, j.kind),
         ([0.0, 1.0, 0.0], None, JointKind::Actuated { index: 0 })
     );
-    assert_eq!(
-        (j.damping_nm_s_per_rad, j.armature_kgm2),
-        (0.02, 0.03),
-        "from the servo preset"
-    );
+    assert_eq!((j.damping_nm_s_per_rad, j.armature_kgm2), (0.02, 0.03), "from the servo preset");
     near("limit", m.joint_limits_rad()[0].1, FRAC_PI_2, 1e-15);
     // a quarter turn about y takes the tip from below the pivot to -x
-    close(
-        at(&m, &[FRAC_PI_2], "rod", [0.0, 0.0, -1.0]),
-        [-1.0, 0.0, 2.0],
-    );
+    close(at(&m, &[FRAC_PI_2], "rod", [0.0, 0.0, -1.0]), [-1.0, 0.0, 2.0]);
     let g = &m.links()[0].geoms[0];
-    assert_eq!(
-        g.shape,
-        Shape::Capsule {
-            radius_m: 0.02,
-            half_length_m: 0.5
-        }
-    );
+    assert_eq!(g.shape, Shape::Capsule { radius_m: 0.02, half_length_m: 0.5 });
     close(g.link_from_geom.pos_m, [0.0, 0.0, -0.5]);
 }
 
@@ -161,10 +137,7 @@ fn an_arm_with_slides_anchors_classes_and_several_joints_per_link() {
         </mujoco>"#,
     );
     let [lift, turn, reach, wobble] = [0, 1, 2, 3].map(|i| &m.joints()[i]);
-    assert_eq!(
-        (lift.motion, turn.motion),
-        (JointMotion::Slide, JointMotion::Hinge)
-    );
+    assert_eq!((lift.motion, turn.motion), (JointMotion::Slide, JointMotion::Hinge));
     assert_eq!(
         lift.range_rad,
         Some((-0.2, 0.2)),
@@ -178,12 +151,7 @@ fn an_arm_with_slides_anchors_classes_and_several_joints_per_link() {
         "robot file wins"
     );
     assert_eq!(m.excluded_pairs(), [(0, 2)]);
-    assert_eq!(
-        m.world_geoms()[0].shape,
-        Shape::Box {
-            half_size_m: [1.0, 1.0, 0.1]
-        }
-    );
+    assert_eq!(m.world_geoms()[0].shape, Shape::Box { half_size_m: [1.0, 1.0, 0.1] });
     // inertial turned a quarter about z: Ixx and Iyy swap
     let i = m.links()[2].inertia_kgm2;
     near("Ixx", i[0][0], 2.0, 1e-12);
@@ -229,9 +197,6 @@ fn euler_sequences_turn_about_moving_or_fixed_axes() {
 fn wrong_lengths_are_errors() {
     let m = crate::common::polymander();
     let e = m.kinematics(&Pose::IDENTITY, &[0.0; 3]).unwrap_err();
-    assert_eq!(
-        e.to_string(),
-        "joint positions has 3 values where this robot needs 22"
-    );
+    assert_eq!(e.to_string(), "joint positions has 3 values where this robot needs 22");
     assert!(m.full_pos_rad(&[0.0; 22]).is_err());
 }

@@ -78,20 +78,12 @@ fn classes_welds_masses_and_a_named_pose_by_hand() {
     let made = read("hopper.xml", LEG).unwrap();
     assert_eq!(made.name, "hopper_2");
     let m = model(&made);
-    assert_eq!(
-        (m.base(), m.links().len(), m.joints().len()),
-        (BaseKind::Free, 2, 1)
-    );
+    assert_eq!((m.base(), m.links().len(), m.joints().len()), (BaseKind::Free, 2, 1));
     // the mount is welded: 2 kg of box and 1000·4/3·π·0.05³ = 0.5236 kg of ball, 0.1 m below
     let ball_kg = 1000.0 * 4.0 / 3.0 * std::f64::consts::PI * 0.05f64.powi(3);
     let base = &m.links()[0];
     near("mass", base.mass_kg, 2.5236, 1e-4);
-    near(
-        "centre",
-        base.com_m[2],
-        -0.1 * ball_kg / (2.0 + ball_kg),
-        1e-6,
-    );
+    near("centre", base.com_m[2], -0.1 * ball_kg / (2.0 + ball_kg), 1e-6);
     let leg = &m.links()[1];
     near("leg at", leg.parent_from_link.pos_m[0], 0.01, 1e-15);
     near("leg at", leg.parent_from_link.pos_m[2], -0.1, 1e-15);
@@ -100,32 +92,19 @@ fn classes_welds_masses_and_a_named_pose_by_hand() {
     near("axis", y[0], -1.0, 1e-12);
     let joint = &m.joints()[0];
     assert_eq!(joint.name, "knee");
-    assert_eq!(
-        (joint.damping_nm_s_per_rad, joint.armature_kgm2),
-        (0.5, 0.01)
-    );
+    assert_eq!((joint.damping_nm_s_per_rad, joint.armature_kgm2), (0.5, 0.01));
     assert_eq!(m.joint_limits_rad(), [(-1.0, 1.0)]);
     assert_eq!(m.nominal_pos_rad(), [0.25]);
     assert_eq!((m.kp_nm_per_rad(0), m.kd_nm_s_per_rad(0)), (25.0, 2.0));
     assert_eq!(m.servo(0).tau_max_nm, 8.0);
     assert_eq!(m.imu_site().unwrap().link, 0);
-    near(
-        "imu",
-        m.imu_site().unwrap().link_from_site.pos_m[2],
-        -0.1,
-        1e-15,
-    );
+    near("imu", m.imu_site().unwrap().link_from_site.pos_m[2], -0.1, 1e-15);
     assert_eq!(m.feet().len(), 1);
     assert_eq!(m.feet()[0].radius_m(), 0.02);
     // a share of 1 is held below 1, as MuJoCo holds it
     let toe = &m.links()[1].geoms[0];
     assert_eq!(toe.soft.solimp[1], 0.9999);
-    let said = made
-        .notes
-        .iter()
-        .map(ToString::to_string)
-        .collect::<Vec<_>>()
-        .join("\n");
+    let said = made.notes.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n");
     for part in ["<asset>", "<equality>", "<option>", "cameras", "`home`"] {
         assert!(said.contains(part), "{part} is not in\n{said}");
     }
@@ -140,11 +119,7 @@ fn without_any_actuator_every_joint_has_a_drive() {
     let said = |note: &import::Remark| note.message.contains("names no actuators");
     assert!(made.notes.iter().any(said), "{:?}", made.notes);
     // A tendon's drive is not a joint's: no guess.
-    let tendon = [
-        &LEG[..start],
-        "<actuator><motor tendon=\"t\"/></actuator>",
-        &LEG[end..],
-    ];
+    let tendon = [&LEG[..start], "<actuator><motor tendon=\"t\"/></actuator>", &LEG[end..]];
     assert!(read("tendon.xml", &tendon.concat()).is_err());
 }
 
@@ -168,10 +143,7 @@ fn everything_that_is_refused_is_said_at_once_with_its_line() {
     let ImportError::Refused(all) = read("wrong.xml", text).unwrap_err() else {
         panic!("refused as a file");
     };
-    let said: Vec<String> = all
-        .iter()
-        .map(|r| format!("{} {}", r.line, r.message))
-        .collect();
+    let said: Vec<String> = all.iter().map(|r| format!("{} {}", r.line, r.message)).collect();
     for (line, part) in [
         (4, "ball joint"),
         (7, "no direction"),
@@ -180,9 +152,7 @@ fn everything_that_is_refused_is_said_at_once_with_its_line() {
         (13, "no joint `three`"),
         (14, "<something>"),
     ] {
-        let found = said
-            .iter()
-            .any(|s| s.starts_with(&format!("{line} ")) && s.contains(part));
+        let found = said.iter().any(|s| s.starts_with(&format!("{line} ")) && s.contains(part));
         assert!(found, "line {line}, {part}: {said:#?}");
     }
 }
@@ -212,19 +182,10 @@ fn a_urdf_arm_by_hand() {
     assert_eq!(m.servo(0).tau_max_nm, 7.0);
     let joint = &m.joints()[0];
     assert_eq!(
-        (
-            joint.axis,
-            joint.damping_nm_s_per_rad,
-            joint.friction_loss_nm
-        ),
+        (joint.axis, joint.damping_nm_s_per_rad, joint.friction_loss_nm),
         ([0.0, 0.0, 1.0], 0.3, 0.1)
     );
-    assert_eq!(
-        m.links()[1].geoms[0].shape,
-        Shape::Box {
-            half_size_m: [0.2, 0.01, 0.03]
-        }
-    );
+    assert_eq!(m.links()[1].geoms[0].shape, Shape::Box { half_size_m: [0.2, 0.01, 0.03] });
     // rpy: about fixed x, then y, then z. Of Rz(0.3)·Ry(0.2)·Rx(0.1) the x axis is (cz·cy, sz·cy, −sy)
     let places = m.kinematics(&Pose::IDENTITY, &[0.0]).unwrap();
     let x = places.links[1].rotate([1.0, 0.0, 0.0]);
@@ -236,10 +197,7 @@ fn a_urdf_arm_by_hand() {
     assert_eq!(m.servo(0).qd_max_radps, 3.0);
     let mut lines = made.robot_toml.lines();
     let rotor = lines.find(|l| l.starts_with("armature_kgm2")).unwrap();
-    assert!(
-        rotor.ends_with("# [ours]") && !rotor.contains("= 0.0 "),
-        "{rotor}"
-    );
+    assert!(rotor.ends_with("# [ours]") && !rotor.contains("= 0.0 "), "{rotor}");
     let rotor = "servo.preset.drive_0.armature_kgm2";
     assert_eq!(m.assumed_of_servo(0, "armature_kgm2"), Some(rotor));
     assert_eq!(m.assumed_of_servo(0, "qd_max_radps"), None);
@@ -257,46 +215,22 @@ fn a_held_robot_is_not_left_stuck_in_the_ground() {
     assert!(raised(&made), "{:?}", made.notes);
     let places = model(&made).kinematics(&Pose::IDENTITY, &[0.0]).unwrap();
     // The box's far corner is within 0.2 + |(0.2, 0.01, 0.03)| = 0.403 m of the joint.
-    assert!(
-        places.links[1].pos_m[2] > 0.403,
-        "{:?}",
-        places.links[1].pos_m
-    );
+    assert!(places.links[1].pos_m[2] > 0.403, "{:?}", places.links[1].pos_m);
 }
 
 #[test]
 fn the_shipped_robots_come_back_from_their_own_mjcf() {
-    for name in [
-        "polymander",
-        "quadruped",
-        "biped",
-        "hexapod",
-        "snake",
-        "xl330_pendulum",
-    ] {
+    for name in ["polymander", "quadruped", "biped", "hexapod", "snake", "xl330_pendulum"] {
         let file = crate::common::robots().join(format!("{name}.xml"));
         let made = import::import(&file, &ImportOptions::default()).unwrap();
         let original = RobotModel::load(&file.with_extension("robot.toml")).unwrap();
         let again = model(&made);
         assert_eq!(again.actuated_names(), original.actuated_names(), "{name}");
-        assert_eq!(
-            again.joint_limits_rad(),
-            original.joint_limits_rad(),
-            "{name}"
-        );
+        assert_eq!(again.joint_limits_rad(), original.joint_limits_rad(), "{name}");
         for (a, b) in again.links().iter().zip(original.links()) {
-            assert_eq!(
-                (&a.name, a.mass_kg, a.parent),
-                (&b.name, b.mass_kg, b.parent),
-                "{name}"
-            );
+            assert_eq!((&a.name, a.mass_kg, a.parent), (&b.name, b.mass_kg, b.parent), "{name}");
             for i in 0..9 {
-                near(
-                    &a.name,
-                    a.inertia_kgm2[i / 3][i % 3],
-                    b.inertia_kgm2[i / 3][i % 3],
-                    1e-15,
-                );
+                near(&a.name, a.inertia_kgm2[i / 3][i % 3], b.inertia_kgm2[i / 3][i % 3], 1e-15);
             }
         }
         // with all joints at zero, only these stand on their feet
@@ -337,31 +271,19 @@ fn find(folder: &Path, files: &mut Vec<PathBuf>) {
 
 #[test]
 fn a_robot_written_as_urdf_is_read_back_the_same() {
-    for name in [
-        "polymander",
-        "quadruped",
-        "biped",
-        "hexapod",
-        "snake",
-        "xl330_pendulum",
-    ] {
+    for name in ["polymander", "quadruped", "biped", "hexapod", "snake", "xl330_pendulum"] {
         let robot = crate::common::robots().join(format!("{name}.robot.toml"));
         let original = RobotModel::load(&robot).unwrap();
         let free = original.base() == BaseKind::Free;
-        let options = ImportOptions {
-            free_base: Some(free),
-            ..ImportOptions::default()
-        };
+        let options = ImportOptions { free_base: Some(free), ..ImportOptions::default() };
         let made =
             import::import(&File::new("robot.urdf", &original.to_urdf()).0, &options).unwrap();
         let again = model(&made);
         near(name, again.total_mass_kg(), original.total_mass_kg(), 1e-4);
         // every joint's axis lies where it lay, at zero and bent
         for q in [0.0, 0.3] {
-            let bent = |m: &RobotModel| {
-                m.kinematics(&Pose::IDENTITY, &vec![q; m.joints().len()])
-                    .unwrap()
-            };
+            let bent =
+                |m: &RobotModel| m.kinematics(&Pose::IDENTITY, &vec![q; m.joints().len()]).unwrap();
             let (ours, theirs) = (bent(&original), bent(&again));
             for (j, joint) in original.joints().iter().enumerate() {
                 let other = again.joint_index(&joint.name).unwrap();

@@ -17,18 +17,11 @@ fn quadruped() -> String {
          <collision><geometry><box size=\"0.2 0.1 0.05\"/></geometry></collision></link>\n",
         inertia(1e-3)
     );
-    for (leg, x, y) in [
-        ("fl", 0.1, 0.06),
-        ("fr", 0.1, -0.06),
-        ("rl", -0.1, 0.06),
-        ("rr", -0.1, -0.06),
-    ] {
+    for (leg, x, y) in
+        [("fl", 0.1, 0.06), ("fr", 0.1, -0.06), ("rl", -0.1, 0.06), ("rr", -0.1, -0.06)]
+    {
         // one knee turns the other way round
-        let (axis, low, high) = if leg == "fr" {
-            (-1, -0.2, 2.5)
-        } else {
-            (1, -2.5, 0.2)
-        };
+        let (axis, low, high) = if leg == "fr" { (-1, -0.2, 2.5) } else { (1, -2.5, 0.2) };
         write!(
             out,
             "<link name=\"{leg}_thigh\"><inertial><mass value=\"0.08\"/>{}</inertial></link>\n\
@@ -54,10 +47,9 @@ fn told(made: &Imported, word: &str) -> bool {
 /// Refusals, each as `LINE MESSAGE`.
 fn refused(name: &str, text: &str) -> Vec<String> {
     match read(name, text) {
-        Err(ImportError::Refused(all)) => all
-            .iter()
-            .map(|r| format!("{} {}", r.line, r.message))
-            .collect(),
+        Err(ImportError::Refused(all)) => {
+            all.iter().map(|r| format!("{} {}", r.line, r.message)).collect()
+        }
         other => panic!("{other:?}"),
     }
 }
@@ -66,10 +58,7 @@ fn refused(name: &str, text: &str) -> Vec<String> {
 fn feet(m: &RobotModel) -> Vec<[f64; 3]> {
     let q = m.full_pos_rad(m.nominal_pos_rad()).unwrap();
     let places = m.kinematics(&Pose::IDENTITY, &q).unwrap();
-    m.feet()
-        .iter()
-        .map(|f| places.links[f.link].point(f.centre_m))
-        .collect()
+    m.feet().iter().map(|f| places.links[f.link].point(f.centre_m)).collect()
 }
 
 #[test]
@@ -79,40 +68,26 @@ fn straight_legs_are_bent_and_stand_below_their_hips() {
     assert!(told(&made, "one was worked out"), "{:?}", made.notes);
     let feet = feet(&m);
     assert_eq!(feet.len(), 4);
-    for (foot, (x, y)) in feet
-        .iter()
-        .zip([(0.1, 0.06), (0.1, -0.06), (-0.1, 0.06), (-0.1, -0.06)])
+    for (foot, (x, y)) in feet.iter().zip([(0.1, 0.06), (0.1, -0.06), (-0.1, 0.06), (-0.1, -0.06)])
     {
         // three quarters of 0.165 m, though one knee's axis is turned round
         let off = [foot[0] - x, foot[1] - y, foot[2] + 0.124];
         assert!(off.iter().all(|d| d.abs() < 0.02), "{feet:?}");
     }
-    let knees: Vec<f64> = m
-        .nominal_pos_rad()
-        .iter()
-        .skip(1)
-        .step_by(2)
-        .map(|q| q.abs())
-        .collect();
+    let knees: Vec<f64> = m.nominal_pos_rad().iter().skip(1).step_by(2).map(|q| q.abs()).collect();
     assert!(knees.iter().all(|q| (1.2..1.7).contains(q)), "{knees:?}");
     // what bends already stays as it is
     let bent = quadruped().replace("xyz=\"0 0 -0.085\"", "xyz=\"-0.05 0 -0.06\"");
     let bent = bent.replace("xyz=\"0 0 -0.08\"", "xyz=\"0.05 0 -0.06\"");
-    assert!(
-        model(&read("bent.urdf", &bent).unwrap())
-            .nominal_pos_rad()
-            .iter()
-            .all(|q| *q == 0.0)
-    );
+    assert!(model(&read("bent.urdf", &bent).unwrap()).nominal_pos_rad().iter().all(|q| *q == 0.0));
 }
 
 #[test]
 fn legs_that_the_file_stretches_out_stand_spread() {
     let mut text = quadruped();
-    for (old, new) in [
-        ("xyz=\"0 0 -0.085\"", "xyz=\"0.11 0 0\""),
-        ("xyz=\"0 0 -0.08\"", "xyz=\"0.07 0 0\""),
-    ] {
+    for (old, new) in
+        [("xyz=\"0 0 -0.085\"", "xyz=\"0.11 0 0\""), ("xyz=\"0 0 -0.08\"", "xyz=\"0.07 0 0\"")]
+    {
         text = text.replace(old, new);
     }
     for (y, yaw) in [("0.06", "1.5708"), ("-0.06", "-1.5708")] {
@@ -121,16 +96,12 @@ fn legs_that_the_file_stretches_out_stand_spread() {
             &format!(" {y} 0\" rpy=\"0 0 {yaw}\"/><parent"),
         );
     }
-    let text = text
-        .replace("\"-2.5\" upper=\"0.2\"", "\"-0.2\" upper=\"2.5\"")
-        .replace("0 -1 0", "0 1 0");
+    let text =
+        text.replace("\"-2.5\" upper=\"0.2\"", "\"-0.2\" upper=\"2.5\"").replace("0 -1 0", "0 1 0");
     let m = model(&read("spider.urdf", &text).unwrap());
     let feet = feet(&m);
     assert_eq!(feet.len(), 4, "{feet:?}");
-    assert!(
-        feet.iter().all(|f| f[2] < -0.1 && f[1].abs() > 0.12),
-        "{feet:?}"
-    );
+    assert!(feet.iter().all(|f| f[2] < -0.1 && f[1].abs() > 0.12), "{feet:?}");
 }
 
 #[test]
@@ -140,10 +111,7 @@ fn names_are_those_that_policies_and_logs_can_carry() {
     let m = model(&made);
     let names = m.actuated_names();
     assert_eq!(names[0], "fl_huefte");
-    assert!(
-        names[1].len() <= 32 && names[1].starts_with("fl_knee_of_a_nam"),
-        "{names:?}"
-    );
+    assert!(names[1].len() <= 32 && names[1].starts_with("fl_knee_of_a_nam"), "{names:?}");
     assert!(told(&made, "is called `fl_huefte` here"));
 }
 
@@ -152,13 +120,9 @@ fn a_sole_is_all_its_balls_and_its_toes_need_no_drive() {
     let leg = |name: &str, y: f64| {
         let corner =
             |x: f64, y: f64| format!("<geom size=\"0.01\" pos=\"{x} {y} -0.02\" mass=\"0.01\"/>");
-        let balls = [
-            corner(0.04, 0.02),
-            corner(0.04, -0.02),
-            corner(-0.04, 0.02),
-            corner(-0.04, -0.02),
-        ]
-        .concat();
+        let balls =
+            [corner(0.04, 0.02), corner(0.04, -0.02), corner(-0.04, 0.02), corner(-0.04, -0.02)]
+                .concat();
         format!(
             "<body name=\"{name}_shin\" pos=\"0 {y} -0.2\"><joint name=\"{name}_knee\" axis=\"0 1 0\" range=\"-1 1\"/>\
              <geom size=\"0.02\" mass=\"0.2\"/><body name=\"{name}_foot\" pos=\"0 0 -0.2\">\
@@ -177,11 +141,8 @@ fn a_sole_is_all_its_balls_and_its_toes_need_no_drive() {
         leg("r", -0.06)
     );
     let m = model(&read("toes.xml", &text).unwrap());
-    let names: Vec<(&str, usize)> = m
-        .feet()
-        .iter()
-        .map(|f| (f.name.as_str(), f.geoms.len()))
-        .collect();
+    let names: Vec<(&str, usize)> =
+        m.feet().iter().map(|f| (f.name.as_str(), f.geoms.len())).collect();
     assert_eq!(names, [("l_foot", 4), ("r_foot", 4)]);
     // the toes hang as the file has them
     assert!(m.joints().len() == 6 && feet(&m)[0][2] < -0.3);
@@ -194,17 +155,9 @@ fn a_sole_is_all_its_balls_and_its_toes_need_no_drive() {
 fn units_that_are_hardly_meant_are_told() {
     let plain = quadruped();
     let quiet = read("dog.urdf", &plain).unwrap();
-    assert!(
-        !told(&quiet, "degrees") && !told(&quiet, "unit"),
-        "{:?}",
-        quiet.notes
-    );
+    assert!(!told(&quiet, "degrees") && !told(&quiet, "unit"), "{:?}", quiet.notes);
     for (old, new, word) in [
-        (
-            "lower=\"-1.57\" upper=\"1.57\"",
-            "lower=\"-90\" upper=\"90\"",
-            "are they degrees?",
-        ),
+        ("lower=\"-1.57\" upper=\"1.57\"", "lower=\"-90\" upper=\"90\"", "are they degrees?"),
         ("mass value=\"0.", "mass value=\"80", "mass in grams"),
         (
             "ixx=\"0.00003\" iyy=\"0.00003\" izz=\"0.00003\"",
@@ -249,9 +202,7 @@ fn every_fault_of_a_urdf_is_said_at_once() {
         (6, "another of this name"),
         (6, "a planar joint"),
     ] {
-        let found = said
-            .iter()
-            .any(|s| s.starts_with(&format!("{line} ")) && s.contains(part));
+        let found = said.iter().any(|s| s.starts_with(&format!("{line} ")) && s.contains(part));
         assert!(found, "line {line}, {part}: {said:#?}");
     }
 }
@@ -288,10 +239,7 @@ fn what_is_expanded_is_not_written_onto_itself_and_other_namespaces_are_no_xacro
     let text =
         "<robot xmlns:xacro=\"http://www.ros.org/wiki/xacro\" name=\"x\"><xacro:leg/></robot>";
     let said = refused("x.urdf", text);
-    assert!(
-        said[0].contains("x.urdf > ") && said[0].contains("x.plain.urdf`"),
-        "{said:?}"
-    );
+    assert!(said[0].contains("x.urdf > ") && said[0].contains("x.plain.urdf`"), "{said:?}");
     let own = quadruped().replace("<robot ", "<robot xmlns:drake=\"http://drake.mit.edu\" ");
     let own = own.replace("</robot>", "<drake:diagonal/></robot>");
     assert!(read("own.urdf", &own).is_ok());
@@ -305,13 +253,8 @@ fn links_that_carry_each_other_are_refused() {
         )
     };
     let ring = [hinge("there", "a", "b"), hinge("back", "b", "a")].concat();
-    let text = quadruped().replace(
-        "</robot>",
-        &format!("<link name=\"a\"/><link name=\"b\"/>{ring}</robot>"),
-    );
+    let text = quadruped()
+        .replace("</robot>", &format!("<link name=\"a\"/><link name=\"b\"/>{ring}</robot>"));
     let said = refused("ring.urdf", &text);
-    assert!(
-        said.iter().any(|s| s.contains("a, b carry each other")),
-        "{said:?}"
-    );
+    assert!(said.iter().any(|s| s.contains("a, b carry each other")), "{said:?}");
 }

@@ -29,12 +29,7 @@ fn mujoco(configurations: &[String]) -> Option<Vec<Vec<String>>> {
         .stdout(Stdio::piped())
         .spawn()
         .expect("CAUDATA_MUJOCO_PYTHON starts");
-    child
-        .stdin
-        .take()
-        .unwrap()
-        .write_all(configurations.join("\n").as_bytes())
-        .unwrap();
+    child.stdin.take().unwrap().write_all(configurations.join("\n").as_bytes()).unwrap();
     let output = child.wait_with_output().unwrap();
     assert!(output.status.success(), "the MuJoCo script failed");
     let text = String::from_utf8(output.stdout).unwrap();
@@ -43,27 +38,15 @@ fn mujoco(configurations: &[String]) -> Option<Vec<Vec<String>>> {
         .skip(1)
         .map(|a| a.lines().map(str::to_owned).collect())
         .collect();
-    assert!(
-        text.contains("\nnv 28\n"),
-        "MuJoCo sees another number of degrees of freedom"
-    );
+    assert!(text.contains("\nnv 28\n"), "MuJoCo sees another number of degrees of freedom");
     assert_eq!(answers.len(), configurations.len());
     Some(answers)
 }
 
 fn configuration(m: &RobotModel, base: &Pose, joint_pos_rad: &[f64]) -> String {
-    let mut words: Vec<String> = base
-        .pos_m
-        .iter()
-        .chain(&base.quat_wxyz)
-        .map(|x| format!("{x:?}"))
-        .collect();
-    words.extend(
-        m.joints()
-            .iter()
-            .zip(joint_pos_rad)
-            .map(|(j, q)| format!("{}={q:?}", j.name)),
-    );
+    let mut words: Vec<String> =
+        base.pos_m.iter().chain(&base.quat_wxyz).map(|x| format!("{x:?}")).collect();
+    words.extend(m.joints().iter().zip(joint_pos_rad).map(|(j, q)| format!("{}={q:?}", j.name)));
     words.join(" ")
 }
 
@@ -74,10 +57,7 @@ fn records(answer: &[String], kind: &str) -> BTreeMap<String, Vec<f64>> {
         .filter_map(|line| {
             let mut words = line.split_whitespace();
             (words.next() == Some(kind)).then(|| {
-                (
-                    words.next().unwrap().to_owned(),
-                    words.map(|w| w.parse().unwrap()).collect(),
-                )
+                (words.next().unwrap().to_owned(), words.map(|w| w.parse().unwrap()).collect())
             })
         })
         .collect()
@@ -161,20 +141,13 @@ fn frames_axes_and_mass_matrix_agree() {
     };
     for ((base, q), answer) in cases.iter().zip(&answers) {
         let k = m.kinematics(base, q).unwrap();
-        let mass: f64 = answer
-            .iter()
-            .find_map(|l| l.strip_prefix("mass "))
-            .unwrap()
-            .parse()
-            .unwrap();
+        let mass: f64 =
+            answer.iter().find_map(|l| l.strip_prefix("mass ")).unwrap().parse().unwrap();
         near("total mass", m.total_mass_kg(), mass, 1e-12);
         let bodies = records(answer, "body");
         assert_eq!(bodies.len(), m.links().len());
         for (link, pose) in m.links().iter().zip(&k.links) {
-            let ours = pose
-                .pos_m
-                .into_iter()
-                .chain(pose.rotation().into_iter().flatten());
+            let ours = pose.pos_m.into_iter().chain(pose.rotation().into_iter().flatten());
             compare(&link.name, ours, &bodies[&link.name], 1e-10);
         }
         let joints = records(answer, "joint");
@@ -185,21 +158,13 @@ fn frames_axes_and_mass_matrix_agree() {
         let sites = records(answer, "site");
         for site in m.sites() {
             let pose = k.links[site.link].compose(&site.link_from_site);
-            let ours = pose
-                .pos_m
-                .into_iter()
-                .chain(pose.rotation().into_iter().flatten());
+            let ours = pose.pos_m.into_iter().chain(pose.rotation().into_iter().flatten());
             compare(&site.name, ours, &sites[&site.name], 1e-10);
         }
         // MuJoCo lists degrees of freedom in the same order: base, then joints depth first
         let inertia = records(answer, "inertia");
         for (i, row) in mass_matrix(&m, &k).into_iter().enumerate() {
-            compare(
-                &format!("mass matrix row {i}"),
-                row,
-                &inertia[&i.to_string()],
-                1e-12,
-            );
+            compare(&format!("mass matrix row {i}"), row, &inertia[&i.to_string()], 1e-12);
         }
     }
 }
@@ -214,29 +179,16 @@ fn it_stands_in_mujoco_too() {
     };
     let value = |key: &str| -> Vec<f64> {
         let line = answers[0].iter().find_map(|l| l.strip_prefix(key)).unwrap();
-        line.split_whitespace()
-            .map(|w| w.parse().unwrap())
-            .collect()
+        line.split_whitespace().map(|w| w.parse().unwrap()).collect()
     };
     assert_eq!(value("feet_in_contact "), [4.0]);
     let base = value("base ");
     assert!(base[2] > 0.045, "head frame is {} m high", base[2]);
     // cos of the tilt: 1 − 2(x² + y²)
     let upright = 1.0 - 2.0 * (base[4] * base[4] + base[5] * base[5]);
-    assert!(
-        upright > 10f64.to_radians().cos(),
-        "tilt {}°",
-        upright.acos().to_degrees()
-    );
-    assert!(
-        value("speed ")[0] < 0.05,
-        "still moving at {} rad/s or m/s",
-        value("speed ")[0]
-    );
-    let touching = answers[0]
-        .iter()
-        .find_map(|l| l.strip_prefix("touching "))
-        .unwrap();
+    assert!(upright > 10f64.to_radians().cos(), "tilt {}°", upright.acos().to_degrees());
+    assert!(value("speed ")[0] < 0.05, "still moving at {} rad/s or m/s", value("speed ")[0]);
+    let touching = answers[0].iter().find_map(|l| l.strip_prefix("touching ")).unwrap();
     for part in touching.split_whitespace() {
         let allowed = part == "floor" || part.ends_with("_foot") || part.starts_with("fin");
         assert!(allowed, "{part} touches the floor");

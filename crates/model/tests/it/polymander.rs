@@ -34,8 +34,7 @@ fn pose_with(m: &RobotModel, set: &[(&str, f64)]) -> Kinematics {
     for (name, angle) in set {
         q[m.actuated_names().iter().position(|n| n == name).unwrap()] = *angle;
     }
-    m.kinematics(&Pose::IDENTITY, &m.full_pos_rad(&q).unwrap())
-        .unwrap()
+    m.kinematics(&Pose::IDENTITY, &m.full_pos_rad(&q).unwrap()).unwrap()
 }
 
 /// Centres of the foot balls in the world, m.
@@ -95,22 +94,12 @@ fn limits_and_nominal_pose_are_the_documented_ones() {
         let (want_lo, want_hi, nominal, swimming) = match name.split_once('_').unwrap() {
             ("spine" | "tail", _) => (-90.0, 90.0, 0.0, 0.0),
             (_, "hip") => (-73.0, 73.0, 0.0, -72.0),
-            (leg, _) => (
-                -72.0,
-                105.0,
-                if leg.starts_with('F') { 36.0 } else { 54.0 },
-                18.0,
-            ),
+            (leg, _) => (-72.0, 105.0, if leg.starts_with('F') { 36.0 } else { 54.0 }, 18.0),
         };
         near(name, lo.to_degrees(), want_lo, 0.01);
         near(name, hi.to_degrees(), want_hi, 0.01);
         near(name, m.nominal_pos_rad()[i].to_degrees(), nominal, 1e-9);
-        near(
-            name,
-            m.swimming_pos_rad().unwrap()[i].to_degrees(),
-            swimming,
-            1e-9,
-        );
+        near(name, m.swimming_pos_rad().unwrap()[i].to_degrees(), swimming, 1e-9);
     }
     for name in ["joint_body_05_passive", "joint_body_09_passive"] {
         let j = &m.joints()[m.joint_index(name).unwrap()];
@@ -120,12 +109,7 @@ fn limits_and_nominal_pose_are_the_documented_ones() {
     assert_eq!(m.backlash().joints.len(), 4);
     for &j in &m.backlash().joints {
         assert_eq!(m.joints()[j].kind, JointKind::Backlash);
-        near(
-            "play",
-            m.joints()[j].range_rad.unwrap().1.to_degrees(),
-            4.0,
-            1e-9,
-        );
+        near("play", m.joints()[j].range_rad.unwrap().1.to_degrees(), 4.0, 1e-9);
     }
 }
 
@@ -138,10 +122,7 @@ fn positive_hips_swing_the_foot_forward_on_both_sides() {
         let moved = foot_centres_m(&m, &k)[foot];
         // hip axis to foot centre: 0.0415 + 0.0968 m; forward by its length times sin 0.5 = 0.4794
         near(leg, moved[0] - zero[foot][0], 0.1383 * 0.5f64.sin(), 1e-12);
-        assert!(
-            moved[1].abs() < zero[foot][1].abs(),
-            "{leg} also swings inwards"
-        );
+        assert!(moved[1].abs() < zero[foot][1].abs(), "{leg} also swings inwards");
         near(leg, moved[2], zero[foot][2], 1e-12);
     }
 }
@@ -184,9 +165,7 @@ fn belly_clearance_with_vertical_tibiae_is_the_papers() {
         let tibia = k.links[f.link].rotate(f.centre_m);
         near("tibia is vertical", tibia[2], -0.0968, 1e-12);
     }
-    let (ground, _) = extent(&m, &k, 2, |link, g| {
-        link.ends_with("_lower") && g.collides()
-    });
+    let (ground, _) = extent(&m, &k, 2, |link, g| link.ends_with("_lower") && g.collides());
     let trunk = ["body_01", "body_02", "body_03", "body_04", "body_05"];
     let (belly, _) = extent(&m, &k, 2, |link, _| trunk.contains(&link));
     let clearance = belly - ground;
@@ -208,21 +187,11 @@ fn it_stands_in_the_nominal_pose() {
     let normal = pose::cross(pose::sub(f[0], f[3]), pose::sub(f[2], f[1]));
     let up = normal.map(|x| x / pose::norm(normal) * normal[2].signum());
     for c in &f {
-        near(
-            "feet lie in one plane",
-            pose::dot(up, pose::sub(*c, f[0])),
-            0.0,
-            1e-4,
-        );
+        near("feet lie in one plane", pose::dot(up, pose::sub(*c, f[0])), 0.0, 1e-4);
     }
     // nose down: fore feet 0.0968 (sin 54° − sin 36°) = 21.4 mm higher than the hind ones, 328.5 mm apart:
     // 3.7°
-    near(
-        "pitch, degrees",
-        up[0].atan2(up[2]).to_degrees(),
-        -3.73,
-        0.02,
-    );
+    near("pitch, degrees", up[0].atan2(up[2]).to_degrees(), -3.73, 0.02);
     let com = m.centre_of_mass_m(&k);
     // support polygon FL, HL, HR, FR (counter-clockwise seen from above): the CoM is left of every edge
     let corners = [f[0], f[2], f[3], f[1]];
@@ -238,12 +207,8 @@ fn it_stands_in_the_nominal_pose() {
 #[test]
 fn nothing_on_the_robot_collides_with_the_robot_and_everything_with_the_floor() {
     let m = polymander();
-    let geoms: Vec<&Geom> = m
-        .links()
-        .iter()
-        .flat_map(|l| &l.geoms)
-        .filter(|g| g.collides())
-        .collect();
+    let geoms: Vec<&Geom> =
+        m.links().iter().flat_map(|l| &l.geoms).filter(|g| g.collides()).collect();
     assert_eq!(geoms.len(), 20);
     let floor = &m.world_geoms()[0];
     assert_eq!(floor.shape, Shape::Plane);
@@ -266,11 +231,7 @@ fn switches_lock_their_joints() {
         let changed = toml.replacen(from, to, 1);
         assert_ne!(changed, toml);
         let m = RobotModel::from_bytes("t", changed.as_bytes(), &mjcf).unwrap();
-        m.joints()
-            .iter()
-            .filter(|j| j.locked)
-            .map(|j| j.name.clone())
-            .collect()
+        m.joints().iter().filter(|j| j.locked).map(|j| j.name.clone()).collect()
     };
     assert_eq!(
         locked("locked = false", "locked = true"),
@@ -278,12 +239,7 @@ fn switches_lock_their_joints() {
     );
     assert_eq!(
         locked("enabled = true", "enabled = false"),
-        [
-            "backlash_front_x",
-            "backlash_front_y",
-            "backlash_hind_x",
-            "backlash_hind_y"
-        ]
+        ["backlash_front_x", "backlash_front_y", "backlash_hind_x", "backlash_hind_y"]
     );
     assert!(polymander().joints().iter().all(|j| !j.locked));
 }
@@ -294,28 +250,17 @@ fn another_servo_can_be_chosen_for_all_or_for_one() {
     let mjcf = fs::read(robots().join("polymander.xml")).unwrap();
     let m = polymander();
     assert_eq!(m.servo(0).tau_max_nm, 1.94);
-    near(
-        "encoder step, rad",
-        m.servo(0).encoder_lsb_rad(),
-        1.534e-3,
-        1e-6,
-    );
+    near("encoder step, rad", m.servo(0).encoder_lsb_rad(), 1.534e-3, 1e-6);
     let all = toml.replace("default = \"xm430_w210\"", "default = \"xm430_w350\"");
     let all = RobotModel::from_bytes("t", all.as_bytes(), &mjcf).unwrap();
-    assert_eq!(
-        (all.servo(0).tau_max_nm, all.servo(15).tau_max_nm),
-        (2.95, 2.95)
-    );
+    assert_eq!((all.servo(0).tau_max_nm, all.servo(15).tau_max_nm), (2.95, 2.95));
     assert_eq!(all.joints()[all.actuated()[3]].armature_kgm2, 0.0025);
     let one = toml.replace(
         "[servo.preset.xm430_w350]",
         "[servo.joint]\nFL_knee = \"xm430_w350\"\n[servo.preset.xm430_w350]",
     );
     let one = RobotModel::from_bytes("t", one.as_bytes(), &mjcf).unwrap();
-    assert_eq!(
-        (one.servo(8).tau_max_nm, one.servo(9).tau_max_nm),
-        (1.94, 2.95)
-    );
+    assert_eq!((one.servo(8).tau_max_nm, one.servo(9).tau_max_nm), (1.94, 2.95));
 }
 
 /// Where both files carry a number, caudata takes the robot file's; MuJoCo users must not get another robot.
@@ -330,91 +275,30 @@ fn the_mjcf_carries_the_robot_files_numbers() {
             .find(|n| n.has_tag_name("default") && n.attribute("class") == Some(class))
             .unwrap();
         let e = class.children().find(|n| n.has_tag_name(tag)).unwrap();
-        e.attribute(attribute)
-            .unwrap()
-            .split_whitespace()
-            .last()
-            .unwrap()
-            .parse()
-            .unwrap()
+        e.attribute(attribute).unwrap().split_whitespace().last().unwrap().parse().unwrap()
     };
     let servo = m.servo(0);
-    near(
-        "servo damping",
-        number("servo", "joint", "damping"),
-        servo.damping_nm_s_per_rad,
-        0.0,
-    );
-    near(
-        "armature",
-        number("servo", "joint", "armature"),
-        servo.armature_kgm2,
-        0.0,
-    );
-    near(
-        "servo friction",
-        number("servo", "joint", "frictionloss"),
-        servo.friction_loss_nm,
-        0.0,
-    );
-    near(
-        "kp",
-        number("servo", "position", "kp"),
-        m.kp_nm_per_rad(0),
-        0.0,
-    );
+    near("servo damping", number("servo", "joint", "damping"), servo.damping_nm_s_per_rad, 0.0);
+    near("armature", number("servo", "joint", "armature"), servo.armature_kgm2, 0.0);
+    near("servo friction", number("servo", "joint", "frictionloss"), servo.friction_loss_nm, 0.0);
+    near("kp", number("servo", "position", "kp"), m.kp_nm_per_rad(0), 0.0);
     let kv = m.kd_nm_s_per_rad(0) + servo.kd_min_nm_s_per_rad;
     near("kv", number("servo", "position", "kv"), kv, 1e-12);
-    near(
-        "torque",
-        number("servo", "position", "forcerange"),
-        servo.tau_max_nm,
-        0.0,
-    );
+    near("torque", number("servo", "position", "forcerange"), servo.tau_max_nm, 0.0);
     let passive = &m.joints()[m.joint_index("joint_body_05_passive").unwrap()];
-    near(
-        "spring",
-        number("passive", "joint", "stiffness"),
-        passive.stiffness_nm_per_rad,
-        0.0,
-    );
-    near(
-        "damper",
-        number("passive", "joint", "damping"),
-        passive.damping_nm_s_per_rad,
-        0.0,
-    );
+    near("spring", number("passive", "joint", "stiffness"), passive.stiffness_nm_per_rad, 0.0);
+    near("damper", number("passive", "joint", "damping"), passive.damping_nm_s_per_rad, 0.0);
     let play = m.backlash();
-    near(
-        "play",
-        number("backlash", "joint", "range"),
-        play.half_width_rad,
-        1e-6,
-    );
-    near(
-        "play damping",
-        number("backlash", "joint", "damping"),
-        play.damping_nm_s_per_rad,
-        0.0,
-    );
-    near(
-        "play friction",
-        number("backlash", "joint", "frictionloss"),
-        play.friction_loss_nm,
-        0.0,
-    );
+    near("play", number("backlash", "joint", "range"), play.half_width_rad, 1e-6);
+    near("play damping", number("backlash", "joint", "damping"), play.damping_nm_s_per_rad, 0.0);
+    near("play friction", number("backlash", "joint", "frictionloss"), play.friction_loss_nm, 0.0);
     near(
         "body friction",
         number("body_contact", "geom", "friction"),
         m.contact().body_friction,
         0.0,
     );
-    near(
-        "foot friction",
-        number("foot", "geom", "friction"),
-        m.contact().foot_friction,
-        0.0,
-    );
+    near("foot friction", number("foot", "geom", "friction"), m.contact().foot_friction, 0.0);
 }
 
 #[test]
@@ -424,8 +308,5 @@ fn trunk_and_legs_carry_feet_and_the_tail_does_not() {
         .filter(|&l| !model.carries_feet(l))
         .map(|l| model.links()[l].name.as_str())
         .collect();
-    assert_eq!(
-        without,
-        ["body_06", "body_07", "body_08", "body_09", "body_10"]
-    );
+    assert_eq!(without, ["body_06", "body_07", "body_08", "body_09", "body_10"]);
 }

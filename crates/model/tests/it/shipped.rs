@@ -71,19 +71,13 @@ fn legged_robots_stand_on_their_feet_in_the_nominal_pose() {
 #[test]
 fn sizes_and_servos_are_those_of_the_description() {
     let quadruped = named("quadruped");
-    assert_eq!(
-        (quadruped.actuated().len(), quadruped.feet().len()),
-        (12, 4)
-    );
+    assert_eq!((quadruped.actuated().len(), quadruped.feet().len()), (12, 4));
     // 0.10094 N·m/A · 6.33 · 37.1 A = 23.7 N·m; 1.118e-4 kg·m² · 6.33² = 4.48e-3
     let hip = quadruped.servo(0);
     assert!((hip.tau_max_nm - 23.7).abs() < 0.05);
     assert!((hip.armature_kgm2 - 4.48e-3).abs() < 1e-5);
     assert_eq!(quadruped.servo_name(2), "calf_motor");
-    assert_eq!(
-        (quadruped.kp_nm_per_rad(0), quadruped.kp_nm_per_rad(2)),
-        (40.0, 60.0)
-    );
+    assert_eq!((quadruped.kp_nm_per_rad(0), quadruped.kp_nm_per_rad(2)), (40.0, 60.0));
     assert!(quadruped.common_gains().is_none());
 
     let biped = named("biped");
@@ -97,10 +91,7 @@ fn sizes_and_servos_are_those_of_the_description() {
 
     let snake = named("snake");
     assert_eq!((snake.actuated().len(), snake.feet().len()), (12, 0));
-    assert_eq!(
-        (snake.servo_name(0), snake.servo_name(1)),
-        ("xm430_w350", "xm430_w210")
-    );
+    assert_eq!((snake.servo_name(0), snake.servo_name(1)), ("xm430_w350", "xm430_w210"));
     assert!(snake.water().is_some() && snake.swimming_pos_rad().is_some());
 }
 

@@ -18,11 +18,7 @@ fn load(toml: &str, mjcf: &str) -> Result<RobotModel, ModelError> {
 /// Replaces the first `from` of one file by `to` and expects an error of one line with all of `parts`.
 fn check(which: &str, from: &str, to: &str, parts: &[&str]) {
     let (mut toml, mut mjcf) = files();
-    let text = if which == "toml" {
-        &mut toml
-    } else {
-        &mut mjcf
-    };
+    let text = if which == "toml" { &mut toml } else { &mut mjcf };
     assert!(text.contains(from), "`{from}` is not in the file");
     *text = text.replacen(from, to, 1);
     let message = load(&toml, &mjcf).expect_err(to).to_string();
@@ -42,24 +38,9 @@ fn line_of(text: &str, needle: &str) -> String {
 fn robot_file_keys_and_types() {
     let (toml, _) = files();
     let kp = line_of(&toml, "kp_nm_per_rad = 15");
-    check(
-        "toml",
-        "kp_nm_per_rad",
-        "kp",
-        &["r.toml", &kp, "unknown field `kp`", "kp_nm_per_rad"],
-    );
-    check(
-        "toml",
-        "kd_nm_s_per_rad = 0.15",
-        "",
-        &["missing field `kd_nm_s_per_rad`"],
-    );
-    check(
-        "toml",
-        "kp_nm_per_rad = 15.0",
-        "kp_nm_per_rad = \"15\"",
-        &[&kp, "expected f64"],
-    );
+    check("toml", "kp_nm_per_rad", "kp", &["r.toml", &kp, "unknown field `kp`", "kp_nm_per_rad"]);
+    check("toml", "kd_nm_s_per_rad = 0.15", "", &["missing field `kd_nm_s_per_rad`"]);
+    check("toml", "kp_nm_per_rad = 15.0", "kp_nm_per_rad = \"15\"", &[&kp, "expected f64"]);
     check("toml", "[control]", "[control", &["r.toml:"]);
     check(
         "toml",
@@ -67,18 +48,8 @@ fn robot_file_keys_and_types() {
         "caudata.robot.v9",
         &["format", "caudata.robot.v9", "caudata.robot.v1"],
     );
-    check(
-        "toml",
-        "mjcf = \"polymander.xml\"",
-        "mjcf = \"../x.xml\"",
-        &["mjcf", "same folder"],
-    );
-    check(
-        "toml",
-        "name = \"polymander\"",
-        "name = \"poly mander\"",
-        &["name"],
-    );
+    check("toml", "mjcf = \"polymander.xml\"", "mjcf = \"../x.xml\"", &["mjcf", "same folder"]);
+    check("toml", "name = \"polymander\"", "name = \"poly mander\"", &["name"]);
 }
 
 #[test]
@@ -89,12 +60,7 @@ fn robot_file_values() {
         "kp_nm_per_rad = -1.0",
         &["control.kp_nm_per_rad", "is -1", "between 0 and"],
     );
-    check(
-        "toml",
-        "kp_nm_per_rad = 15.0",
-        "kp_nm_per_rad = nan",
-        &["control.kp_nm_per_rad", "NaN"],
-    );
+    check("toml", "kp_nm_per_rad = 15.0", "kp_nm_per_rad = nan", &["control.kp_nm_per_rad", "NaN"]);
     check(
         "toml",
         "tau_max_nm = 1.94",
@@ -131,12 +97,7 @@ fn robot_file_values() {
         "assumed = [\"servo.preset.xm430_w210.qd_max\"]\n[joints]\n",
         &["assumed", "`servo.preset.xm430_w210.qd_max` is no figure"],
     );
-    check(
-        "toml",
-        "foot_friction = 0.8",
-        "foot_friction = 8.0",
-        &["contact.foot_friction"],
-    );
+    check("toml", "foot_friction = 0.8", "foot_friction = 8.0", &["contact.foot_friction"]);
     check(
         "toml",
         "half_width_rad = 0.0698",
@@ -161,12 +122,7 @@ fn robot_file_values() {
         "mass = [0.0, -0.5, 0.0]  #",
         &["water.drag.body.added.mass", "between 0 and 20"],
     );
-    check(
-        "toml",
-        "resistance_ohm = 0.0",
-        "resistance_ohm = -0.1",
-        &["supply.resistance_ohm"],
-    );
+    check("toml", "resistance_ohm = 0.0", "resistance_ohm = -0.1", &["supply.resistance_ohm"]);
     check(
         "toml",
         "stribeck_speed_radps = 0.1",
@@ -214,30 +170,15 @@ fn joint_roles_and_order() {
         "joint=\"tail_3\"",
         &["drives `tail_3`", "`tail_2` (place 7)"],
     );
-    check(
-        "toml",
-        "\"spine_3\", ",
-        "",
-        &["drives `spine_3`", "`spine_4` (place 3)"],
-    );
+    check("toml", "\"spine_3\", ", "", &["drives `spine_3`", "`spine_4` (place 3)"]);
     check(
         "toml",
         "\"HL_hip\", \"HL_knee\", \"HR_hip\", \"HR_knee\",",
         "\"HL_hip\", \"HL_knee\", \"HR_hip\",",
         &["joints.actuated", "lacks `HR_knee`"],
     );
-    check(
-        "toml",
-        "\"spine_3\", ",
-        "\"spine_x\", ",
-        &["joints.actuated", "no joint `spine_x`"],
-    );
-    check(
-        "toml",
-        "\"spine_3\", ",
-        "\"spine_2\", ",
-        &["joints.actuated", "`spine_2` twice"],
-    );
+    check("toml", "\"spine_3\", ", "\"spine_x\", ", &["joints.actuated", "no joint `spine_x`"]);
+    check("toml", "\"spine_3\", ", "\"spine_2\", ", &["joints.actuated", "`spine_2` twice"]);
     check(
         "mjcf",
         "name=\"spine_3\" axis",
@@ -250,40 +191,20 @@ fn joint_roles_and_order() {
         "[passive.joint.joint_body_06_passive]",
         &["passive.joint", "joint_body_05_passive", "neither actuated"],
     );
-    check(
-        "toml",
-        "\"backlash_front_x\", ",
-        "",
-        &["passive.joint", "backlash_front_x"],
-    );
+    check("toml", "\"backlash_front_x\", ", "", &["passive.joint", "backlash_front_x"]);
     check(
         "toml",
         "\"backlash_front_x\"",
         "\"spine_1\"",
         &["backlash.joints", "already has a role"],
     );
-    check(
-        "toml",
-        "base = \"free\"",
-        "base = \"fixed\"",
-        &["base", "has a <freejoint>"],
-    );
-    check(
-        "mjcf",
-        "<freejoint name=\"base\"/>",
-        "",
-        &["base", "no <freejoint>"],
-    );
+    check("toml", "base = \"free\"", "base = \"fixed\"", &["base", "has a <freejoint>"]);
+    check("mjcf", "<freejoint name=\"base\"/>", "", &["base", "no <freejoint>"]);
 }
 
 #[test]
 fn poses_limits_and_servos() {
-    check(
-        "toml",
-        "spine_4 = 0.0",
-        "",
-        &["pose.nominal_rad", "lacks `spine_4`"],
-    );
+    check("toml", "spine_4 = 0.0", "", &["pose.nominal_rad", "lacks `spine_4`"]);
     check(
         "toml",
         "spine_4 = 0.0",
@@ -296,12 +217,7 @@ fn poses_limits_and_servos() {
         "FL_knee = 36.628",
         &["pose.nominal_rad.FL_knee", "outside the joint's limits"],
     );
-    check(
-        "toml",
-        "FL_hip = -1.2566",
-        "FL_hip = -1.3566",
-        &["pose.swimming_rad.FL_hip"],
-    );
+    check("toml", "FL_hip = -1.2566", "FL_hip = -1.3566", &["pose.swimming_rad.FL_hip"]);
     check(
         "mjcf",
         "name=\"spine_1\" axis=\"0 0 1\" range=\"-1.5708 1.5708\"",
@@ -324,60 +240,20 @@ fn poses_limits_and_servos() {
 
 #[test]
 fn references_between_the_files() {
-    check(
-        "toml",
-        "geom = \"FL_foot\"",
-        "geom = \"FL_paw\"",
-        &["feet.FL", "no geom `FL_paw`"],
-    );
-    check(
-        "mjcf",
-        "name=\"HR_foot\"",
-        "name=\"HR_paw\"",
-        &["feet.HR", "no geom `HR_foot`"],
-    );
-    check(
-        "toml",
-        "geom = \"FR_foot\"",
-        "geom = \"FL_foot\"",
-        &["feet.FR", "twice"],
-    );
+    check("toml", "geom = \"FL_foot\"", "geom = \"FL_paw\"", &["feet.FL", "no geom `FL_paw`"]);
+    check("mjcf", "name=\"HR_foot\"", "name=\"HR_paw\"", &["feet.HR", "no geom `HR_foot`"]);
+    check("toml", "geom = \"FR_foot\"", "geom = \"FL_foot\"", &["feet.FR", "twice"]);
     check(
         "mjcf",
         "<geom class=\"foot\" name=\"FL_foot\"",
         "<geom class=\"foot\" name=\"FL_foot\" contype=\"0\" conaffinity=\"0\"",
         &["feet.FL", "touches nothing"],
     );
-    check(
-        "toml",
-        "site = \"imu\"",
-        "site = \"imu2\"",
-        &["imu.site", "no site `imu2`"],
-    );
-    check(
-        "toml",
-        "torso = \"body_03\"",
-        "torso = \"trunk\"",
-        &["frames.torso", "no body `trunk`"],
-    );
-    check(
-        "toml",
-        "heading_front = \"girdle_front\"",
-        "",
-        &["frames", "go together"],
-    );
-    check(
-        "toml",
-        "\"body_06\", ",
-        "",
-        &["water.drag", "`body_06`", "exactly one group"],
-    );
-    check(
-        "toml",
-        "\"body_06\", ",
-        "\"body_66\", ",
-        &["water.drag.body.links", "`body_66`"],
-    );
+    check("toml", "site = \"imu\"", "site = \"imu2\"", &["imu.site", "no site `imu2`"]);
+    check("toml", "torso = \"body_03\"", "torso = \"trunk\"", &["frames.torso", "no body `trunk`"]);
+    check("toml", "heading_front = \"girdle_front\"", "", &["frames", "go together"]);
+    check("toml", "\"body_06\", ", "", &["water.drag", "`body_06`", "exactly one group"]);
+    check("toml", "\"body_06\", ", "\"body_66\", ", &["water.drag.body.links", "`body_66`"]);
 }
 
 #[test]
@@ -426,23 +302,9 @@ fn mjcf_outside_the_subset() {
         "<body name=\"two\"/></worldbody>",
         &["<body name=\"two\">", "second tree"],
     );
-    let deep = format!(
-        "{}{}</worldbody>",
-        "<body>".repeat(400),
-        "</body>".repeat(400)
-    );
-    check(
-        "mjcf",
-        "</worldbody>",
-        &deep,
-        &["polymander.xml", "nest more than 68 deep"],
-    );
-    check(
-        "mjcf",
-        "integrator=",
-        "wind=\"1 0 0\" integrator=",
-        &["<option>", "attribute `wind`"],
-    );
+    let deep = format!("{}{}</worldbody>", "<body>".repeat(400), "</body>".repeat(400));
+    check("mjcf", "</worldbody>", &deep, &["polymander.xml", "nest more than 68 deep"]);
+    check("mjcf", "integrator=", "wind=\"1 0 0\" integrator=", &["<option>", "attribute `wind`"]);
     check(
         "mjcf",
         "autolimits=\"true\"",
@@ -455,12 +317,7 @@ fn mjcf_outside_the_subset() {
         "<general name=\"spine_1\"",
         &["<general name=\"spine_1\">", "position, motor"],
     );
-    check(
-        "mjcf",
-        "<site group=\"4\"/>",
-        "<tendon/>",
-        &["<tendon>", "inside <default>"],
-    );
+    check("mjcf", "<site group=\"4\"/>", "<tendon/>", &["<tendon>", "inside <default>"]);
     // a value of a default class is refused where that says it, for each that has it
     check(
         "mjcf",
@@ -475,10 +332,7 @@ fn mjcf_outside_the_subset() {
         "mjcf",
         "<freejoint name=\"base\"/>",
         "<freejoint name=\"base\"><light/></freejoint>",
-        &[
-            "<light>",
-            "not supported inside <freejoint> (it holds nothing)",
-        ],
+        &["<light>", "not supported inside <freejoint> (it holds nothing)"],
     );
     check(
         "mjcf",
@@ -498,12 +352,7 @@ fn mjcf_outside_the_subset() {
         "",
         &["polymander.xml:1: not well-formed XML: the root node was opened but never closed"],
     );
-    check(
-        "mjcf",
-        "<mujoco model",
-        "<robot model",
-        &["not well-formed XML"],
-    );
+    check("mjcf", "<mujoco model", "<robot model", &["not well-formed XML"]);
 }
 
 #[test]
@@ -526,12 +375,7 @@ fn mjcf_values() {
         "mass=\"inf\"",
         &["attribute `mass`", "not a usable number"],
     );
-    check(
-        "mjcf",
-        "mass=\"0.328768\" ",
-        "",
-        &["attribute `mass`", "is missing"],
-    );
+    check("mjcf", "mass=\"0.328768\" ", "", &["attribute `mass`", "is missing"]);
     // Ixx + Izz = 0.000744 < Iyy
     check(
         "mjcf",
@@ -593,12 +437,7 @@ fn mjcf_values() {
         "name=\"FL_knee_ball\" size=\"-1\"",
         &["attribute `size`", "not above zero"],
     );
-    check(
-        "mjcf",
-        "friction=\"0.8\"",
-        "friction=\"-0.8\"",
-        &["attribute `friction`", "negative"],
-    );
+    check("mjcf", "friction=\"0.8\"", "friction=\"-0.8\"", &["attribute `friction`", "negative"]);
     check(
         "mjcf",
         "joint=\"spine_1\"",
@@ -616,15 +455,9 @@ fn missing_and_unreadable_files() {
     let (toml, mjcf) = files();
     fs::write(&path, &toml).unwrap();
     let e = RobotModel::load(&path).unwrap_err().to_string();
-    assert!(
-        e.contains("cannot read") && e.contains("polymander.xml"),
-        "{e}"
-    );
+    assert!(e.contains("cannot read") && e.contains("polymander.xml"), "{e}");
     fs::write(dir.path().join("polymander.xml"), &mjcf).unwrap();
-    assert_eq!(
-        RobotModel::load(&path).unwrap().hash(),
-        load(&toml, &mjcf).unwrap().hash()
-    );
+    assert_eq!(RobotModel::load(&path).unwrap().hash(), load(&toml, &mjcf).unwrap().hash());
     fs::write(&path, b"name = \"\xff\"").unwrap();
     let e = RobotModel::load(&path).unwrap_err().to_string();
     assert!(e.contains("not UTF-8"), "{e}");

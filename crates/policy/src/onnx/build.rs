@@ -20,37 +20,25 @@ pub fn build_onnx(spec: &MlpSpec, metadata: &PolicyMetadata) -> Result<Vec<u8>, 
     spec.check()?;
     metadata.check()?;
     metadata.check_sizes(spec)?;
-    let property = |(key, value): (&str, String)| Property {
-        key: Some(key.to_owned()),
-        value: Some(value),
-    };
+    let property =
+        |(key, value): (&str, String)| Property { key: Some(key.to_owned()), value: Some(value) };
     let model = Model {
         ir_version: Some(IR_VERSION),
         producer_name: Some("caudata".to_owned()),
         producer_version: Some(env!("CARGO_PKG_VERSION").to_owned()),
         graph: Some(graph(spec)),
-        opset_import: vec![OperatorSet {
-            domain: None,
-            version: Some(OPSET),
-        }],
+        opset_import: vec![OperatorSet { domain: None, version: Some(OPSET) }],
         metadata_props: metadata.properties()?.into_iter().map(property).collect(),
     };
     let bytes = model.encode_to_vec();
     if bytes.len() > MAX_FILE_BYTES {
-        return Err(PolicyError::TooLarge {
-            bytes: bytes.len(),
-            limit: MAX_FILE_BYTES,
-        });
+        return Err(PolicyError::TooLarge { bytes: bytes.len(), limit: MAX_FILE_BYTES });
     }
     Ok(bytes)
 }
 
 fn graph(spec: &MlpSpec) -> Graph {
-    let mut chain = Chain {
-        node: Vec::new(),
-        initializer: Vec::new(),
-        current: INPUT.to_owned(),
-    };
+    let mut chain = Chain { node: Vec::new(), initializer: Vec::new(), current: INPUT.to_owned() };
     let obs_dim = spec.obs_dim();
     chain.with_parameter("Sub", "centred", ("obs_mean", &[obs_dim], &spec.obs_mean));
     chain.with_parameter("Div", "normalised", ("obs_std", &[obs_dim], &spec.obs_std));
@@ -61,17 +49,9 @@ fn graph(spec: &MlpSpec) -> Graph {
     }
     for (index, layer) in spec.layers.iter().enumerate() {
         let last = index + 1 == spec.layers.len();
-        let weight = chain.parameter(
-            &weight_name(index),
-            &[layer.out, layer.input],
-            &layer.weight,
-        );
+        let weight = chain.parameter(&weight_name(index), &[layer.out, layer.input], &layer.weight);
         let bias = chain.parameter(&bias_name(index), &[layer.out], &layer.bias);
-        let output = if last {
-            OUTPUT.to_owned()
-        } else {
-            format!("layers.{index}.linear")
-        };
+        let output = if last { OUTPUT.to_owned() } else { format!("layers.{index}.linear") };
         chain.push("Gemm", &output, vec![weight, bias]);
         if !last {
             chain.activation(spec.activation, index);
@@ -104,11 +84,7 @@ impl Chain {
             name: Some(format!("{}_{}", operator.to_lowercase(), self.node.len())),
             op_type: Some(operator.to_owned()),
             // Weights are [out, in], so that a layer is y = x Wᵀ + b.
-            attribute: if operator == "Gemm" {
-                vec![transposed_weight()]
-            } else {
-                Vec::new()
-            },
+            attribute: if operator == "Gemm" { vec![transposed_weight()] } else { Vec::new() },
             domain: None,
         });
         self.current = output.to_owned();
@@ -147,31 +123,15 @@ impl Chain {
 }
 
 pub(super) fn transposed_weight() -> Attribute {
-    Attribute {
-        name: Some("transB".to_owned()),
-        i: Some(1),
-        kind: Some(AttributeKind::Int.into()),
-    }
+    Attribute { name: Some("transB".to_owned()), i: Some(1), kind: Some(AttributeKind::Int.into()) }
 }
 
 /// A tensor of floats `[N, width]`.
 pub(super) fn value_info(name: &str, width: usize) -> ValueInfo {
     let dim = vec![
-        Dimension {
-            extent: Some(Extent::Parameter(BATCH.to_owned())),
-        },
-        Dimension {
-            extent: Some(Extent::Value(width as i64)),
-        },
+        Dimension { extent: Some(Extent::Parameter(BATCH.to_owned())) },
+        Dimension { extent: Some(Extent::Value(width as i64)) },
     ];
-    let tensor = TensorType {
-        elem_type: Some(FLOAT),
-        shape: Some(Shape { dim }),
-    };
-    ValueInfo {
-        name: Some(name.to_owned()),
-        kind: Some(Type {
-            tensor: Some(tensor),
-        }),
-    }
+    let tensor = TensorType { elem_type: Some(FLOAT), shape: Some(Shape { dim }) };
+    ValueInfo { name: Some(name.to_owned()), kind: Some(Type { tensor: Some(tensor) }) }
 }

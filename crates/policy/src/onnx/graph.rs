@@ -11,25 +11,19 @@ use crate::PolicyError;
 use crate::mlp::{Activation, Dense, MAX_WIDTH, MlpSpec, finite};
 
 /// Operators that a policy may use.
-const OPERATORS: [&str; 9] = [
-    "Sub", "Div", "Clip", "Gemm", "Elu", "Tanh", "Relu", "Sigmoid", "Mul",
-];
+const OPERATORS: [&str; 9] =
+    ["Sub", "Div", "Clip", "Gemm", "Elu", "Tanh", "Relu", "Sigmoid", "Mul"];
 
 /// The network and the metadata properties of a file, all checks of the file's form done.
 pub(crate) fn read(bytes: &[u8]) -> Result<(MlpSpec, BTreeMap<String, String>), PolicyError> {
     scan::scan(bytes)?;
     let model = Model::decode(bytes).map_err(|e| PolicyError::Malformed(e.to_string()))?;
     version("ir_version", model.ir_version, IR_VERSION)?;
-    let opset = model
-        .opset_import
-        .first()
-        .ok_or(PolicyError::Missing { what: "an opset" })?;
+    let opset = model.opset_import.first().ok_or(PolicyError::Missing { what: "an opset" })?;
     standard_domain(opset.domain.as_deref())?;
     version("opset", opset.version, OPSET)?;
     let properties = properties(&model)?;
-    let graph = model
-        .graph
-        .ok_or(PolicyError::Missing { what: "a graph" })?;
+    let graph = model.graph.ok_or(PolicyError::Missing { what: "a graph" })?;
     let spec = network(&graph)?;
     spec.check()?;
     Ok((spec, properties))
@@ -40,19 +34,13 @@ fn version(what: &'static str, found: Option<i64>, expected: i64) -> Result<(), 
     if found == expected {
         return Ok(());
     }
-    Err(PolicyError::Version {
-        what,
-        found,
-        expected,
-    })
+    Err(PolicyError::Version { what, found, expected })
 }
 
 fn standard_domain(domain: Option<&str>) -> Result<(), PolicyError> {
     match domain.unwrap_or("") {
         "" => Ok(()),
-        other => Err(PolicyError::Domain {
-            domain: other.to_owned(),
-        }),
+        other => Err(PolicyError::Domain { domain: other.to_owned() }),
     }
 }
 
@@ -109,15 +97,9 @@ fn check_operators(nodes: &[Node]) -> Result<(), PolicyError> {
         standard_domain(node.domain.as_deref())?;
         let operator = node.op_type.as_deref().unwrap_or("");
         let Some(operator) = OPERATORS.into_iter().find(|&o| o == operator) else {
-            return Err(PolicyError::Operator {
-                operator: operator.to_owned(),
-            });
+            return Err(PolicyError::Operator { operator: operator.to_owned() });
         };
-        let expected = if operator == "Gemm" {
-            vec![transposed_weight()]
-        } else {
-            Vec::new()
-        };
+        let expected = if operator == "Gemm" { vec![transposed_weight()] } else { Vec::new() };
         if node.attribute != expected {
             return Err(PolicyError::Attribute { operator });
         }
@@ -129,22 +111,15 @@ fn check_operators(nodes: &[Node]) -> Result<(), PolicyError> {
 fn check_names(graph: &Graph) -> Result<(), PolicyError> {
     let inputs = graph.input.iter().map(|v| v.name.as_deref());
     let parameters = graph.initializer.iter().map(|t| t.name.as_deref());
-    let results = graph
-        .node
-        .iter()
-        .flat_map(|n| n.output.iter().map(|o| Some(o.as_str())));
+    let results = graph.node.iter().flat_map(|n| n.output.iter().map(|o| Some(o.as_str())));
     let mut seen = BTreeSet::new();
     for name in inputs.chain(parameters).chain(results) {
         let name = name.unwrap_or("");
         if name.is_empty() {
-            return Err(PolicyError::Missing {
-                what: "the name of a tensor",
-            });
+            return Err(PolicyError::Missing { what: "the name of a tensor" });
         }
         if !seen.insert(name) {
-            return Err(PolicyError::DuplicateName {
-                name: name.to_owned(),
-            });
+            return Err(PolicyError::DuplicateName { name: name.to_owned() });
         }
     }
     Ok(())
@@ -155,10 +130,7 @@ fn check_signature(graph: &Graph, spec: &MlpSpec) -> Result<(), PolicyError> {
         if found == [value_info(tensor, width)] {
             return Ok(());
         }
-        Err(PolicyError::Signature {
-            tensor,
-            expected: width,
-        })
+        Err(PolicyError::Signature { tensor, expected: width })
     };
     expect(&graph.input, INPUT, spec.obs_dim())?;
     expect(&graph.output, OUTPUT, spec.act_dim())
@@ -186,19 +158,11 @@ impl<'a> Walk<'a> {
             let name = tensor.name.as_deref().unwrap_or("");
             parameters.insert(name, parameter(name, tensor)?);
         }
-        Ok(Self {
-            nodes: &graph.node,
-            at: 0,
-            current: INPUT,
-            parameters,
-        })
+        Ok(Self { nodes: &graph.node, at: 0, current: INPUT, parameters })
     }
 
     fn fail(&self, problem: &'static str) -> PolicyError {
-        PolicyError::Chain {
-            node: self.at,
-            problem,
-        }
+        PolicyError::Chain { node: self.at, problem }
     }
 
     /// The next node, which must be `operator` on the current value with `K` more inputs. Its
@@ -230,9 +194,7 @@ impl<'a> Walk<'a> {
 
     /// Takes a parameter out: each belongs to one node only.
     fn take(&mut self, name: &str) -> Result<Parameter<'a>, PolicyError> {
-        let missing = || PolicyError::MissingTensor {
-            name: name.to_owned(),
-        };
+        let missing = || PolicyError::MissingTensor { name: name.to_owned() };
         self.parameters.remove(name).ok_or_else(missing)
     }
 
@@ -259,10 +221,7 @@ impl<'a> Walk<'a> {
             }
         }
         if low.values[0] != -high.values[0] {
-            return Err(PolicyError::Range {
-                field: "obs_clip",
-                problem: "symmetric",
-            });
+            return Err(PolicyError::Range { field: "obs_clip", problem: "symmetric" });
         }
         Ok(Some(high.values[0]))
     }
@@ -316,29 +275,20 @@ impl<'a> Walk<'a> {
         }
         match self.parameters.keys().next() {
             None => Ok(()),
-            Some(name) => Err(PolicyError::UnusedTensor {
-                name: (*name).to_owned(),
-            }),
+            Some(name) => Err(PolicyError::UnusedTensor { name: (*name).to_owned() }),
         }
     }
 }
 
 fn wrong_shape(name: &str, dims: &[i64], problem: &'static str) -> PolicyError {
-    PolicyError::TensorShape {
-        name: name.to_owned(),
-        found: dims.to_vec(),
-        problem,
-    }
+    PolicyError::TensorShape { name: name.to_owned(), found: dims.to_vec(), problem }
 }
 
 /// A parameter's values: floats, as many as its dimensions say, finite.
 fn parameter<'a>(name: &str, tensor: &'a Tensor) -> Result<Parameter<'a>, PolicyError> {
     let found = tensor.data_type.unwrap_or(0);
     if found != FLOAT {
-        return Err(PolicyError::TensorType {
-            name: name.to_owned(),
-            found,
-        });
+        return Err(PolicyError::TensorType { name: name.to_owned(), found });
     }
     let mut count = 1_usize;
     for &dim in &tensor.dims {
@@ -350,17 +300,10 @@ fn parameter<'a>(name: &str, tensor: &'a Tensor) -> Result<Parameter<'a>, Policy
     }
     let bytes = tensor.raw_data.as_deref().unwrap_or(&[]);
     if bytes.len() != count * 4 {
-        return Err(wrong_shape(
-            name,
-            &tensor.dims,
-            "which its bytes do not match",
-        ));
+        return Err(wrong_shape(name, &tensor.dims, "which its bytes do not match"));
     }
     let (words, _) = bytes.as_chunks::<4>();
     let values: Vec<f32> = words.iter().map(|&word| f32::from_le_bytes(word)).collect();
     finite(name, &values)?;
-    Ok(Parameter {
-        dims: &tensor.dims,
-        values,
-    })
+    Ok(Parameter { dims: &tensor.dims, values })
 }

@@ -43,12 +43,7 @@ enum Kind {
 }
 
 const fn field(number: u32, name: &'static str, kind: Kind, count: u8) -> Field {
-    Field {
-        number,
-        name,
-        kind,
-        count,
-    }
+    Field { number, name, kind, count }
 }
 
 const fn forbidden(number: u32, name: &'static str) -> Field {
@@ -72,10 +67,7 @@ static MODEL: Table = Table {
 
 static OPERATOR_SET: Table = Table {
     message: "OperatorSetIdProto",
-    fields: &[
-        field(1, "domain", Kind::Bytes(MAX_NAME), 1),
-        field(2, "version", Kind::Varint, 1),
-    ],
+    fields: &[field(1, "domain", Kind::Bytes(MAX_NAME), 1), field(2, "version", Kind::Varint, 1)],
 };
 
 static PROPERTY: Table = Table {
@@ -157,16 +149,11 @@ static TYPE: Table = Table {
 
 static TENSOR_TYPE: Table = Table {
     message: "TypeProto.Tensor",
-    fields: &[
-        field(1, "elem_type", Kind::Varint, 1),
-        field(2, "shape", Kind::Message(&SHAPE), 1),
-    ],
+    fields: &[field(1, "elem_type", Kind::Varint, 1), field(2, "shape", Kind::Message(&SHAPE), 1)],
 };
 
-static SHAPE: Table = Table {
-    message: "TensorShapeProto",
-    fields: &[field(1, "dim", Kind::Message(&DIMENSION), 2)],
-};
+static SHAPE: Table =
+    Table { message: "TensorShapeProto", fields: &[field(1, "dim", Kind::Message(&DIMENSION), 2)] };
 
 static DIMENSION: Table = Table {
     message: "TensorShapeProto.Dimension",
@@ -191,17 +178,11 @@ fn message(bytes: &[u8], base: usize, table: &'static Table) -> Result<(), Polic
     while reader.at < bytes.len() {
         let (number, wire) = reader.key()?;
         let Some(row) = table.fields.iter().position(|f| f.number == number) else {
-            return Err(PolicyError::UnknownField {
-                message: table.message,
-                number,
-            });
+            return Err(PolicyError::UnknownField { message: table.message, number });
         };
         let field = &table.fields[row];
         if matches!(field.kind, Kind::Forbidden) {
-            return Err(PolicyError::Forbidden {
-                message: table.message,
-                field: field.name,
-            });
+            return Err(PolicyError::Forbidden { message: table.message, field: field.name });
         }
         if counts[row] == field.count {
             return Err(PolicyError::TooMany {
@@ -229,20 +210,16 @@ fn value(
             if length <= *limit {
                 return Ok(());
             }
-            Err(PolicyError::Wire {
-                offset: start,
-                problem: "text or tensor above its size limit",
-            })
+            Err(PolicyError::Wire { offset: start, problem: "text or tensor above its size limit" })
         }
         (Kind::Message(inner), LENGTH) => {
             let (start, length) = reader.block()?;
             let end = reader.at;
             message(&reader.bytes[end - length..end], start, inner)
         }
-        (_, VARINT | FIXED64 | LENGTH | FIXED32) => Err(PolicyError::WireType {
-            message: table.message,
-            field: field.name,
-        }),
+        (_, VARINT | FIXED64 | LENGTH | FIXED32) => {
+            Err(PolicyError::WireType { message: table.message, field: field.name })
+        }
         _ => Err(reader.fail("unknown wire type")),
     }
 }
@@ -292,10 +269,7 @@ impl Reader<'_> {
     }
 
     fn fail(&self, problem: &'static str) -> PolicyError {
-        PolicyError::Wire {
-            offset: self.base + self.at,
-            problem,
-        }
+        PolicyError::Wire { offset: self.base + self.at, problem }
     }
 }
 
@@ -329,11 +303,7 @@ mod tests {
     #[test]
     fn numbers_and_blocks_are_read_as_protobuf_writes_them() {
         // 300 = 0b10_0101100: low seven bits first, 0xac, then 0x02.
-        let mut reader = Reader {
-            bytes: &[0xac, 0x02, 0x02, 7, 8, 9],
-            at: 0,
-            base: 100,
-        };
+        let mut reader = Reader { bytes: &[0xac, 0x02, 0x02, 7, 8, 9], at: 0, base: 100 };
         assert_eq!(reader.varint().unwrap(), 300);
         assert_eq!(reader.block().unwrap(), (103, 2));
         assert_eq!(reader.at, 5);
@@ -344,10 +314,7 @@ mod tests {
         // Field 7 (graph), length 2 GiB, two bytes there.
         let bytes = [0x3a, 0x80, 0x80, 0x80, 0x80, 0x08, 1, 2];
         let error = scan(&bytes).unwrap_err();
-        assert!(
-            matches!(error, PolicyError::Wire { offset: 6, .. }),
-            "{error}"
-        );
+        assert!(matches!(error, PolicyError::Wire { offset: 6, .. }), "{error}");
         // Ten continuation bytes and one more.
         let error = scan(&[0xff; 11]).unwrap_err();
         assert!(matches!(error, PolicyError::Wire { .. }), "{error}");
@@ -357,37 +324,15 @@ mod tests {
     fn forbidden_unknown_and_repeated_fields_have_their_own_errors() {
         // 25 << 3 | 2 = 202 = 0xca 0x01: functions.
         let functions = scan(&[0xca, 0x01, 0x00]).unwrap_err();
-        assert!(matches!(
-            functions,
-            PolicyError::Forbidden {
-                field: "functions",
-                ..
-            }
-        ));
+        assert!(matches!(functions, PolicyError::Forbidden { field: "functions", .. }));
         // 5 << 3 = 40: model_version, which a policy does not have.
         let unknown = scan(&[40, 1]).unwrap_err();
-        assert!(matches!(
-            unknown,
-            PolicyError::UnknownField { number: 5, .. }
-        ));
+        assert!(matches!(unknown, PolicyError::UnknownField { number: 5, .. }));
         let twice = scan(&[8, 8, 8, 8]).unwrap_err();
-        assert!(matches!(
-            twice,
-            PolicyError::TooMany {
-                field: "ir_version",
-                limit: 1,
-                ..
-            }
-        ));
+        assert!(matches!(twice, PolicyError::TooMany { field: "ir_version", limit: 1, .. }));
         // ir_version as a length-delimited field; then a group, which is no wire type of proto3.
         let wire = scan(&[10, 0]).unwrap_err();
-        assert!(matches!(
-            wire,
-            PolicyError::WireType {
-                field: "ir_version",
-                ..
-            }
-        ));
+        assert!(matches!(wire, PolicyError::WireType { field: "ir_version", .. }));
         assert!(matches!(scan(&[11]).unwrap_err(), PolicyError::Wire { .. }));
     }
 }

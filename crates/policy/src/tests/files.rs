@@ -36,10 +36,7 @@ fn the_hash_is_that_of_the_bytes() {
     let file = file(&small());
     let expected: [u8; 32] = Sha256::digest(file.bytes()).into();
     assert_eq!(file.sha256(), expected);
-    assert!(
-        file.sha256_hex()
-            .starts_with(&format!("{:02x}{:02x}", expected[0], expected[1]))
-    );
+    assert!(file.sha256_hex().starts_with(&format!("{:02x}{:02x}", expected[0], expected[1])));
 }
 
 #[test]
@@ -66,49 +63,17 @@ fn networks_and_metadata_that_do_not_fit_are_not_written() {
         build_onnx(&spec, &meta).unwrap_err()
     };
     let nan = refused(|s, _| s.layers[1].bias[3] = f32::INFINITY);
-    assert_eq!(
-        nan,
-        PolicyError::NotFinite {
-            name: "layers.1.bias".into(),
-            index: 3
-        }
-    );
+    assert_eq!(nan, PolicyError::NotFinite { name: "layers.1.bias".into(), index: 3 });
     let narrow = refused(|s, _| {
         s.layers[1].out = 15;
         s.layers[1].weight.truncate(30);
         s.layers[1].bias.truncate(15);
     });
-    assert!(
-        matches!(
-            narrow,
-            PolicyError::Length {
-                found: 15,
-                expected: 16,
-                ..
-            }
-        ),
-        "{narrow}"
-    );
+    assert!(matches!(narrow, PolicyError::Length { found: 15, expected: 16, .. }), "{narrow}");
     let std = refused(|_, m| m.log_std.truncate(15));
-    assert_eq!(
-        std,
-        PolicyError::Length {
-            what: "log_std",
-            found: 15,
-            expected: 16
-        }
-    );
+    assert_eq!(std, PolicyError::Length { what: "log_std", found: 15, expected: 16 });
     let wild = refused(|_, m| m.log_std[2] = 6.0);
-    assert!(
-        matches!(
-            wild,
-            PolicyError::Range {
-                field: "log_std",
-                ..
-            }
-        ),
-        "{wild}"
-    );
+    assert!(matches!(wild, PolicyError::Range { field: "log_std", .. }), "{wild}");
     for error in [
         refused(|_, m| m.run_id.clear()),
         refused(|_, m| m.training_commit = "two words".into()),
@@ -131,10 +96,7 @@ fn a_policy_for_something_else_is_told_apart() {
     };
     file.check_contract(&contract()).unwrap();
     let refused = |change| file.check_contract(&expecting(change)).unwrap_err();
-    assert!(matches!(
-        refused(|c| c.robot = "eft".into()),
-        PolicyError::WrongRobot { .. }
-    ));
+    assert!(matches!(refused(|c| c.robot = "eft".into()), PolicyError::WrongRobot { .. }));
     assert_eq!(
         refused(|c| c.joint_names.swap(4, 5)),
         PolicyError::WrongJointOrder {
@@ -146,17 +108,11 @@ fn a_policy_for_something_else_is_told_apart() {
     let part = |part| PolicyError::WrongPart { part };
     assert_eq!(refused(|c| c.action.scale = 1.5), part("action"));
     assert_eq!(refused(|c| c.kd_nm_s_per_rad[3] = 0.2), part("gains"));
-    assert_eq!(
-        refused(|c| c.control_period_s = 0.01),
-        part("control period")
-    );
+    assert_eq!(refused(|c| c.control_period_s = 0.01), part("control period"));
     let medium = caudata_task::ObservationLayout::new(16, &super::FEET.map(str::to_owned), true);
     let mut expected = contract();
     expected.observation = medium;
-    assert_eq!(
-        file.check_contract(&expected).unwrap_err(),
-        part("observation layout")
-    );
+    assert_eq!(file.check_contract(&expected).unwrap_err(), part("observation layout"));
 }
 
 #[test]
@@ -171,10 +127,7 @@ fn other_parameters_of_the_same_robot_are_reported_and_run() {
     ));
     assert_eq!(
         file.check_runs_on(&expected).unwrap(),
-        [
-            ContractDifference::RobotModel,
-            ContractDifference::CommandRange
-        ]
+        [ContractDifference::RobotModel, ContractDifference::CommandRange]
     );
     expected.phase.offsets_rad[1] = 1.0;
     assert!(matches!(

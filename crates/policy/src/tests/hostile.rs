@@ -27,18 +27,11 @@ fn tensors(model: &mut Model) -> &mut Vec<Tensor> {
 }
 
 fn tensor<'a>(model: &'a mut Model, name: &str) -> &'a mut Tensor {
-    tensors(model)
-        .iter_mut()
-        .find(|t| t.name.as_deref() == Some(name))
-        .unwrap()
+    tensors(model).iter_mut().find(|t| t.name.as_deref() == Some(name)).unwrap()
 }
 
 fn property<'a>(model: &'a mut Model, key: &str) -> &'a mut Property {
-    model
-        .metadata_props
-        .iter_mut()
-        .find(|p| p.key.as_deref() == Some(key))
-        .unwrap()
+    model.metadata_props.iter_mut().find(|p| p.key.as_deref() == Some(key)).unwrap()
 }
 
 #[test]
@@ -46,17 +39,9 @@ fn an_untouched_model_is_written_back_as_the_same_bytes() {
     // Without this, the tests below could pass for a reason other than theirs.
     assert_eq!(model().encode_to_vec(), bytes(&small()).to_vec());
     // Sub, Div, Clip, Gemm, Sigmoid, Mul, Gemm.
-    let operators: Vec<_> = model()
-        .graph
-        .unwrap()
-        .node
-        .into_iter()
-        .map(|n| n.op_type.unwrap())
-        .collect();
-    assert_eq!(
-        operators,
-        ["Sub", "Div", "Clip", "Gemm", "Sigmoid", "Mul", "Gemm"]
-    );
+    let operators: Vec<_> =
+        model().graph.unwrap().node.into_iter().map(|n| n.op_type.unwrap()).collect();
+    assert_eq!(operators, ["Sub", "Div", "Clip", "Gemm", "Sigmoid", "Mul", "Gemm"]);
 }
 
 #[test]
@@ -65,58 +50,23 @@ fn other_versions_domains_and_operators() {
         PolicyError::Version { what, found, .. } => (what, found),
         other => panic!("{other}"),
     };
-    assert_eq!(
-        version(refused(|m| m.ir_version = Some(9))),
-        ("ir_version", 9)
-    );
+    assert_eq!(version(refused(|m| m.ir_version = Some(9))), ("ir_version", 9));
     assert_eq!(version(refused(|m| m.ir_version = None)), ("ir_version", 0));
-    assert_eq!(
-        version(refused(|m| m.opset_import[0].version = Some(-17))),
-        ("opset", -17)
-    );
+    assert_eq!(version(refused(|m| m.opset_import[0].version = Some(-17))), ("opset", -17));
     let none = refused(|m| m.opset_import.clear());
     assert_eq!(none, PolicyError::Missing { what: "an opset" });
     let many = refused(|m| m.opset_import.push(m.opset_import[0].clone()));
-    assert!(
-        matches!(
-            many,
-            PolicyError::TooMany {
-                field: "opset_import",
-                ..
-            }
-        ),
-        "{many}"
-    );
+    assert!(matches!(many, PolicyError::TooMany { field: "opset_import", .. }), "{many}");
     let domain = refused(|m| nodes(m)[3].domain = Some("com.microsoft".into()));
-    assert_eq!(
-        domain,
-        PolicyError::Domain {
-            domain: "com.microsoft".into()
-        }
-    );
+    assert_eq!(domain, PolicyError::Domain { domain: "com.microsoft".into() });
     let domain = refused(|m| m.opset_import[0].domain = Some("ai.onnx.ml".into()));
-    assert_eq!(
-        domain,
-        PolicyError::Domain {
-            domain: "ai.onnx.ml".into()
-        }
-    );
+    assert_eq!(domain, PolicyError::Domain { domain: "ai.onnx.ml".into() });
     for operator in ["If", "Loop", "Scan", "gemm", ""] {
         let error = refused(|m| nodes(m)[3].op_type = Some(operator.into()));
-        assert_eq!(
-            error,
-            PolicyError::Operator {
-                operator: operator.into()
-            }
-        );
+        assert_eq!(error, PolicyError::Operator { operator: operator.into() });
     }
     let none = refused(|m| nodes(m)[3].op_type = None);
-    assert_eq!(
-        none,
-        PolicyError::Operator {
-            operator: String::new()
-        }
-    );
+    assert_eq!(none, PolicyError::Operator { operator: String::new() });
 }
 
 #[test]
@@ -124,22 +74,10 @@ fn attributes() {
     let gemm = PolicyError::Attribute { operator: "Gemm" };
     assert_eq!(refused(|m| nodes(m)[3].attribute.clear()), gemm);
     assert_eq!(refused(|m| nodes(m)[3].attribute[0].i = Some(0)), gemm);
-    assert_eq!(
-        refused(|m| nodes(m)[3].attribute[0].name = Some("transA".into())),
-        gemm
-    );
-    let alpha = Attribute {
-        name: Some("alpha".into()),
-        i: Some(2),
-        kind: Some(2),
-    };
+    assert_eq!(refused(|m| nodes(m)[3].attribute[0].name = Some("transA".into())), gemm);
+    let alpha = Attribute { name: Some("alpha".into()), i: Some(2), kind: Some(2) };
     let sigmoid = refused(|m| nodes(m)[4].attribute.push(alpha));
-    assert_eq!(
-        sigmoid,
-        PolicyError::Attribute {
-            operator: "Sigmoid"
-        }
-    );
+    assert_eq!(sigmoid, PolicyError::Attribute { operator: "Sigmoid" });
 }
 
 #[test]
@@ -150,14 +88,8 @@ fn chains_that_are_not_the_one() {
     };
     let not_here = "not the operator that belongs here";
     assert_eq!(chain(refused(|m| nodes(m).swap(0, 1))), (0, not_here));
-    assert_eq!(
-        chain(refused(|m| nodes(m)[1].op_type = Some("Sub".into()))),
-        (1, not_here)
-    );
-    assert_eq!(
-        chain(refused(|m| nodes(m).truncate(0))),
-        (0, "the chain ends too early")
-    );
+    assert_eq!(chain(refused(|m| nodes(m)[1].op_type = Some("Sub".into()))), (1, not_here));
+    assert_eq!(chain(refused(|m| nodes(m).truncate(0))), (0, "the chain ends too early"));
     assert_eq!(
         chain(refused(|m| nodes(m)[3].input[0] = "obs".into())),
         (3, "does not work on the result of the node before")
@@ -171,14 +103,8 @@ fn chains_that_are_not_the_one() {
         chain(refused(|m| nodes(m)[3].input.truncate(2))),
         (3, "the wrong number of inputs")
     );
-    assert_eq!(
-        chain(refused(|m| nodes(m)[3].input.clear())),
-        (3, "no input")
-    );
-    assert_eq!(
-        chain(refused(|m| nodes(m)[3].output.clear())),
-        (3, "no output")
-    );
+    assert_eq!(chain(refused(|m| nodes(m)[3].input.clear())), (3, "no input"));
+    assert_eq!(chain(refused(|m| nodes(m)[3].output.clear())), (3, "no output"));
     assert_eq!(
         chain(refused(|m| {
             nodes(m)[4].op_type = Some("Gemm".into());
@@ -216,56 +142,26 @@ fn chains_that_are_not_the_one() {
 #[test]
 fn names() {
     let twice = refused(|m| nodes(m)[1].output[0] = "centred".into());
-    assert_eq!(
-        twice,
-        PolicyError::DuplicateName {
-            name: "centred".into()
-        }
-    );
+    assert_eq!(twice, PolicyError::DuplicateName { name: "centred".into() });
     let shadow = refused(|m| tensor(m, "obs_std").name = Some("obs".into()));
     assert_eq!(shadow, PolicyError::DuplicateName { name: "obs".into() });
     let doubled = refused(|m| {
         let copy = tensors(m)[0].clone();
         tensors(m).push(copy);
     });
-    assert_eq!(
-        doubled,
-        PolicyError::DuplicateName {
-            name: "obs_mean".into()
-        }
-    );
+    assert_eq!(doubled, PolicyError::DuplicateName { name: "obs_mean".into() });
     let nameless = refused(|m| tensor(m, "obs_std").name = None);
-    assert_eq!(
-        nameless,
-        PolicyError::Missing {
-            what: "the name of a tensor"
-        }
-    );
+    assert_eq!(nameless, PolicyError::Missing { what: "the name of a tensor" });
     let missing = refused(|m| tensors(m).retain(|t| t.name.as_deref() != Some("obs_std")));
-    assert_eq!(
-        missing,
-        PolicyError::MissingTensor {
-            name: "obs_std".into()
-        }
-    );
+    assert_eq!(missing, PolicyError::MissingTensor { name: "obs_std".into() });
     let unused = refused(|m| {
         let mut extra = tensors(m)[0].clone();
         extra.name = Some("extra".into());
         tensors(m).push(extra);
     });
-    assert_eq!(
-        unused,
-        PolicyError::UnusedTensor {
-            name: "extra".into()
-        }
-    );
+    assert_eq!(unused, PolicyError::UnusedTensor { name: "extra".into() });
     let shared = refused(|m| nodes(m)[1].input[1] = "obs_mean".into());
-    assert_eq!(
-        shared,
-        PolicyError::MissingTensor {
-            name: "obs_mean".into()
-        }
-    );
+    assert_eq!(shared, PolicyError::MissingTensor { name: "obs_mean".into() });
 }
 
 #[test]
@@ -273,13 +169,7 @@ fn tensors_of_the_wrong_type_size_or_value() {
     // 10 is fp16, 11 double, 0 undefined.
     for found in [0, 10, 11] {
         let error = refused(|m| tensor(m, "obs_mean").data_type = Some(found));
-        assert_eq!(
-            error,
-            PolicyError::TensorType {
-                name: "obs_mean".into(),
-                found
-            }
-        );
+        assert_eq!(error, PolicyError::TensorType { name: "obs_mean".into(), found });
     }
     let shape = |e: PolicyError| match e {
         PolicyError::TensorShape { problem, .. } => problem,
@@ -309,124 +199,50 @@ fn tensors_of_the_wrong_type_size_or_value() {
     let vector = refused(|m| tensor(m, "obs_clip_min").dims = vec![1]);
     assert_eq!(shape(vector), "must be a scalar");
     let deep = refused(|m| tensor(m, "obs_mean").dims = vec![97, 1, 1]);
-    assert!(
-        matches!(
-            deep,
-            PolicyError::TooMany {
-                field: "dims",
-                limit: 2,
-                ..
-            }
-        ),
-        "{deep}"
-    );
+    assert!(matches!(deep, PolicyError::TooMany { field: "dims", limit: 2, .. }), "{deep}");
 
     let put = |t: &mut Tensor, x: f32| {
         t.raw_data.as_mut().unwrap()[..4].copy_from_slice(&x.to_le_bytes());
     };
     let nan = refused(|m| put(tensor(m, "layers.1.weight"), f32::NAN));
-    assert_eq!(
-        nan,
-        PolicyError::NotFinite {
-            name: "layers.1.weight".into(),
-            index: 0
-        }
-    );
+    assert_eq!(nan, PolicyError::NotFinite { name: "layers.1.weight".into(), index: 0 });
     let zero = refused(|m| put(tensor(m, "obs_std"), 0.0));
-    assert!(
-        matches!(
-            zero,
-            PolicyError::Range {
-                field: "obs_std",
-                ..
-            }
-        ),
-        "{zero}"
-    );
+    assert!(matches!(zero, PolicyError::Range { field: "obs_std", .. }), "{zero}");
     let skew = refused(|m| put(tensor(m, "obs_clip_min"), -4.0));
-    assert!(
-        matches!(
-            skew,
-            PolicyError::Range {
-                field: "obs_clip",
-                ..
-            }
-        ),
-        "{skew}"
-    );
+    assert!(matches!(skew, PolicyError::Range { field: "obs_clip", .. }), "{skew}");
     // Minimum above maximum: symmetric, and still no range.
     let inverted = refused(|m| {
         put(tensor(m, "obs_clip_min"), 5.0);
         put(tensor(m, "obs_clip_max"), -5.0);
     });
-    assert!(
-        matches!(
-            inverted,
-            PolicyError::Range {
-                field: "obs_clip",
-                ..
-            }
-        ),
-        "{inverted}"
-    );
+    assert!(matches!(inverted, PolicyError::Range { field: "obs_clip", .. }), "{inverted}");
 }
 
 #[test]
 fn inputs_and_outputs_of_another_shape() {
-    let input = PolicyError::Signature {
-        tensor: "obs",
-        expected: 97,
-    };
-    let output = PolicyError::Signature {
-        tensor: "actions",
-        expected: 16,
-    };
+    let input = PolicyError::Signature { tensor: "obs", expected: 97 };
+    let output = PolicyError::Signature { tensor: "actions", expected: 16 };
     fn io(model: &mut Model, out: bool) -> &mut crate::onnx::messages::TensorType {
         let graph = model.graph.as_mut().unwrap();
-        let list = if out {
-            &mut graph.output
-        } else {
-            &mut graph.input
-        };
+        let list = if out { &mut graph.output } else { &mut graph.input };
         list[0].kind.as_mut().unwrap().tensor.as_mut().unwrap()
     }
     fn dims(model: &mut Model, out: bool) -> &mut Vec<crate::onnx::messages::Dimension> {
         &mut io(model, out).shape.as_mut().unwrap().dim
     }
-    assert_eq!(
-        refused(|m| dims(m, false)[1].extent = Some(Extent::Value(98))),
-        input
-    );
-    assert_eq!(
-        refused(|m| dims(m, false)[0].extent = Some(Extent::Value(1))),
-        input
-    );
-    assert_eq!(
-        refused(|m| dims(m, true)[1].extent = Some(Extent::Value(-16))),
-        output
-    );
+    assert_eq!(refused(|m| dims(m, false)[1].extent = Some(Extent::Value(98))), input);
+    assert_eq!(refused(|m| dims(m, false)[0].extent = Some(Extent::Value(1))), input);
+    assert_eq!(refused(|m| dims(m, true)[1].extent = Some(Extent::Value(-16))), output);
     assert_eq!(refused(|m| io(m, true).elem_type = Some(11)), output);
     assert_eq!(refused(|m| io(m, false).shape = None), input);
-    assert_eq!(
-        refused(|m| m.graph.as_mut().unwrap().output.clear()),
-        output
-    );
+    assert_eq!(refused(|m| m.graph.as_mut().unwrap().output.clear()), output);
     let second = refused(|m| {
         let graph = m.graph.as_mut().unwrap();
         let mut copy = graph.output[0].clone();
         copy.name = Some("normalised".into());
         graph.output.push(copy);
     });
-    assert!(
-        matches!(
-            second,
-            PolicyError::TooMany {
-                field: "output",
-                ..
-            }
-        ),
-        "{second}"
-    );
+    assert!(matches!(second, PolicyError::TooMany { field: "output", .. }), "{second}");
 }
 
 #[test]
@@ -435,26 +251,13 @@ fn metadata_that_lies() {
         let copy = property(m, METADATA_KEY).clone();
         m.metadata_props.push(copy);
     });
-    assert_eq!(
-        twice,
-        PolicyError::DuplicateKey {
-            key: METADATA_KEY.into()
-        }
-    );
+    assert_eq!(twice, PolicyError::DuplicateKey { key: METADATA_KEY.into() });
     let key = |m: &mut Model, key: &str| property(m, key).key = Some("other".into());
-    assert_eq!(
-        refused(|m| key(m, METADATA_KEY)),
-        PolicyError::MissingKey { key: METADATA_KEY }
-    );
-    assert_eq!(
-        refused(|m| key(m, "joint_names")),
-        PolicyError::MissingKey { key: "joint_names" }
-    );
+    assert_eq!(refused(|m| key(m, METADATA_KEY)), PolicyError::MissingKey { key: METADATA_KEY });
+    assert_eq!(refused(|m| key(m, "joint_names")), PolicyError::MissingKey { key: "joint_names" });
     assert_eq!(
         refused(|m| property(m, "joint_stiffness").value = Some("16".into())),
-        PolicyError::Contradiction {
-            key: "joint_stiffness"
-        }
+        PolicyError::Contradiction { key: "joint_stiffness" }
     );
     let edit = |from: &'static str, to: &'static str| {
         refused(move |m| {
@@ -486,21 +289,9 @@ fn features_of_onnx_that_reach_beyond_the_file() {
     };
     // Field numbers above 15 have two-byte keys: 25 << 3 | 2 = 202.
     let functions = with(&[0xca, 0x01, 0x00]);
-    assert!(matches!(
-        functions,
-        PolicyError::Forbidden {
-            field: "functions",
-            ..
-        }
-    ));
+    assert!(matches!(functions, PolicyError::Forbidden { field: "functions", .. }));
     let training = with(&[0xa2, 0x01, 0x00]);
-    assert!(matches!(
-        training,
-        PolicyError::Forbidden {
-            field: "training_info",
-            ..
-        }
-    ));
+    assert!(matches!(training, PolicyError::Forbidden { field: "training_info", .. }));
     // A second graph (field 7) would merge into the first.
     let graph = with(&[0x3a, 0x00]);
     assert!(matches!(graph, PolicyError::TooMany { field: "graph", .. }));
@@ -537,10 +328,7 @@ fn features_of_onnx_that_reach_beyond_the_file() {
 fn a_file_cut_anywhere_is_refused() {
     let bytes = bytes(&small());
     for end in 0..bytes.len() {
-        assert!(
-            PolicyFile::parse(bytes[..end].into()).is_err(),
-            "cut after {end} bytes"
-        );
+        assert!(PolicyFile::parse(bytes[..end].into()).is_err(), "cut after {end} bytes");
     }
 }
 
@@ -560,10 +348,7 @@ fn no_flipped_bit_does_harm() {
             accepted += 1;
         }
     }
-    assert!(
-        accepted > 0 && accepted < good.bytes().len() * 8,
-        "{accepted}"
-    );
+    assert!(accepted > 0 && accepted < good.bytes().len() * 8, "{accepted}");
 }
 
 proptest! {

@@ -13,11 +13,8 @@ const GRAVITY_Z: usize = 37;
 /// Random layers of 8 and as many units between them as asked.
 fn file(seed: u64, hidden: &[usize], metadata: &PolicyMetadata) -> PolicyFile {
     let mut stream = stream(seed);
-    let sizes: Vec<usize> = [OBS_DIM]
-        .into_iter()
-        .chain(hidden.iter().copied())
-        .chain([16])
-        .collect();
+    let sizes: Vec<usize> =
+        [OBS_DIM].into_iter().chain(hidden.iter().copied()).chain([16]).collect();
     let layers = sizes.windows(2).map(|io| Dense {
         out: io[1],
         input: io[0],
@@ -27,9 +24,7 @@ fn file(seed: u64, hidden: &[usize], metadata: &PolicyMetadata) -> PolicyFile {
     let spec = MlpSpec {
         layers: layers.collect(),
         obs_mean: normals(&mut stream, OBS_DIM, 0.2),
-        obs_std: (0..OBS_DIM)
-            .map(|i| 0.4 + ((seed as usize + i) % 5) as f32 / 5.0)
-            .collect(),
+        obs_std: (0..OBS_DIM).map(|i| 0.4 + ((seed as usize + i) % 5) as f32 / 5.0).collect(),
         obs_clip: Some(10.0),
         activation: Activation::Elu,
     };
@@ -65,16 +60,11 @@ fn what_does_not_go_together_is_refused() {
     let low = file(1, &[12, 9], &metadata());
     let mut other = metadata();
     other.contract.action.scale = 0.25;
-    for high in [
-        file(2, &[12, 9], &other),
-        file(2, &[12], &metadata()),
-        file(2, &[12, 9, 7], &metadata()),
-    ] {
+    for high in
+        [file(2, &[12, 9], &other), file(2, &[12], &metadata()), file(2, &[12, 9, 7], &metadata())]
+    {
         let refused = join(&low, &high, GRAVITY_Z, -0.5).unwrap_err();
-        assert!(
-            matches!(refused, PolicyError::NotJoinable { .. }),
-            "{refused}"
-        );
+        assert!(matches!(refused, PolicyError::NotJoinable { .. }), "{refused}");
     }
     assert!(join(&low, &low, OBS_DIM, 0.0).is_err());
     for at in [f32::NAN, 50.0] {

@@ -64,15 +64,7 @@ fn metadata() -> PolicyMetadata {
 }
 
 fn stream(seed: u64) -> Stream {
-    Stream::new(
-        Key {
-            seed,
-            actor: 0,
-            env: 0,
-            episode: 0,
-        },
-        Purpose::Init,
-    )
+    Stream::new(Key { seed, actor: 0, env: 0, episode: 0 }, Purpose::Init)
 }
 
 fn normals(stream: &mut Stream, count: usize, scale: f32) -> Vec<f32> {
@@ -97,10 +89,7 @@ fn network(hidden: &[usize], activation: Activation, obs_clip: Option<f32>) -> M
         .collect();
     MlpSpec {
         obs_mean: normals(&mut random, 97, 1.0),
-        obs_std: normals(&mut random, 97, 1.0)
-            .iter()
-            .map(|x| x.abs() + 0.1)
-            .collect(),
+        obs_std: normals(&mut random, 97, 1.0).iter().map(|x| x.abs() + 0.1).collect(),
         obs_clip,
         layers,
         activation,

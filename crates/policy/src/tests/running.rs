@@ -32,11 +32,7 @@ fn difference(spec: &MlpSpec, lanes: &[usize]) -> f32 {
 #[test]
 fn onnx_runtime_agrees_with_the_plain_evaluation() {
     for activation in Activation::ALL {
-        for (hidden, clip) in [
-            (&[128, 128][..], None),
-            (&[64, 32, 16], Some(5.0)),
-            (&[], None),
-        ] {
+        for (hidden, clip) in [(&[128, 128][..], None), (&[64, 32, 16], Some(5.0)), (&[], None)] {
             let spec = network(hidden, activation, clip);
             // Back to a number of lanes seen before: the tensors are bound anew each time.
             let worst = difference(&spec, &[1, 3, 64, 257, 64, 1]);
@@ -98,25 +94,10 @@ fn a_session_moves_between_threads() {
 fn slices_of_the_wrong_length_are_refused() {
     let mut inference = Inference::new(&file(&small()), 1).unwrap();
     assert_eq!((inference.obs_dim(), inference.act_dim()), (97, 16));
-    let wrong = |what, found, expected| {
-        Err(PolicyError::Length {
-            what,
-            found,
-            expected,
-        })
-    };
-    assert_eq!(
-        inference.run(&[0.0; 96], 1, &mut [0.0; 16]),
-        wrong("obs", 96, 97)
-    );
-    assert_eq!(
-        inference.run(&[0.0; 194], 2, &mut [0.0; 16]),
-        wrong("actions", 16, 32)
-    );
-    assert_eq!(
-        inference.run(&[], usize::MAX, &mut []),
-        wrong("obs", 0, usize::MAX)
-    );
+    let wrong = |what, found, expected| Err(PolicyError::Length { what, found, expected });
+    assert_eq!(inference.run(&[0.0; 96], 1, &mut [0.0; 16]), wrong("obs", 96, 97));
+    assert_eq!(inference.run(&[0.0; 194], 2, &mut [0.0; 16]), wrong("actions", 16, 32));
+    assert_eq!(inference.run(&[], usize::MAX, &mut []), wrong("obs", 0, usize::MAX));
     assert_eq!(inference.run(&[], 0, &mut []), Ok(()));
 }
 

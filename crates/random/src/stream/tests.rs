@@ -3,12 +3,7 @@
 use super::*;
 
 fn key() -> Key {
-    Key {
-        seed: 7,
-        actor: 1,
-        env: 2,
-        episode: 3,
-    }
+    Key { seed: 7, actor: 1, env: 2, episode: 3 }
 }
 
 fn words(key: Key, purpose: Purpose) -> Vec<u32> {
@@ -28,10 +23,7 @@ fn golden_first_values() {
     // Low word first.
     assert_eq!(stream.next_u64(), 2_482_589_990 + (26_898_862 << 32));
     // 4154091974 >> 8 = 16226921; −1 + 4·16226921/2^24.
-    assert_eq!(
-        stream.uniform(-1.0, 3.0),
-        -1.0 + 4.0 * (16_226_921.0 / 16_777_216.0)
-    );
+    assert_eq!(stream.uniform(-1.0, 3.0), -1.0 + 4.0 * (16_226_921.0 / 16_777_216.0));
     // (2553122813 + 3741648086·2^32) >> 11 = 7846804768097713.
     assert_eq!(
         stream.uniform_f64(-1.0, 3.0),
@@ -43,13 +35,7 @@ fn golden_first_values() {
 
 #[test]
 fn key_bytes_are_the_four_numbers_little_endian() {
-    let bytes = Key {
-        seed: 0x0102,
-        actor: 3,
-        env: 4,
-        episode: 5,
-    }
-    .to_bytes();
+    let bytes = Key { seed: 0x0102, actor: 3, env: 4, episode: 5 }.to_bytes();
     let mut expected = [0u8; 32];
     expected[0] = 0x02;
     expected[1] = 0x01;
@@ -72,13 +58,7 @@ fn every_field_of_the_key_and_the_purpose_change_the_bits() {
         words(Key { seed: 8, ..key() }, Purpose::Push),
         words(Key { actor: 0, ..key() }, Purpose::Push),
         words(Key { env: 0, ..key() }, Purpose::Push),
-        words(
-            Key {
-                episode: 0,
-                ..key()
-            },
-            Purpose::Push,
-        ),
+        words(Key { episode: 0, ..key() }, Purpose::Push),
         words(key(), Purpose::Sensor),
     ];
     for other in others {
@@ -89,10 +69,7 @@ fn every_field_of_the_key_and_the_purpose_change_the_bits() {
 #[test]
 fn purposes_are_independent() {
     // Correlation of two purposes over n = 40,000 uniforms: standard error 1/√n = 0.005; 4.5 of them.
-    let (mut a, mut b) = (
-        Stream::new(key(), Purpose::Sensor),
-        Stream::new(key(), Purpose::Action),
-    );
+    let (mut a, mut b) = (Stream::new(key(), Purpose::Sensor), Stream::new(key(), Purpose::Action));
     let n = 40_000;
     let mut sum = 0.0;
     for _ in 0..n {
@@ -166,9 +143,7 @@ fn normal_has_the_right_moments() {
         }
     }
     for (found, (expected, error)) in
-        moments
-            .into_iter()
-            .zip([(0.0, 0.0022), (1.0, 0.0032), (0.0, 0.0087), (3.0, 0.022)])
+        moments.into_iter().zip([(0.0, 0.0022), (1.0, 0.0032), (0.0, 0.0087), (3.0, 0.022)])
     {
         assert!((found - expected).abs() < 4.5 * error, "{moments:?}");
     }
@@ -192,13 +167,7 @@ fn bell_noise_has_the_right_moments() {
     let n = 200_000;
     let mut values = vec![0.0f32; n];
     stream.add_bell_noise(&mut values, 1.0);
-    let moment = |power| {
-        values
-            .iter()
-            .map(|x| f64::from(*x).powi(power))
-            .sum::<f64>()
-            / n as f64
-    };
+    let moment = |power| values.iter().map(|x| f64::from(*x).powi(power)).sum::<f64>() / n as f64;
     assert!(moment(1).abs() < 0.01);
     assert!((moment(2) - 1.0).abs() < 0.013);
     assert!((moment(4) - 2.7).abs() < 0.08);

@@ -110,30 +110,19 @@ pub(super) fn of_mcap(bytes: &[u8], each: Each<'_>) -> Result<Option<String>, St
                 let kind = types.get(&schema).cloned().unwrap_or_default();
                 channels.insert(id, (topic, kind));
             }
-            Ok(Record::Message {
-                channel,
-                log_time_ns,
-                data,
-            }) => {
+            Ok(Record::Message { channel, log_time_ns, data }) => {
                 messages += 1;
                 let (topic, kind) = channels.get(&channel).ok_or_else(|| {
                     format!("message {messages} is on channel {channel}, which was not announced")
                 })?;
                 let received_ns = i64::try_from(log_time_ns).unwrap_or(i64::MAX);
                 let data = unpacked(data)?;
-                let message = Recorded {
-                    topic,
-                    kind,
-                    received_ns,
-                    data,
-                };
+                let message = Recorded { topic, kind, received_ns, data };
                 each(&message)
                     .map_err(|e| format!("message {messages} on {topic} ({kind}): {e}"))?;
             }
             Err(e @ ContainerError::Torn) if messages > 0 => {
-                return Ok(Some(format!(
-                    "dropped what follows message {messages}: {e}"
-                )));
+                return Ok(Some(format!("dropped what follows message {messages}: {e}")));
             }
             Err(e) => return Err(e.to_string()),
         }
@@ -208,11 +197,7 @@ mod tests {
         let seen = all(&fixture(), &["std_msgs/msg/String"]).unwrap();
         assert_eq!(seen.len(), 24);
         // header of 4, length of 4, 1200 letters, a zero
-        let want = (
-            "/rosout".to_owned(),
-            1_700_000_000_142_000_000,
-            4 + 4 + 1201,
-        );
+        let want = ("/rosout".to_owned(), 1_700_000_000_142_000_000, 4 + 4 + 1201);
         assert_eq!(seen[23], want);
         // what is not wanted is there without its bytes
         assert_eq!((seen[0].0.as_str(), seen[0].2), ("/joint_states", 0));

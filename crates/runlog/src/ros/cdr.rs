@@ -36,11 +36,7 @@ impl<'a> Reader<'a> {
             [0, 0, ..] => false,
             _ => return Err(CdrError::Encapsulation(*head)),
         };
-        Ok(Self {
-            bytes: rest,
-            at: 0,
-            little,
-        })
+        Ok(Self { bytes: rest, at: 0, little })
     }
 
     /// The next value.
@@ -71,9 +67,7 @@ pub struct Writer {
 
 impl Default for Writer {
     fn default() -> Self {
-        Self {
-            bytes: vec![0, 1, 0, 0],
-        }
+        Self { bytes: vec![0, 1, 0, 0] }
     }
 }
 
@@ -217,10 +211,7 @@ mod tests {
     fn the_other_byte_order_and_wrong_heads() {
         let mut r = Reader::new(&[0, 0, 0, 0, 0, 0, 1, 2]).unwrap();
         assert_eq!(r.get(), Ok(0x0102u32));
-        assert!(matches!(
-            Reader::new(&[9, 9, 0, 0]),
-            Err(CdrError::Encapsulation(_))
-        ));
+        assert!(matches!(Reader::new(&[9, 9, 0, 0]), Err(CdrError::Encapsulation(_))));
         assert!(matches!(Reader::new(&[0, 1]), Err(CdrError::Short(2))));
         // a list that claims four thousand million elements ends where the bytes end
         let mut r = Reader::new(&[0, 1, 0, 0, 255, 255, 255, 255, 0, 0]).unwrap();

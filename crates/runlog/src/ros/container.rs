@@ -176,11 +176,7 @@ impl<'a> Source<'a> {
             .with_skip_start_magic(true)
             .with_skip_end_magic(true)
             .with_record_length_limit(longest);
-        Self {
-            reader: LinearReader::new_with_options(options),
-            bytes,
-            at: 0,
-        }
+        Self { reader: LinearReader::new_with_options(options), bytes, at: 0 }
     }
 
     fn next(&mut self) -> Result<Option<(u8, Vec<u8>)>, McapError> {
@@ -206,25 +202,16 @@ impl<'a> Source<'a> {
 fn parse(opcode: u8, body: &[u8]) -> Option<Option<Record>> {
     let mut fields = Fields(body);
     Some(Some(match opcode {
-        op::SCHEMA => Record::Schema {
-            id: fields.u16()?,
-            name: fields.text()?,
-        },
-        op::CHANNEL => Record::Channel {
-            id: fields.u16()?,
-            schema: fields.u16()?,
-            topic: fields.text()?,
-        },
+        op::SCHEMA => Record::Schema { id: fields.u16()?, name: fields.text()? },
+        op::CHANNEL => {
+            Record::Channel { id: fields.u16()?, schema: fields.u16()?, topic: fields.text()? }
+        }
         op::MESSAGE => {
             let channel = fields.u16()?;
             fields.u32()?; // sequence
             let log_time_ns = fields.u64()?;
             fields.u64()?; // publish time
-            Record::Message {
-                channel,
-                log_time_ns,
-                data: fields.0.to_vec(),
-            }
+            Record::Message { channel, log_time_ns, data: fields.0.to_vec() }
         }
         _ => return Some(None),
     }))
@@ -275,14 +262,10 @@ mod tests {
     use std::io::Cursor;
 
     fn file(compression: Option<Compression>, chunks: bool) -> Vec<u8> {
-        let options = WriteOptions::new()
-            .compression(compression)
-            .use_chunks(chunks);
+        let options = WriteOptions::new().compression(compression).use_chunks(chunks);
         let mut w = options.create(Cursor::new(Vec::new())).unwrap();
         let schema = w.add_schema("a/msg/B", "ros2msg", b"float64 x").unwrap();
-        let channel = w
-            .add_channel(schema, "/b", "cdr", &Default::default())
-            .unwrap();
+        let channel = w.add_channel(schema, "/b", "cdr", &Default::default()).unwrap();
         for log_time in 17..20 {
             let header = mcap::records::MessageHeader {
                 channel_id: channel,
@@ -302,14 +285,8 @@ mod tests {
 
     fn want() -> Vec<Record> {
         let (name, topic) = ("a/msg/B".to_owned(), "/b".to_owned());
-        let mut records = vec![
-            Record::Schema { id: 1, name },
-            Record::Channel {
-                id: 1,
-                schema: 1,
-                topic,
-            },
-        ];
+        let mut records =
+            vec![Record::Schema { id: 1, name }, Record::Channel { id: 1, schema: 1, topic }];
         records.extend((17..20).map(|log_time_ns| Record::Message {
             channel: 1,
             log_time_ns,
@@ -364,10 +341,7 @@ mod tests {
         let ten = 10_000_000_000;
         let zipped = chunk(ten, "zstd", &[0; 40]);
         assert_eq!(all(&zipped), Err(ContainerError::Large(ten)));
-        assert!(matches!(
-            all(&chunk(u64::MAX, "lz4", &[0; 40])),
-            Err(ContainerError::Large(_))
-        ));
+        assert!(matches!(all(&chunk(u64::MAX, "lz4", &[0; 40])), Err(ContainerError::Large(_))));
         // a message that says so, in a plain chunk: it ends beyond it
         let mut message = vec![op::MESSAGE];
         message.extend(ten.to_le_bytes());
@@ -399,8 +373,7 @@ mod tests {
             log_time: 1,
             publish_time: 1,
         };
-        w.write_to_known_channel(&header, &vec![0; MAX_RECORD_BYTES + 1])
-            .unwrap();
+        w.write_to_known_channel(&header, &vec![0; MAX_RECORD_BYTES + 1]).unwrap();
         w.finish().unwrap();
         let bytes = w.into_inner().into_inner();
         assert!(bytes.len() < 100_000);

@@ -59,10 +59,7 @@ pub struct Header {
 impl Cdr for Header {
     fn read(r: &mut Reader<'_>) -> Result<Self, CdrError> {
         let (s, ns): (i32, u32) = r.get()?;
-        Ok(Self {
-            stamp_ns: i64::from(s) * 1_000_000_000 + i64::from(ns),
-            frame: r.get()?,
-        })
+        Ok(Self { stamp_ns: i64::from(s) * 1_000_000_000 + i64::from(ns), frame: r.get()? })
     }
 
     fn write(&self, w: &mut Writer) {
@@ -145,10 +142,7 @@ whole!(BatteryState = "sensor_msgs/msg/BatteryState");
 
 impl Cdr for BatteryState {
     fn read(r: &mut Reader<'_>) -> Result<Self, CdrError> {
-        Ok(Self {
-            header: r.get()?,
-            voltage_v: r.get()?,
-        })
+        Ok(Self { header: r.get()?, voltage_v: r.get()? })
     }
 
     /// What is not known is NaN, as the message asks for.
@@ -181,11 +175,7 @@ impl Cdr for PoseStamped {
     fn read(r: &mut Reader<'_>) -> Result<Self, CdrError> {
         let (header, position_m) = r.get()?;
         let [x, y, z, w] = r.get()?;
-        Ok(Self {
-            header,
-            position_m,
-            orientation_wxyz: [w, x, y, z],
-        })
+        Ok(Self { header, position_m, orientation_wxyz: [w, x, y, z] })
     }
 
     fn write(&self, out: &mut Writer) {
@@ -449,10 +439,7 @@ mod tests {
     use super::*;
 
     fn header() -> Header {
-        Header {
-            stamp_ns: 1_500_000_002,
-            frame: "b".to_owned(),
-        }
+        Header { stamp_ns: 1_500_000_002, frame: "b".to_owned() }
     }
 
     /// 1.5 s and 2 ns, frame "b", one joint "hip" at 1 rad, no speeds, no efforts; laid out by hand.
@@ -479,10 +466,7 @@ mod tests {
         assert_eq!(state.encode(), want);
         assert_eq!(JointState::decode(want).unwrap(), state);
         for cut in 0..want.len() {
-            assert!(
-                JointState::decode(&want[..cut]).is_err(),
-                "{cut} bytes are no message"
-            );
+            assert!(JointState::decode(&want[..cut]).is_err(), "{cut} bytes are no message");
         }
     }
 
@@ -497,15 +481,9 @@ mod tests {
         assert_eq!(Imu::decode(&imu.encode()).unwrap(), imu);
         // frame "b" ends at 14, padded to 16; 37 numbers follow
         assert_eq!(imu.encode().len(), 4 + 16 + 37 * 8);
-        let blind = Imu {
-            orientation_wxyz: None,
-            ..imu
-        };
+        let blind = Imu { orientation_wxyz: None, ..imu };
         assert_eq!(Imu::decode(&blind.encode()).unwrap(), blind);
-        let battery = BatteryState {
-            header: header(),
-            voltage_v: 12.5,
-        };
+        let battery = BatteryState { header: header(), voltage_v: 12.5 };
         assert_eq!(BatteryState::decode(&battery.encode()).unwrap(), battery);
         // 16, seven numbers of 4, four bytes, two empty lists, two empty texts (4 + 1, padded, 4 + 1)
         assert_eq!(battery.encode().len(), 4 + 16 + 28 + 4 + 8 + 8 + 5);
@@ -522,14 +500,8 @@ mod tests {
         };
         assert_eq!(TwistStamped::decode(&twist.encode()).unwrap(), twist);
         // before the epoch, too
-        let early = Header {
-            stamp_ns: -1,
-            frame: String::new(),
-        };
-        let twist = TwistStamped {
-            header: early.clone(),
-            ..twist
-        };
+        let early = Header { stamp_ns: -1, frame: String::new() };
+        let twist = TwistStamped { header: early.clone(), ..twist };
         assert_eq!(TwistStamped::decode(&twist.encode()).unwrap().header, early);
     }
 
@@ -567,10 +539,7 @@ mod tests {
     /// 0.25 m/s forward, −0.5 rad/s about z; laid out by hand.
     #[test]
     fn golden_bytes_of_a_twist() {
-        let twist = Twist {
-            linear_mps: [0.25, 0.0, 0.0],
-            angular_radps: [0.0, 0.0, -0.5],
-        };
+        let twist = Twist { linear_mps: [0.25, 0.0, 0.0], angular_radps: [0.0, 0.0, -0.5] };
         let mut want = vec![0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0xd0, 0x3f];
         want.extend([0; 32]);
         want.extend([0, 0, 0, 0, 0, 0, 0xe0, 0xbf]);
@@ -590,10 +559,7 @@ mod tests {
             Odometry::TYPE,
             DiagnosticArray::TYPE,
         ] {
-            assert!(
-                schema(t).unwrap().contains("MSG: builtin_interfaces/Time"),
-                "{t}"
-            );
+            assert!(schema(t).unwrap().contains("MSG: builtin_interfaces/Time"), "{t}");
         }
         for t in [Text::TYPE, Number::TYPE] {
             assert!(schema(t).is_some(), "{t}");

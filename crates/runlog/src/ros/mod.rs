@@ -48,11 +48,7 @@ fn signal_of_topic(topic: &str) -> Option<Signal> {
 /// Direction of gravity in a frame that stands in the world as `q` (world_from_frame, w, x, y, z).
 pub fn gravity_of([w, x, y, z]: [f64; 4]) -> [f64; 3] {
     // the third row of the rotation matrix, turned round: Rᵀ·(0, 0, −1)
-    [
-        -2.0 * (x * z - w * y),
-        -2.0 * (y * z + w * x),
-        -(1.0 - 2.0 * (x * x + y * y)),
-    ]
+    [-2.0 * (x * z - w * y), -2.0 * (y * z + w * x), -(1.0 - 2.0 * (x * x + y * y))]
 }
 
 /// An orientation without yaw in which gravity is `g` (a unit vector): what can be said of it in an `Imu`
@@ -75,15 +71,8 @@ mod tests {
         // along −y
         let half = std::f64::consts::FRAC_1_SQRT_2;
         let g = gravity_of([half, half, 0.0, 0.0]);
-        assert!(
-            (g[1] + 1.0).abs() < 1e-12 && g[0].abs() < 1e-12 && g[2].abs() < 1e-12,
-            "{g:?}"
-        );
-        for g in [
-            [0.1, -0.2, -(1.0f64 - 0.05).sqrt()],
-            [0.6, 0.8, 0.0],
-            [0.0, 0.6, 0.8],
-        ] {
+        assert!((g[1] + 1.0).abs() < 1e-12 && g[0].abs() < 1e-12 && g[2].abs() < 1e-12, "{g:?}");
+        for g in [[0.1, -0.2, -(1.0f64 - 0.05).sqrt()], [0.6, 0.8, 0.0], [0.0, 0.6, 0.8]] {
             let back = gravity_of(orientation_of(g));
             for k in 0..3 {
                 assert!((back[k] - g[k]).abs() < 1e-12, "{g:?} {back:?}");

@@ -12,14 +12,8 @@ use crate::signal::{Axis, QuatPart, Signal};
 use crate::table::{MAX_COLUMNS, MAX_ROWS, Table, check_value};
 
 /// Topics for viewers, which say nothing that others do not.
-const PASSED_OVER: [&str; 6] = [
-    "/robot_description",
-    "/tf",
-    "/tf_static",
-    "/odom",
-    "/rosout",
-    "/diagnostics",
-];
+const PASSED_OVER: [&str; 6] =
+    ["/robot_description", "/tf", "/tf_static", "/odom", "/rosout", "/diagnostics"];
 
 /// Samples of one stamp.
 type Row = Vec<(Signal, f64)>;
@@ -169,10 +163,5 @@ fn table(rows: BTreeMap<i64, Row>, notes: Vec<String>) -> Result<Table, String> 
             cells[columns[&signal]][k] = Some(value);
         }
     }
-    Ok(Table::from_columns(
-        columns.into_keys().collect(),
-        time_s,
-        cells,
-        notes,
-    ))
+    Ok(Table::from_columns(columns.into_keys().collect(), time_s, cells, notes))
 }

@@ -98,10 +98,7 @@ fn write_rows(
         .compression_threads(0)
         .use_chunks(compression.is_some())
         .create(Cursor::new(Vec::new()))?;
-    let mut file = File {
-        writer,
-        channels: BTreeMap::new(),
-    };
+    let mut file = File { writer, channels: BTreeMap::new() };
     let mut diagnostics_from_ns = 0;
     for (k, stamp_ns) in stamps.enumerate() {
         let Some(cells) = table.row(k) else { break };
@@ -149,12 +146,8 @@ impl File {
             Some(channel) => *channel,
             None => {
                 let definition = schema(kind).unwrap_or_default();
-                let kind = self
-                    .writer
-                    .add_schema(kind, "ros2msg", definition.as_bytes())?;
-                let id = self
-                    .writer
-                    .add_channel(kind, &topic, "cdr", &BTreeMap::new())?;
+                let kind = self.writer.add_schema(kind, "ros2msg", definition.as_bytes())?;
+                let id = self.writer.add_channel(kind, &topic, "cdr", &BTreeMap::new())?;
                 self.channels.insert(topic, id);
                 id
             }
@@ -174,10 +167,7 @@ struct Stamp(i64);
 
 impl Stamp {
     fn header(&self, frame: &str) -> Header {
-        Header {
-            stamp_ns: self.0,
-            frame: frame.to_owned(),
-        }
+        Header { stamp_ns: self.0, frame: frame.to_owned() }
     }
 }
 
@@ -192,9 +182,7 @@ fn drawn(scene: &Scene<'_>, row: &Row<'_>, stamp: &Stamp, k: usize) -> Vec<Messa
             orientation_xyzw: [x, y, z, w],
         }
     });
-    let tf = TfMessage {
-        transforms: transforms.collect(),
-    };
+    let tf = TfMessage { transforms: transforms.collect() };
     let odometry = row.odometry(scene.base, stamp);
     let odometry = odometry.map(|m| (ODOMETRY.to_owned(), Odometry::TYPE, m.encode()));
     let tf = (TF.to_owned(), TfMessage::TYPE, tf.encode());
@@ -225,9 +213,7 @@ impl Row<'_> {
         let all = self.0.keys().filter_map(|s| s.joint());
         let sampled = |j: &&str| {
             let kinds = kinds.iter().flatten();
-            kinds
-                .into_iter()
-                .any(|of| self.get(of((*j).to_owned())).is_some())
+            kinds.into_iter().any(|of| self.get(of((*j).to_owned())).is_some())
         };
         // a set: the names in order, each once
         let names: BTreeSet<&str> = all.filter(sampled).collect();
@@ -288,19 +274,14 @@ impl Row<'_> {
             let figures = of_servos.entry(servo).or_default();
             figures.push((key.to_owned(), value.to_string()));
         }
-        let status = of_servos
-            .into_iter()
-            .map(|(servo, values)| DiagnosticStatus {
-                level: DiagnosticStatus::OK,
-                name: servo.to_owned(),
-                message: String::new(),
-                hardware_id: servo.to_owned(),
-                values,
-            });
-        let message = DiagnosticArray {
-            header: stamp.header(""),
-            status: status.collect(),
-        };
+        let status = of_servos.into_iter().map(|(servo, values)| DiagnosticStatus {
+            level: DiagnosticStatus::OK,
+            name: servo.to_owned(),
+            message: String::new(),
+            hardware_id: servo.to_owned(),
+            values,
+        });
+        let message = DiagnosticArray { header: stamp.header(""), status: status.collect() };
         (!message.status.is_empty()).then(|| message.encode())
     }
 
@@ -326,11 +307,7 @@ impl Row<'_> {
 fn turned_back([w, x, y, z]: [f64; 4], v: [f64; 3]) -> [f64; 3] {
     // v + 2·(w·t + u × t) with u = −(x, y, z) and t = u × v
     let cross = |a: [f64; 3], b: [f64; 3]| {
-        [
-            a[1] * b[2] - a[2] * b[1],
-            a[2] * b[0] - a[0] * b[2],
-            a[0] * b[1] - a[1] * b[0],
-        ]
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     };
     let u = [-x, -y, -z];
     let t = cross(u, v);
@@ -353,10 +330,9 @@ fn messages(row: &Row<'_>, stamp: &Stamp) -> Vec<Message> {
     let currents = row.joints(stamp, [None, None, Some(Signal::Current)]);
     put(JOINT_CURRENTS, JointState::TYPE, currents);
     put(IMU, Imu::TYPE, row.imu(stamp));
-    let battery = row.get(Signal::Voltage).map(|v| BatteryState {
-        header: stamp.header(""),
-        voltage_v: v as f32,
-    });
+    let battery = row
+        .get(Signal::Voltage)
+        .map(|v| BatteryState { header: stamp.header(""), voltage_v: v as f32 });
     put(BATTERY, BatteryState::TYPE, battery.map(|m| m.encode()));
     put(BASE_POSE, PoseStamped::TYPE, row.base_pose(stamp));
     let twist = row.vector(Signal::BaseVelocity).map(|v| TwistStamped {
@@ -381,11 +357,7 @@ fn messages(row: &Row<'_>, stamp: &Stamp) -> Vec<Message> {
     }
     for (signal, data) in row.0.iter().filter(|(signal, _)| is_alone(signal)) {
         let number = Number { data: *data };
-        put(
-            &topic_of_signal(signal),
-            Number::TYPE,
-            Some(number.encode()),
-        );
+        put(&topic_of_signal(signal), Number::TYPE, Some(number.encode()));
     }
     out
 }
@@ -408,9 +380,8 @@ mod tests {
 
     #[test]
     fn what_a_servo_says_of_itself_is_a_status_of_its_own() {
-        let signals: Vec<Signal> = ["on.hip", "temp.hip", "pwm.knee", "pos.knee"]
-            .map(|s| s.parse().unwrap())
-            .into();
+        let signals: Vec<Signal> =
+            ["on.hip", "temp.hip", "pwm.knee", "pos.knee"].map(|s| s.parse().unwrap()).into();
         let row = Row(signals.iter().zip([1.0, 41.0, -0.25, 0.5]).collect());
         let told = row.diagnostics(&Stamp(7)).unwrap();
         let told = DiagnosticArray::decode(&told).unwrap();

@@ -27,11 +27,7 @@ fn packed(table: &Table, compression: Option<Compression>) -> Vec<u8> {
             orientation_wxyz: [1.0, 0.0, 0.0, 0.0],
         }]
     };
-    let scene = Scene {
-        description: "<robot name=\"p\"/>",
-        base: "trunk",
-        frames: &frames,
-    };
+    let scene = Scene { description: "<robot name=\"p\"/>", base: "trunk", frames: &frames };
     write_mcap(table, start_ns, compression, Some(&scene)).unwrap()
 }
 
@@ -76,10 +72,7 @@ fn topics_that_are_not_read_are_named() {
         }
     }
     let table = parse_mcap("run.mcap", &all).unwrap();
-    assert_eq!(
-        table.notes(),
-        ["topic /mine (nav_msgs/msg/Odometry) is not read"]
-    );
+    assert_eq!(table.notes(), ["topic /mine (nav_msgs/msg/Odometry) is not read"]);
 }
 
 #[test]
@@ -91,10 +84,7 @@ fn a_folder_with_an_mcap_file_is_a_log() {
     )
     .unwrap();
     assert!(
-        RunLog::read(dir.path())
-            .unwrap_err()
-            .to_string()
-            .contains("log.csv"),
+        RunLog::read(dir.path()).unwrap_err().to_string().contains("log.csv"),
         "neither is there"
     );
     std::fs::write(dir.path().join("bag_0.mcap"), bytes(&log())).unwrap();

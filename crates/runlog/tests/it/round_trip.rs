@@ -21,10 +21,7 @@ fn header() -> Vec<Signal> {
 }
 
 fn meta() -> LogMeta {
-    LogMeta {
-        kp: Some(15.0),
-        ..LogMeta::new("polymander", BaseHold::Free, 50.0)
-    }
+    LogMeta { kp: Some(15.0), ..LogMeta::new("polymander", BaseHold::Free, 50.0) }
 }
 
 #[test]
@@ -32,14 +29,7 @@ fn a_log_reads_back_as_written() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path().join("run/1");
     let mut w = LogWriter::create(&dir, &header(), &meta()).unwrap();
-    let row = [
-        Some(0.1),
-        None,
-        Some(14.02),
-        Some(1.0),
-        Some(-1e-9),
-        Some(1.0),
-    ];
+    let row = [Some(0.1), None, Some(14.02), Some(1.0), Some(-1e-9), Some(1.0)];
     w.row(0.0, &row).unwrap();
     w.row(0.02, &[None; 6]).unwrap();
     assert_eq!(w.rows(), 2);
@@ -88,30 +78,16 @@ fn wrong_rows_are_refused_and_leave_no_trace() {
 fn headers_and_folders_that_cannot_be() {
     let dir = tempfile::tempdir().unwrap();
     let twice = [Signal::Voltage, Signal::Voltage];
-    let e = LogWriter::create(&dir.path().join("a"), &twice, &meta())
-        .err()
-        .unwrap();
+    let e = LogWriter::create(&dir.path().join("a"), &twice, &meta()).err().unwrap();
     assert!(e.to_string().contains("`volt` stands twice"), "{e}");
     let bad = [Signal::Position("a,b".into())];
-    let e = LogWriter::create(&dir.path().join("b"), &bad, &meta())
-        .err()
-        .unwrap();
+    let e = LogWriter::create(&dir.path().join("b"), &bad, &meta()).err().unwrap();
     assert!(e.to_string().contains("`a,b` is not a name"), "{e}");
-    let no_rate = LogMeta {
-        rate_hz: 0.0,
-        ..meta()
-    };
-    let e = LogWriter::create(&dir.path().join("c"), &header(), &no_rate)
-        .err()
-        .unwrap();
+    let no_rate = LogMeta { rate_hz: 0.0, ..meta() };
+    let e = LogWriter::create(&dir.path().join("c"), &header(), &no_rate).err().unwrap();
     assert!(e.to_string().contains("rate_hz"), "{e}");
-    LogWriter::create(&dir.path().join("d"), &header(), &meta())
-        .unwrap()
-        .finish()
-        .unwrap();
-    let e = LogWriter::create(&dir.path().join("d"), &header(), &meta())
-        .err()
-        .unwrap();
+    LogWriter::create(&dir.path().join("d"), &header(), &meta()).unwrap().finish().unwrap();
+    let e = LogWriter::create(&dir.path().join("d"), &header(), &meta()).err().unwrap();
     assert!(matches!(e, LogError::Exists { .. }), "{e}");
     let e = RunLog::read(&dir.path().join("none")).unwrap_err();
     assert!(e.to_string().contains(META_NAME), "{e}");
@@ -154,10 +130,7 @@ impl io::Write for SmallDisk {
 
 #[test]
 fn a_full_disk_is_reported_and_what_is_there_stays_readable() {
-    let mut disk = SmallDisk {
-        bytes: Vec::new(),
-        room: 30,
-    };
+    let mut disk = SmallDisk { bytes: Vec::new(), room: 30 };
     let mut w = TableWriter::new(&mut disk, &[Signal::Voltage], 0.0).unwrap();
     let mut results = Vec::new();
     for i in 0..5 {
@@ -184,11 +157,7 @@ impl io::Write for Hiccup {
         if self.calls.is_multiple_of(2) {
             return Err(io::ErrorKind::StorageFull.into());
         }
-        let n = if self.calls == 1 {
-            data.len()
-        } else {
-            data.len().min(3)
-        };
+        let n = if self.calls == 1 { data.len() } else { data.len().min(3) };
         self.bytes.extend_from_slice(&data[..n]);
         Ok(n)
     }
@@ -201,17 +170,12 @@ impl io::Write for Hiccup {
 fn rows_that_could_not_be_written_wait_for_the_next_try() {
     let mut disk = Hiccup::default();
     let mut w = TableWriter::new(&mut disk, &[Signal::Voltage], 0.0).unwrap();
-    let errors = (0..3)
-        .filter(|i| w.row(f64::from(*i), &[Some(14.25)]).is_err())
-        .count();
+    let errors = (0..3).filter(|i| w.row(f64::from(*i), &[Some(14.25)]).is_err()).count();
     assert_eq!(errors, 3, "every row comes to a failing call");
     // 30 bytes, three per try
     assert_eq!((0..100).take_while(|_| w.flush().is_err()).count(), 7);
     drop(w);
-    assert_eq!(
-        String::from_utf8(disk.bytes).unwrap(),
-        "t,volt\n0.0,14.25\n1.0,14.25\n2.0,14.25\n"
-    );
+    assert_eq!(String::from_utf8(disk.bytes).unwrap(), "t,volt\n0.0,14.25\n1.0,14.25\n2.0,14.25\n");
 }
 
 proptest! {

@@ -58,11 +58,7 @@ impl Authority {
         set_validity(&mut params, now, AUTHORITY_DAYS);
         let certificate = params.self_signed(&key).map_err(make)?.pem();
         // The key first: when only one of them could be written, the folder is not taken for an authority.
-        write_new(
-            &folder.join(CA_KEY_FILE),
-            key.serialize_pem().as_bytes(),
-            0o600,
-        )?;
+        write_new(&folder.join(CA_KEY_FILE), key.serialize_pem().as_bytes(), 0o600)?;
         write_new(&folder.join(CA_FILE), certificate.as_bytes(), 0o644)?;
         Self::open(folder)
     }
@@ -78,20 +74,13 @@ impl Authority {
             Ok::<_, PkiError>((path, text))
         };
         let content = |path: PathBuf| {
-            move |error: rcgen::Error| PkiError::Content {
-                path,
-                reason: error.to_string(),
-            }
+            move |error: rcgen::Error| PkiError::Content { path, reason: error.to_string() }
         };
         let (key_path, key) = read(CA_KEY_FILE)?;
         let (path, certificate_pem) = read(CA_FILE)?;
         let key = KeyPair::from_pem(&key).map_err(content(key_path))?;
         let issuer = Issuer::from_ca_cert_pem(&certificate_pem, key).map_err(content(path))?;
-        Ok(Self {
-            folder: folder.to_owned(),
-            certificate_pem,
-            issuer,
-        })
+        Ok(Self { folder: folder.to_owned(), certificate_pem, issuer })
     }
 
     /// Makes a key and a certificate for one process in a folder with its name beside the authority:
@@ -124,14 +113,10 @@ impl Authority {
         params.is_ca = IsCa::ExplicitNoCa;
         params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
         if request.role.listens() {
-            params
-                .extended_key_usages
-                .push(ExtendedKeyUsagePurpose::ServerAuth);
+            params.extended_key_usages.push(ExtendedKeyUsagePurpose::ServerAuth);
         }
         if request.role.connects() {
-            params
-                .extended_key_usages
-                .push(ExtendedKeyUsagePurpose::ClientAuth);
+            params.extended_key_usages.push(ExtendedKeyUsagePurpose::ClientAuth);
         }
         params.use_authority_key_identifier_extension = true;
         set_validity(&mut params, now, request.days);
@@ -139,11 +124,7 @@ impl Authority {
         let key = key.serialize_pem();
         // Whoever reads meanwhile finds every file, the old one or the new one.
         replace_file(&folder.join(KEY_FILE), key.as_bytes(), 0o600)?;
-        replace_file(
-            &folder.join(CERTIFICATE_FILE),
-            certificate.as_bytes(),
-            0o644,
-        )?;
+        replace_file(&folder.join(CERTIFICATE_FILE), certificate.as_bytes(), 0o644)?;
         let authority = self.certificate_pem.as_bytes();
         replace_file(&folder.join(CA_FILE), authority, 0o644)?;
         Ok(folder)
@@ -236,11 +217,7 @@ fn make_private_folder(folder: &Path) -> Result<(), PkiError> {
 
 /// Writes a file that must not exist yet.
 fn write_new(path: &Path, bytes: &[u8], mode: u32) -> Result<(), PkiError> {
-    let file = OpenOptions::new()
-        .write(true)
-        .create_new(true)
-        .mode(mode)
-        .open(path);
+    let file = OpenOptions::new().write(true).create_new(true).mode(mode).open(path);
     let mut file = file.map_err(|source| match source.kind() {
         std::io::ErrorKind::AlreadyExists => PkiError::Exists(path.to_owned()),
         _ => PkiError::file(path, source),
@@ -267,11 +244,7 @@ mod tests {
         Request {
             role,
             name: name.to_owned(),
-            hosts: vec![
-                "learner.lab".to_owned(),
-                "10.0.0.7".to_owned(),
-                "::1".to_owned(),
-            ],
+            hosts: vec!["learner.lab".to_owned(), "10.0.0.7".to_owned(), "::1".to_owned()],
             days: 7,
         }
     }
@@ -282,14 +255,9 @@ mod tests {
         let folder = dir.path().join("pki");
         Authority::create(&folder, "biorob", new_year()).unwrap();
         let authority = Authority::open(&folder).unwrap();
-        let made = authority
-            .issue(&request(Role::Learner, "node-1"), new_year(), false)
-            .unwrap();
+        let made = authority.issue(&request(Role::Learner, "node-1"), new_year(), false).unwrap();
         let identity = identity_of_pem(&made.join(CERTIFICATE_FILE)).unwrap();
-        assert_eq!(
-            (identity.role, identity.name.as_str()),
-            (Role::Learner, "node-1")
-        );
+        assert_eq!((identity.role, identity.name.as_str()), (Role::Learner, "node-1"));
         let week = Duration::from_secs(7 * 86_400);
         assert_eq!(identity.not_after, new_year() + week);
         assert_eq!(identity.not_before, new_year() - Duration::from_secs(3_600));
@@ -307,9 +275,7 @@ mod tests {
     fn nothing_is_overwritten_unless_asked_for() {
         let dir = tempfile::tempdir().unwrap();
         let authority = Authority::create(dir.path(), "lab", new_year()).unwrap();
-        let again = Authority::create(dir.path(), "lab", new_year())
-            .err()
-            .unwrap();
+        let again = Authority::create(dir.path(), "lab", new_year()).err().unwrap();
         assert!(matches!(again, PkiError::Exists(_)), "{again}");
         let asked = request(Role::Actor, "actor");
         let made = authority.issue(&asked, new_year(), false).unwrap();
@@ -346,16 +312,12 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let authority = Authority::create(dir.path(), "lab", new_year()).unwrap();
         for name in ["", "../evil", "a/b", ".hidden", "a b", &"x".repeat(65)] {
-            let error = authority
-                .issue(&request(Role::Robot, name), new_year(), false)
-                .unwrap_err();
+            let error =
+                authority.issue(&request(Role::Robot, name), new_year(), false).unwrap_err();
             assert!(matches!(error, PkiError::Name(_)), "{name}: {error}");
         }
         for days in [0, VALID_DAYS_MAX + 1] {
-            let asked = Request {
-                days,
-                ..request(Role::Robot, "robot-1")
-            };
+            let asked = Request { days, ..request(Role::Robot, "robot-1") };
             let error = authority.issue(&asked, new_year(), false).unwrap_err();
             assert!(matches!(error, PkiError::Days(_)), "{error}");
         }

@@ -53,9 +53,6 @@ pub enum PkiError {
 
 impl PkiError {
     pub(super) fn file(path: &std::path::Path, source: std::io::Error) -> Self {
-        Self::File {
-            path: path.to_owned(),
-            source,
-        }
+        Self::File { path: path.to_owned(), source }
     }
 }

@@ -52,10 +52,7 @@ pub fn identity_of_der(der: &[u8]) -> Result<Identity, String> {
 
 fn of_der(der: &[u8]) -> Result<X509Certificate<'_>, String> {
     let read = X509Certificate::from_der(der);
-    read.map_or_else(
-        |error| Err(format!("not a certificate: {error}")),
-        |(_, read)| Ok(read),
-    )
+    read.map_or_else(|error| Err(format!("not a certificate: {error}")), |(_, read)| Ok(read))
 }
 
 /// The names and addresses that a certificate is for; none where it does not say.
@@ -89,9 +86,7 @@ pub fn identity_of_pem(path: &Path) -> Result<Identity, PkiError> {
 /// # Errors
 /// [`PkiError::File`], [`PkiError::Content`].
 pub fn hosts_of_pem(path: &Path) -> Result<Vec<String>, PkiError> {
-    first_of_pem(path, |der| {
-        of_der(der).map(|certificate| hosts_of(&certificate))
-    })
+    first_of_pem(path, |der| of_der(der).map(|certificate| hosts_of(&certificate)))
 }
 
 fn first_of_pem<T>(
@@ -99,10 +94,7 @@ fn first_of_pem<T>(
     read: impl FnOnce(&[u8]) -> Result<T, String>,
 ) -> Result<T, PkiError> {
     let bytes = std::fs::read(path).map_err(|source| PkiError::file(path, source))?;
-    let content = |reason: String| PkiError::Content {
-        path: path.to_owned(),
-        reason,
-    };
+    let content = |reason: String| PkiError::Content { path: path.to_owned(), reason };
     let (_, pem) = x509_parser::pem::parse_x509_pem(&bytes)
         .map_err(|error| content(format!("not a certificate in PEM: {error}")))?;
     read(&pem.contents).map_err(content)

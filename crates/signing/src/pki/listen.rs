@@ -122,8 +122,5 @@ fn read<T>(path: &Path, parse: impl Fn(&[u8]) -> Result<T, String>) -> Result<T,
 }
 
 fn content(path: &Path, reason: &dyn std::fmt::Display) -> PkiError {
-    PkiError::Content {
-        path: path.to_owned(),
-        reason: reason.to_string(),
-    }
+    PkiError::Content { path: path.to_owned(), reason: reason.to_string() }
 }

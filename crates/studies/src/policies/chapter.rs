@@ -22,13 +22,7 @@ impl Way {
     }
 }
 
-const HEAD: [&str; 5] = [
-    "off forward m/s",
-    "sideways m/s",
-    "turning rad/s",
-    "falls",
-    "power W",
-];
+const HEAD: [&str; 5] = ["off forward m/s", "sideways m/s", "turning rad/s", "falls", "power W"];
 
 /// In decimals, and zero without a sign.
 fn number(x: f64, digits: usize) -> String {
@@ -78,29 +72,19 @@ pub fn tables(compared: &Compared) -> Vec<Table> {
             Some(name.chain(cells(figures(way)?)).collect())
         };
         let head = std::iter::once(of).chain(HEAD.map(str::to_owned));
-        Table {
-            head: head.collect(),
-            rows: compared.ways.iter().filter_map(row).collect(),
-        }
+        Table { head: head.collect(), rows: compared.ways.iter().filter_map(row).collect() }
     };
     let suite = &compared.suite;
     vec![
         table(format!("on the robot ({suite})"), &|w| Some(&w.in_truth)),
-        table("less than trained in the model as given".into(), &|w| {
-            w.gain.as_ref()
+        table("less than trained in the model as given".into(), &|w| w.gain.as_ref()),
+        table(format!("in the model that it was trained in ({suite})"), &|w| Some(&w.at_home)),
+        table("on the robot in Rapier (forward velocities that change)".into(), &|w| {
+            Some(&w.in_rapier)
         }),
-        table(
-            format!("in the model that it was trained in ({suite})"),
-            &|w| Some(&w.at_home),
-        ),
-        table(
-            "on the robot in Rapier (forward velocities that change)".into(),
-            &|w| Some(&w.in_rapier),
-        ),
-        table(
-            "less than trained in the model as given, in Rapier".into(),
-            &|w| w.gain_in_rapier.as_ref(),
-        ),
+        table("less than trained in the model as given, in Rapier".into(), &|w| {
+            w.gain_in_rapier.as_ref()
+        }),
     ]
 }
 
@@ -126,17 +110,10 @@ pub fn chapter(compared: &Compared) -> Chapter {
     lead.push_str("<div class=\"key\"><span>trained in:</span>");
     for way in &compared.ways {
         let (words, _, colour) = way.way.look();
-        let _ = write!(
-            lead,
-            "<span><i style=\"border-color:var({colour})\"></i>{words}</span>"
-        );
+        let _ = write!(lead, "<span><i style=\"border-color:var({colour})\"></i>{words}</span>");
     }
     lead.push_str("<span><i class=\"kc\"></i>command</span></div>");
-    Chapter {
-        title: "Policies".into(),
-        lead,
-        figures: pictures(compared),
-    }
+    Chapter { title: "Policies".into(), lead, figures: pictures(compared) }
 }
 
 /// Forward velocity over time, and the way achieved velocity goes with the commanded one.
@@ -152,11 +129,7 @@ fn pictures(compared: &Compared) -> Vec<Signature> {
     let Some(first) = compared.ways.first() else {
         return Vec::new();
     };
-    let mut over_time = vec![line(
-        "command",
-        &first.speed.time_s,
-        &first.speed.command_mps,
-    )];
+    let mut over_time = vec![line("command", &first.speed.time_s, &first.speed.command_mps)];
     let mut against = Vec::new();
     for way in &compared.ways {
         let (speed, (_, class, _)) = (&way.speed, way.way.look());
@@ -187,13 +160,7 @@ fn pictures(compared: &Compared) -> Vec<Signature> {
 }
 
 fn line(label: &str, x: &[f64], y: &[f64]) -> Series {
-    Series {
-        label: label.into(),
-        scatter: false,
-        x: x.to_vec(),
-        y: y.to_vec(),
-        spread: Vec::new(),
-    }
+    Series { label: label.into(), scatter: false, x: x.to_vec(), y: y.to_vec(), spread: Vec::new() }
 }
 
 #[cfg(test)]
@@ -207,11 +174,7 @@ mod tests {
         // s = 0.002, over √3 times 4.303: 0.004969
         assert_eq!(cell(&x, 3), "0.012 ± 0.005");
         assert_eq!(cell(&Interval::of(&[0.01]), 3), "0.010");
-        let falls = Interval {
-            mean: 0.1,
-            ci_low: Some(0.05),
-            ci_high: Some(0.2),
-        };
+        let falls = Interval { mean: 0.1, ci_low: Some(0.05), ci_high: Some(0.2) };
         assert_eq!(share(&falls), "10.0 % (5.0 to 20.0)");
         assert_eq!(number(-1e-9, 3), "0.000");
     }
@@ -249,11 +212,8 @@ mod tests {
         let chapter = chapter(&compared);
         assert_eq!(chapter.lead.matches("<td>extended model</td>").count(), 5);
         assert_eq!(chapter.lead.matches("<td>model as given</td>").count(), 3);
-        let labels: Vec<&str> = chapter.figures[0]
-            .series
-            .iter()
-            .map(|s| s.label.as_str())
-            .collect();
+        let labels: Vec<&str> =
+            chapter.figures[0].series.iter().map(|s| s.label.as_str()).collect();
         assert_eq!(labels, ["command", "before", "after", "wide randomisation"]);
         assert_eq!(chapter.figures[1].series[2].y, [0.08]);
     }

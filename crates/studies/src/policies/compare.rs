@@ -43,14 +43,7 @@ pub fn compare(
     let sets = sets.collect::<Result<Vec<_>, _>>()?;
     let asked = asked(effort, given, &models);
     let _taken = OutFolder::take(out, &asked)?;
-    let mut work = Work {
-        robots,
-        out,
-        effort,
-        given,
-        truth: &models[2],
-        steps,
-    };
+    let mut work = Work { robots, out, effort, given, truth: &models[2], steps };
     let mut made: Vec<Vec<Policy>> = kinds.iter().map(|_| Vec::new()).collect();
     let mut last = None;
     // Seed by seed, so that what is there when somebody stops it can be compared.

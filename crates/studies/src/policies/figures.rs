@@ -9,9 +9,7 @@ type Of<'a> = &'a dyn Fn(&Run) -> f64;
 
 /// Two-sided 95 % points of Student's distribution for 1, 2, … degrees of freedom; the last one for all more
 /// (it is a little too wide for them).
-const T_95: [f64; 10] = [
-    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228,
-];
+const T_95: [f64; 10] = [12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228];
 
 /// A mean over trainings, and its 95 % interval; null where there is one training only.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -29,29 +27,18 @@ impl Interval {
     pub fn of(values: &[f64]) -> Self {
         let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
         let Some(freedom) = values.len().checked_sub(1).filter(|f| *f > 0) else {
-            return Self {
-                mean,
-                ..Self::default()
-            };
+            return Self { mean, ..Self::default() };
         };
         let squares: f64 = values.iter().map(|x| (x - mean).powi(2)).sum();
         let error = (squares / freedom as f64 / values.len() as f64).sqrt();
         let half = error * T_95[freedom.min(T_95.len()) - 1];
-        Self {
-            mean,
-            ci_low: Some(mean - half),
-            ci_high: Some(mean + half),
-        }
+        Self { mean, ci_low: Some(mean - half), ci_high: Some(mean + half) }
     }
 }
 
 impl From<Estimate> for Interval {
     fn from(e: Estimate) -> Self {
-        Self {
-            mean: e.mean,
-            ci_low: Some(e.ci_low),
-            ci_high: Some(e.ci_high),
-        }
+        Self { mean: e.mean, ci_low: Some(e.ci_low), ci_high: Some(e.ci_high) }
     }
 }
 
@@ -183,10 +170,8 @@ mod tests {
                 falls: falls.iter().map(|(why, n)| ((*why).into(), *n)).collect(),
                 ..super::super::tests::scenario(fall_share, [off, 0.01, 0.1])
             };
-        let got = Run::of(&[
-            scenario(0.5, 0.03, &[("tilted", 1), ("low", 1)]),
-            scenario(0.0, 0.04, &[]),
-        ]);
+        let got =
+            Run::of(&[scenario(0.5, 0.03, &[("tilted", 1), ("low", 1)]), scenario(0.0, 0.04, &[])]);
         assert_eq!((got.falls, got.episodes, got.power_w), (2, 20, 6.5));
         // √((0.0009 + 0.0016)/2) = 0.0353553
         assert!((got.off[0] - 0.035_355_3).abs() < 1e-6 && (got.off[1] - 0.01).abs() < 1e-12);

@@ -26,10 +26,7 @@ pub(crate) mod tests {
 
     /// Ten episodes: share of falls, and errors off the command.
     pub fn scenario(fall_share: f64, rmse_of_strides: [f64; 3]) -> ScenarioResult {
-        let estimate = |mean| Estimate {
-            mean,
-            ..Estimate::default()
-        };
+        let estimate = |mean| Estimate { mean, ..Estimate::default() };
         ScenarioResult {
             episodes: 10,
             fall_share: estimate(fall_share),

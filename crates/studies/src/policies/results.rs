@@ -33,10 +33,8 @@ impl Compared {
         sets: &[Vec<String>],
         made: &[Vec<Policy>],
     ) -> Self {
-        let runs: Vec<Vec<Runs>> = made
-            .iter()
-            .map(|policies| policies.iter().map(|p| p.runs).collect())
-            .collect();
+        let runs: Vec<Vec<Runs>> =
+            made.iter().map(|policies| policies.iter().map(|p| p.runs).collect()).collect();
         let each = kinds.iter().zip(sets).zip(made).enumerate();
         let ways = each.map(|(k, ((way, set), made))| {
             let of = |pick: &dyn Fn(&Runs) -> Run| runs[k].iter().map(pick).collect::<Vec<_>>();

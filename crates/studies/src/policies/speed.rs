@@ -47,9 +47,7 @@ impl Walks {
         Self {
             policy_sha256: policy.sha256_hex(),
             period_s: outcome.period_s,
-            episodes: tracks
-                .map(|track| track.rows.iter().map(forward).collect())
-                .collect(),
+            episodes: tracks.map(|track| track.rows.iter().map(forward).collect()).collect(),
             result: outcome.result,
         }
     }

@@ -108,10 +108,6 @@ impl Given {
             Some(policy) => Some(files::policy(&policy)?.sha256_hex()),
             None => None,
         };
-        Ok(Self {
-            flags,
-            config,
-            start,
-        })
+        Ok(Self { flags, config, start })
     }
 }

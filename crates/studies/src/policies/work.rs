@@ -80,8 +80,7 @@ impl Work<'_> {
             episodes: self.effort.episodes,
         };
         let file = self.out.join(format!("{name}.json"));
-        self.steps
-            .evaluate(&format!("evaluate {name}"), &test, &file)
+        self.steps.evaluate(&format!("evaluate {name}"), &test, &file)
     }
 
     /// Forward velocities that change, on the true robot, in the engine that policies are not trained in.

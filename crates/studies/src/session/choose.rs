@@ -52,16 +52,10 @@ pub(super) fn weights(
             ids.push(cause.effect.as_str());
             ids.extend(cause.alternatives.iter().map(String::as_str));
             // what else it might be
-            for look_alike in effects::find(&cause.effect)
-                .iter()
-                .flat_map(|e| e.look_alikes())
-            {
+            for look_alike in effects::find(&cause.effect).iter().flat_map(|e| e.look_alikes()) {
                 ids.push(look_alike);
             }
-            let places = cause
-                .location
-                .iter()
-                .chain(cause.elsewhere.iter().flatten());
+            let places = cause.location.iter().chain(cause.elsewhere.iter().flatten());
             joints.extend(places.filter_map(|n| place(n)));
         }
     } else {
@@ -109,11 +103,7 @@ mod tests {
         assert!(!is_sure(&report("ambiguous", &["winding_resistance"], &[])));
         let one = &["stale_gains"];
         assert!(is_sure(&report("ambiguous", one, one)));
-        assert!(!is_sure(&report(
-            "ambiguous",
-            &["stale_gains", "link_mass"],
-            one
-        )));
+        assert!(!is_sure(&report("ambiguous", &["stale_gains", "link_mass"], one)));
         assert!(!is_sure(&report("partly_explained", &[], &[])));
     }
 
@@ -125,9 +115,7 @@ mod tests {
             is_sure(&report)
         };
         assert!(with(&|_| ()));
-        assert!(!with(
-            &|r| r.causes[0].elsewhere = vec![vec!["knee".to_owned()]]
-        ));
+        assert!(!with(&|r| r.causes[0].elsewhere = vec![vec!["knee".to_owned()]]));
         assert!(!with(&|r| r.causes[0].confidence = 0.6));
         assert!(!with(&|r| r.runs[0].role = "fit".to_owned()));
     }

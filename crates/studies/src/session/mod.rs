@@ -171,16 +171,8 @@ pub struct Session {
 impl Session {
     /// Its rounds.
     pub fn table(&self) -> Table {
-        let head = [
-            "round",
-            "trial",
-            "why",
-            "motion s",
-            "off mrad",
-            "left mrad",
-            "verdict",
-            "causes",
-        ];
+        let head =
+            ["round", "trial", "why", "motion s", "off mrad", "left mrad", "verdict", "causes"];
         let mrad = |rad: Option<f64>| rad.map_or("-".to_owned(), |x| format!("{:.1}", 1e3 * x));
         let row = |r: &Round| {
             let verdict = serde_json::to_value(r.verdict).unwrap_or_default();

@@ -39,13 +39,7 @@ pub fn session(plan: &Plan, steps: &mut Steps<'_>) -> Result<Session, Failure> {
         None => None,
     };
     let _taken = OutFolder::take(&plan.dir, &asked(plan, &lab, truth.as_deref()))?;
-    let mut own = Own {
-        plan,
-        lab,
-        truth,
-        rounds: Vec::new(),
-        prospects: None,
-    };
+    let mut own = Own { plan, lab, truth, rounds: Vec::new(), prospects: None };
     own.go_back()?;
     loop {
         let report = own.report()?;
@@ -170,11 +164,7 @@ impl Own<'_> {
             && found.duration_s <= left_s
         {
             let payload = asked.payload.clone();
-            return Ok(Decision::Record(self.next(
-                found,
-                asked.reason.clone(),
-                payload,
-            )));
+            return Ok(Decision::Record(self.next(found, asked.reason.clone(), payload)));
         }
         let no_gap = report.is_some_and(|r| r.verdict == Verdict::NoGap);
         let best = prospects.best(&weights, &recorded, f64::INFINITY);

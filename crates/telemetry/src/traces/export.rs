@@ -80,10 +80,8 @@ pub(crate) struct Exporter {
 impl Exporter {
     pub fn start(settings: &TraceSettings, metrics: &Metrics) -> Result<Self, TraceError> {
         let counters = Counters {
-            exported: metrics.make(
-                "caudata_trace_spans_exported_total",
-                "Spans that the collector took",
-            ),
+            exported: metrics
+                .make("caudata_trace_spans_exported_total", "Spans that the collector took"),
             dropped: metrics.make(
                 "caudata_trace_spans_dropped_total",
                 "Spans given up because the collector is away, slow, or refuses them",
@@ -111,18 +109,11 @@ impl Exporter {
                 });
             })
             .map_err(TraceError::Thread)?;
-        Ok(Self {
-            queue: Some(queue),
-            counters,
-            thread: Mutex::new(Some(thread)),
-        })
+        Ok(Self { queue: Some(queue), counters, thread: Mutex::new(Some(thread)) })
     }
 
     pub fn offer(&self, span: Span) {
-        let taken = self
-            .queue
-            .as_ref()
-            .is_some_and(|queue| queue.try_send(span).is_ok());
+        let taken = self.queue.as_ref().is_some_and(|queue| queue.try_send(span).is_ok());
         if !taken {
             self.counters.dropped.inc();
         }
@@ -207,9 +198,7 @@ impl Worker {
         let problem = match answer {
             Ok(Ok(answer)) => {
                 let partial = answer.into_inner().partial_success.unwrap_or_default();
-                let rejected = u64::try_from(partial.rejected_spans)
-                    .unwrap_or(0)
-                    .min(count);
+                let rejected = u64::try_from(partial.rejected_spans).unwrap_or(0).min(count);
                 self.counters.exported.inc_by(count - rejected);
                 self.counters.dropped.inc_by(rejected);
                 self.away = false;
@@ -221,10 +210,7 @@ impl Worker {
         self.counters.dropped.inc_by(count);
         // Once per absence: a collector that is away shall not fill the log.
         if !std::mem::replace(&mut self.away, true) {
-            tracing::warn!(
-                problem,
-                "the collector of traces does not take them; they are dropped"
-            );
+            tracing::warn!(problem, "the collector of traces does not take them; they are dropped");
         }
         false
     }
@@ -242,9 +228,7 @@ fn resource(settings: &TraceSettings) -> wire::Resource {
 }
 
 fn endpoint(settings: &TraceSettings) -> Result<Endpoint, TraceError> {
-    let bad = || TraceError::Endpoint {
-        endpoint: settings.endpoint.clone(),
-    };
+    let bad = || TraceError::Endpoint { endpoint: settings.endpoint.clone() };
     let encrypted = settings.endpoint.starts_with("https://");
     if !encrypted && !settings.endpoint.starts_with("http://") {
         return Err(bad());

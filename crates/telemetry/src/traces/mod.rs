@@ -70,22 +70,15 @@ impl Tracer {
 
     /// Whether policy `version` is one of those that are traced.
     pub fn is_traced(&self, version: u64) -> bool {
-        self.inner
-            .as_ref()
-            .is_some_and(|inner| version.is_multiple_of(inner.every))
+        self.inner.as_ref().is_some_and(|inner| version.is_multiple_of(inner.every))
     }
 
     /// A span of `trace` with an identifier of its own.
     pub fn child_of(&self, parent: TraceContext) -> TraceContext {
         let number = self.inner.as_ref().map_or(0, |inner| {
-            inner
-                .base
-                .wrapping_add(inner.count.fetch_add(1, Ordering::Relaxed))
+            inner.base.wrapping_add(inner.count.fetch_add(1, Ordering::Relaxed))
         });
-        TraceContext {
-            trace: parent.trace,
-            span: scattered(number).to_le_bytes(),
-        }
+        TraceContext { trace: parent.trace, span: scattered(number).to_le_bytes() }
     }
 
     /// Hands a span over. Never waits.
@@ -109,7 +102,5 @@ fn scattered(number: u64) -> u64 {
 pub fn now_ns() -> u64 {
     SystemTime::now()
         .duration_since(SystemTime::UNIX_EPOCH)
-        .map_or(0, |since| {
-            u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
-        })
+        .map_or(0, |since| u64::try_from(since.as_nanos()).unwrap_or(u64::MAX))
 }

@@ -109,9 +109,7 @@ pub(crate) fn attributes(
         .into_iter()
         .map(|(key, of)| wire::KeyValue {
             key: key.to_owned(),
-            value: Some(wire::AnyValue {
-                value: Some(value(of)),
-            }),
+            value: Some(wire::AnyValue { value: Some(value(of)) }),
         })
         .collect()
 }

@@ -63,10 +63,7 @@ pub(crate) fn node(mode: &str, listen: &str) -> zenoh::Session {
 }
 
 fn robot() -> RobotModel {
-    let file = concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../../robots/polymander.robot.toml"
-    );
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../robots/polymander.robot.toml");
     RobotModel::load(file.as_ref()).unwrap()
 }
 
@@ -101,16 +98,8 @@ pub(crate) fn command_link() -> (UdpLink, Commands) {
 fn a_node_sees_the_robot_and_drives_it() {
     let endpoint = endpoint();
     let ros = node("peer", &endpoint);
-    let heard = [
-        JOINTS,
-        IMU,
-        DIAGNOSTICS,
-        FRAMES,
-        BATTERY,
-        DESCRIPTION,
-        ODOMETRY,
-    ]
-    .map(|key| ros.declare_subscriber(key).wait().unwrap());
+    let heard = [JOINTS, IMU, DIAGNOSTICS, FRAMES, BATTERY, DESCRIPTION, ODOMETRY]
+        .map(|key| ros.declare_subscriber(key).wait().unwrap());
     let mut door = door_to(&endpoint);
 
     // Until the subscriptions have found their way nothing arrives; a person would see the topic appear.
@@ -135,19 +124,10 @@ fn a_node_sees_the_robot_and_drives_it() {
     assert_eq!(time, state.header.stamp_ns);
 
     let sensed = Imu::decode(&first(1).payload().to_bytes()).unwrap();
-    assert_eq!(
-        (sensed.gyro_radps, sensed.acc_mps2),
-        ([0.125, 0.0, -0.5], [0.0, 0.0, 9.75])
-    );
-    assert_eq!(
-        (sensed.orientation_wxyz, sensed.header.frame.as_str()),
-        (None, "imu")
-    );
+    assert_eq!((sensed.gyro_radps, sensed.acc_mps2), ([0.125, 0.0, -0.5], [0.0, 0.0, 9.75]));
+    assert_eq!((sensed.orientation_wxyz, sensed.header.frame.as_str()), (None, "imu"));
     let said = DiagnosticArray::decode(&first(2).payload().to_bytes()).unwrap();
-    assert_eq!(
-        (said.status[0].level, said.status[0].message.as_str()),
-        (0, "Walk")
-    );
+    assert_eq!((said.status[0].level, said.status[0].message.as_str()), (0, "Walk"));
 
     // One frame for each link, the first one's in `odom`, and the IMU; 0.01·i rad turn each link about its joint's axis.
     let frames = TfMessage::decode(&first(3).payload().to_bytes()).unwrap();
@@ -162,10 +142,7 @@ fn a_node_sees_the_robot_and_drives_it() {
     }
     let odometry = Odometry::decode(&first(6).payload().to_bytes()).unwrap();
     let base = &robot.links()[0].name;
-    assert_eq!(
-        (odometry.header.frame.as_str(), &odometry.child),
-        ("odom", base)
-    );
+    assert_eq!((odometry.header.frame.as_str(), &odometry.child), ("odom", base));
     let in_odom = frames.transforms.iter().find(|frame| frame.child == *base);
     assert_eq!(in_odom.unwrap().header.frame, "odom");
     // ticks of one time: nothing passes. The robot turns by −0.5 rad/s, which a tilted root link sees as well.
@@ -187,18 +164,12 @@ fn a_node_sees_the_robot_and_drives_it() {
     seen.sort();
     assert_eq!(seen.len(), 9, "{seen:#?}");
     assert!(seen.iter().any(|t| t.contains("/NN/%/%/salamander")));
-    assert!(
-        seen.iter()
-            .any(|t| t.contains("/MS/%/%/salamander/%robot1%cmd_vel/"))
-    );
+    assert!(seen.iter().any(|t| t.contains("/MS/%/%/salamander/%robot1%cmd_vel/")));
 
     // Velocities: from the topic to the robot's end of the command link, authenticated.
     let (mut robot, mut commands) = command_link();
     assert_eq!(door.velocity(), None);
-    let twist = Twist {
-        linear_mps: [0.25, -0.125, 0.0],
-        angular_radps: [0.0, 0.0, 0.5],
-    };
+    let twist = Twist { linear_mps: [0.25, -0.125, 0.0], angular_radps: [0.0, 0.0, 0.5] };
     ros.put(VELOCITY, vec![1, 2, 3]).wait().unwrap();
     while robot.view().command != [0.25, -0.125, 0.5] {
         ros.put(VELOCITY, twist.encode()).wait().unwrap();

@@ -35,17 +35,12 @@ fn a_node_that_is_not_ours_lists_the_robot_reads_it_and_drives_it() {
     let _router = node("router", &endpoint);
     let mut door = door_to(&endpoint);
     let (mut robot, mut commands) = command_link();
-    let child = command
-        .arg(port)
-        .env("ROS_DOMAIN_ID", "3")
-        .stdout(Stdio::piped());
+    let child = command.arg(port).env("ROS_DOMAIN_ID", "3").stdout(Stdio::piped());
     let mut child = Ended(child.spawn().unwrap());
     let said = BufReader::new(child.0.stdout.take().unwrap());
     let (sender, lines) = mpsc::sync_channel(1);
     std::thread::spawn(move || {
-        said.lines()
-            .map_while(Result::ok)
-            .try_for_each(|line| sender.send(line))
+        said.lines().map_while(Result::ok).try_for_each(|line| sender.send(line))
     });
 
     let began = Instant::now();
@@ -77,10 +72,8 @@ fn lists_the_robot(graph: &Value) {
         ("/robot1/cmd_vel", "geometry_msgs/msg/Twist"),
     ] {
         let of_topic = |end: &&Value| end[0] == topic;
-        let (ours, theirs): (Vec<&Value>, Vec<&Value>) = ends
-            .iter()
-            .filter(of_topic)
-            .partition(|end| end[1] == "salamander");
+        let (ours, theirs): (Vec<&Value>, Vec<&Value>) =
+            ends.iter().filter(of_topic).partition(|end| end[1] == "salamander");
         assert_eq!((ours.len(), theirs.len()), (1, 1), "{topic}: {graph:#}");
         assert_eq!(ours[0][2], kind);
         assert_eq!(ours[0][3], theirs[0][3], "{topic}: hash of the type");
@@ -92,21 +85,12 @@ fn reads_the_robot(heard: &Value) {
     assert_eq!(state["name"][3], "joint_3");
     let position = state["position"][3].as_f64().unwrap();
     assert!((position - 0.03).abs() < 1e-6, "{position}");
-    assert_eq!(
-        (&state["velocity"][15], &state["effort"][15]),
-        (&json!(0.5), &json!(0.5))
-    );
+    assert_eq!((&state["velocity"][15], &state["effort"][15]), (&json!(0.5), &json!(0.5)));
     assert!(state["header"]["stamp"]["sec"].as_i64().unwrap() > 1_600_000_000);
     let imu = &heard["imu/data"];
     assert_eq!(imu["header"]["frame_id"], "imu");
-    assert_eq!(
-        imu["angular_velocity"],
-        json!({ "x": 0.125, "y": 0.0, "z": -0.5 })
-    );
-    assert_eq!(
-        imu["linear_acceleration"],
-        json!({ "x": 0.0, "y": 0.0, "z": 9.75 })
-    );
+    assert_eq!(imu["angular_velocity"], json!({ "x": 0.125, "y": 0.0, "z": -0.5 }));
+    assert_eq!(imu["linear_acceleration"], json!({ "x": 0.0, "y": 0.0, "z": 9.75 }));
     let frame = &heard["tf"]["transforms"][0];
     let outer = frame["header"]["frame_id"].as_str().unwrap();
     let place = frame["transform"]["translation"]["x"].as_f64();
@@ -118,8 +102,5 @@ fn reads_the_robot(heard: &Value) {
     let description = heard["robot_description"]["data"].as_str().unwrap();
     assert!(description.contains("<robot name="), "{description}");
     let status = &heard["diagnostics"]["status"][0];
-    assert_eq!(
-        (&status["level"], &status["message"]),
-        (&json!(0), &json!("Walk"))
-    );
+    assert_eq!((&status["level"], &status["message"]), (&json!(0), &json!("Walk")));
 }

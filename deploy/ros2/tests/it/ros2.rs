@@ -73,16 +73,11 @@ fn hex(bytes: &[u8]) -> String {
 fn unhex(text: &str) -> Vec<u8> {
     let digits = text.as_bytes().chunks(2);
     let digits = digits.map(|two| std::str::from_utf8(two).unwrap());
-    digits
-        .map(|two| u8::from_str_radix(two, 16).unwrap())
-        .collect()
+    digits.map(|two| u8::from_str_radix(two, 16).unwrap()).collect()
 }
 
 fn header() -> Header {
-    Header {
-        stamp_ns: 1_500_000_002,
-        frame: "base".to_owned(),
-    }
+    Header { stamp_ns: 1_500_000_002, frame: "base".to_owned() }
 }
 
 /// Whether bytes are a message to us.
@@ -154,10 +149,7 @@ fn rows() -> Vec<Row> {
             BatteryState,
             BatteryState::TYPE,
             Some(BATTERY_STATE.hash),
-            BatteryState {
-                header: header(),
-                voltage_v: 12.5,
-            },
+            BatteryState { header: header(), voltage_v: 12.5 },
             json!({ "header": stamp, "voltage": 12.5, "temperature": "nan", "current": "nan", "charge": "nan",
                 "capacity": "nan", "design_capacity": "nan", "percentage": "nan", "power_supply_status": 0,
                 "power_supply_health": 0, "power_supply_technology": 0, "present": true, "cell_voltage": [],
@@ -191,10 +183,7 @@ fn rows() -> Vec<Row> {
             Twist,
             TWIST.name,
             Some(TWIST.hash),
-            Twist {
-                linear_mps: [0.25, 0.0, 0.0],
-                angular_radps: [0.0, 0.0, -0.5],
-            },
+            Twist { linear_mps: [0.25, 0.0, 0.0], angular_radps: [0.0, 0.0, -0.5] },
             json!({ "linear": vector([0.25, 0.0, 0.0]), "angular": vector([0.0, 0.0, -0.5]) })
         ),
         row!(

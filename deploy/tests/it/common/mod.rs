@@ -47,10 +47,7 @@ impl Server {
 
     /// One that proves where labels lead.
     pub fn proving(data: &Path, key: caudata_signing::ReleaseKey) -> Self {
-        let options = ServeOptions {
-            fresh_key: Some(Arc::new(key)),
-            ..ServeOptions::default()
-        };
+        let options = ServeOptions { fresh_key: Some(Arc::new(key)), ..ServeOptions::default() };
         Self::start_with(data, options)
     }
 
@@ -68,18 +65,11 @@ impl Server {
             let metrics = ServerMetrics::register(&Metrics::new());
             let store = SharedStore::new(store);
             let serving = async move {
-                serve_with(listener, store, metrics, stopped, options)
-                    .await
-                    .unwrap();
+                serve_with(listener, store, metrics, stopped, options).await.unwrap();
             };
             (address, tokio::spawn(serving))
         });
-        Self {
-            address,
-            runtime,
-            stop,
-            ended,
-        }
+        Self { address, runtime, stop, ended }
     }
 
     pub fn publish(&self, bytes: Vec<u8>) {
@@ -146,10 +136,7 @@ fn serve_robot(mut stream: TcpStream) {
         gyro_radps: [0.0; 3],
         acc_mps2: [0.0, 0.0, 9.81],
         imu_gravity: None,
-        base_pose: Some(BasePose {
-            pos_m: [0.0, 0.0, 0.1],
-            quat_wxyz: [1.0, 0.0, 0.0, 0.0],
-        }),
+        base_pose: Some(BasePose { pos_m: [0.0, 0.0, 0.1], quat_wxyz: [1.0, 0.0, 0.0, 0.0] }),
         foot_contacts: Some(0b1111),
         in_water: None,
     };
@@ -175,10 +162,7 @@ fn serve_robot(mut stream: TcpStream) {
             }
             RobotMessage::Sensors(_) => panic!("robots send readings, programs do not"),
         }
-        send(
-            &mut stream,
-            RobotMessage::Sensors(Box::new(sensors.clone())),
-        );
+        send(&mut stream, RobotMessage::Sensors(Box::new(sensors.clone())));
     }
 }
 
@@ -198,13 +182,7 @@ pub fn program(command: &str, server: SocketAddr, state: &Path) -> Command {
 pub fn program_on(stream: &str, command: &str, server: SocketAddr, state: &Path) -> Command {
     let mut program = robot_program();
     program
-        .args([
-            command,
-            "--robot",
-            policies::ROBOT_FILE.as_str(),
-            "--stream",
-            stream,
-        ])
+        .args([command, "--robot", policies::ROBOT_FILE.as_str(), "--stream", stream])
         .args(["--policy-server", &server.to_string()])
         .arg("--state")
         .arg(state)
@@ -221,11 +199,7 @@ pub fn outcome(mut command: Command) -> (i32, Value, String) {
 
 /// Starts the program and leaves it running.
 pub fn start(mut command: Command) -> Child {
-    command
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap()
+    command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
 }
 
 /// As [`outcome`], of a program that is running.
@@ -236,10 +210,7 @@ pub fn ended(child: Child) -> (i32, Value, String) {
     let Some(code) = output.status.code() else {
         panic!("ended by {}: {errors}", output.status);
     };
-    let json = text
-        .lines()
-        .last()
-        .map_or(Value::Null, |line| serde_json::from_str(line).unwrap());
+    let json = text.lines().last().map_or(Value::Null, |line| serde_json::from_str(line).unwrap());
     (code, json, errors)
 }
 
@@ -256,10 +227,7 @@ pub fn end_of(child: &mut Child) -> ExitStatus {
 
 /// The `error: …` lines of a program.
 pub fn error_lines(stderr: &str) -> Vec<&str> {
-    stderr
-        .lines()
-        .filter(|line| line.starts_with("error: "))
-        .collect()
+    stderr.lines().filter(|line| line.starts_with("error: ")).collect()
 }
 
 /// What a file holds.

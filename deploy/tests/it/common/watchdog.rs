@@ -44,10 +44,7 @@ impl Watchdog {
                 }
             }
         });
-        Self {
-            done: Some(done),
-            thread: Some(thread),
-        }
+        Self { done: Some(done), thread: Some(thread) }
     }
 }
 

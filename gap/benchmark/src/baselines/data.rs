@@ -71,10 +71,7 @@ impl Part {
     fn channels(&self) -> Vec<(Kind, usize, Vec<&Piece>)> {
         let mut out: Vec<(Kind, usize, Vec<&Piece>)> = Vec::new();
         for piece in (self.data.segments.iter()).flat_map(|s| s.pieces.iter().filter(counts)) {
-            match out
-                .iter_mut()
-                .find(|c| (c.0, c.1) == (piece.kind, piece.index))
-            {
+            match out.iter_mut().find(|c| (c.0, c.1) == (piece.kind, piece.index)) {
                 Some(channel) => channel.2.push(piece),
                 None => out.push((piece.kind, piece.index, vec![piece])),
             }
@@ -86,12 +83,7 @@ impl Part {
     pub fn ratio(&self, before: &[f64], after: &[f64]) -> f64 {
         let channels = self.channels();
         let log = |(_, _, pieces): &(Kind, usize, Vec<&Piece>)| {
-            let of = |r: &[f64]| {
-                pieces
-                    .iter()
-                    .map(|p| square(&r[p.range.clone()]))
-                    .sum::<f64>()
-            };
+            let of = |r: &[f64]| pieces.iter().map(|p| square(&r[p.range.clone()])).sum::<f64>();
             0.5 * (of(after).max(1e-12) / of(before).max(1e-12)).ln()
         };
         (channels.iter().map(log).sum::<f64>() / channels.len().max(1) as f64).exp()
@@ -156,12 +148,7 @@ impl CaseData {
             return Err(missing("fit or holdout runs"));
         }
         let excitation = Excitation::of(&model, &fit.data.trials.iter().collect::<Vec<_>>());
-        Ok(Self {
-            replayer: Replayer::new(model, 1)?,
-            fit,
-            holdout,
-            excitation,
-        })
+        Ok(Self { replayer: Replayer::new(model, 1)?, fit, holdout, excitation })
     }
 
     /// The robot.
@@ -204,18 +191,14 @@ impl CaseData {
     /// Every effect of the catalogue that the runs can show, at every single place, with nothing of it.
     pub fn candidates(&self) -> Variant {
         let all = effects::ALL.iter().flat_map(|e| self.everywhere(e));
-        all.filter(|t| (t.effect.unseen)(&self.excitation, &t.place).is_none())
-            .collect()
+        all.filter(|t| (t.effect.unseen)(&self.excitation, &t.place).is_none()).collect()
     }
 
     fn everywhere(&self, effect: &'static Effect) -> Variant {
         let alone = |p: &Place| p.items.len() <= 1 || effect.domain == Domain::Robot;
         let places = effect.places(self.model()).into_iter().filter(alone);
-        let nothing = |place: Place| Term {
-            values: effect.neutral(self.model(), &place),
-            effect,
-            place,
-        };
+        let nothing =
+            |place: Place| Term { values: effect.neutral(self.model(), &place), effect, place };
         places.map(nothing).collect()
     }
 }

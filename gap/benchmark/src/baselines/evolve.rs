@@ -15,13 +15,8 @@ const POINTS: usize = 16;
 /// moved most, in steps that matter.
 pub fn evolve(data: &CaseData, generations: usize) -> Result<(Fit, Vec<&'static str>), DataError> {
     // one parameter each
-    const LIST: [&str; 5] = [
-        "command_delay",
-        "armature",
-        "viscous_friction",
-        "coulomb_friction",
-        "encoder_offset",
-    ];
+    const LIST: [&str; 5] =
+        ["command_delay", "armature", "viscous_friction", "coulomb_friction", "encoder_offset"];
     let nothing: Variant = LIST.iter().flat_map(|id| data.each(id)).collect();
     let n = nothing.len();
     let scale = |k: usize| (nothing[k].effect).scale(data.model(), &nothing[k].place, 0);
@@ -36,12 +31,7 @@ pub fn evolve(data: &CaseData, generations: usize) -> Result<(Fit, Vec<&'static 
     let mut s = Stream::new(Key::for_run(1), Purpose::Action);
     let rates = Rates::of(n);
     let mut cloud = Cloud::of(n);
-    let mut best = Fit {
-        terms: nothing.clone(),
-        cost: f64::INFINITY,
-        values: 0,
-        sd: Vec::new(),
-    };
+    let mut best = Fit { terms: nothing.clone(), cost: f64::INFINITY, values: 0, sd: Vec::new() };
     for _ in 0..generations {
         let draw = |s: &mut Stream| (0..n).map(|_| s.normal_f64()).collect::<Vec<f64>>();
         let draws: Vec<Vec<f64>> = (0..POINTS).map(|_| draw(&mut s)).collect();
@@ -78,9 +68,8 @@ impl Rates {
     fn of(n: usize) -> Self {
         let dim = n as f64;
         let parents = POINTS / 2;
-        let raw: Vec<f64> = (0..parents)
-            .map(|i| (parents as f64 + 0.5).ln() - (i as f64 + 1.0).ln())
-            .collect();
+        let raw: Vec<f64> =
+            (0..parents).map(|i| (parents as f64 + 0.5).ln() - (i as f64 + 1.0).ln()).collect();
         let total: f64 = raw.iter().sum();
         let weights: Vec<f64> = raw.iter().map(|w| w / total).collect();
         let mass = 1.0 / weights.iter().map(|w| w * w).sum::<f64>();
@@ -113,13 +102,7 @@ impl Cloud {
     fn of(n: usize) -> Self {
         let mut cov = vec![0.0; n * n];
         (0..n).for_each(|i| cov[i * n + i] = 1.0);
-        Self {
-            mean: vec![0.0; n],
-            sigma: 1.0,
-            cov,
-            pc: vec![0.0; n],
-            ps: vec![0.0; n],
-        }
+        Self { mean: vec![0.0; n], sigma: 1.0, cov, pc: vec![0.0; n], ps: vec![0.0; n] }
     }
 
     fn steps(&self, draws: &[Vec<f64>]) -> Vec<Vec<f64>> {

@@ -59,11 +59,7 @@ fn normal_equations(
         .map(|&(i, p)| {
             let step = 0.3 * scale(data, terms, (i, p));
             let high = terms[i].effect.bounds(data.model(), &terms[i].place, p).1;
-            if terms[i].values[p] + step > high {
-                -step
-            } else {
-                step
-            }
+            if terms[i].values[p] + step > high { -step } else { step }
         })
         .collect();
     let one = |k: usize| moved(data, terms, |other| if other == k { steps[k] } else { 0.0 });
@@ -92,9 +88,8 @@ fn variance(normal: &[f64], n: usize, i: usize) -> Option<f64> {
 /// Damped Gauss–Newton with differences, from `start`.
 pub fn least_squares(data: &CaseData, start: Variant) -> Result<Fit, DataError> {
     let mut terms = start;
-    let scales: Vec<f64> = (slots(&terms).into_iter())
-        .map(|slot| scale(data, &terms, slot))
-        .collect();
+    let scales: Vec<f64> =
+        (slots(&terms).into_iter()).map(|slot| scale(data, &terms, slot)).collect();
     let n = scales.len();
     let mut damping = 1e-2;
     let mut r = (data.residuals(&data.fit, std::slice::from_ref(&terms))?).remove(0);
@@ -133,12 +128,7 @@ pub fn least_squares(data: &CaseData, start: Variant) -> Result<Fit, DataError> 
     let sd = |i: usize| {
         variance(&normal, n, i).map_or(f64::INFINITY, |v| (v * white).sqrt() * scales[i])
     };
-    Ok(Fit {
-        sd: (0..n).map(sd).collect(),
-        terms,
-        cost,
-        values: r.len(),
-    })
+    Ok(Fit { sd: (0..n).map(sd).collect(), terms, cost, values: r.len() })
 }
 
 /// Names of effects by how far their first parameter is from nothing in `units` of its own, where that is more
@@ -199,11 +189,7 @@ fn with_sizes<'a>(
     candidate: &'a Term,
 ) -> impl Iterator<Item = Variant> + 'a {
     let effect = candidate.effect;
-    let both = if effect.hinge {
-        &[1.0][..]
-    } else {
-        &[1.0, -1.0]
-    };
+    let both = if effect.hinge { &[1.0][..] } else { &[1.0, -1.0] };
     let sizes = (0..effect.grid.len()).flat_map(move |k| both.iter().map(move |way| (k, *way)));
     sizes.map(move |(k, way)| {
         let mut term = candidate.clone();
@@ -245,10 +231,8 @@ pub fn oracle(data: &CaseData, truth: &[(String, String)]) -> Result<Option<Fit>
 
 /// The best fit from the most promising `most` of `starts`.
 fn best_of(data: &CaseData, starts: Vec<Variant>, most: usize) -> Result<Option<Fit>, DataError> {
-    let mut costs: Vec<(f64, usize)> = (data.residuals(&data.fit, &starts)?.iter())
-        .map(|r| square(r))
-        .zip(0..)
-        .collect();
+    let mut costs: Vec<(f64, usize)> =
+        (data.residuals(&data.fit, &starts)?.iter()).map(|r| square(r)).zip(0..).collect();
     costs.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut best: Option<Fit> = None;
     for &(_, k) in costs.iter().take(most) {
@@ -274,9 +258,7 @@ pub fn forward_selection(data: &CaseData) -> Result<(Fit, Vec<&'static str>), Da
             |c: &&Term| !(fit.terms.iter()).any(|t| t.effect == c.effect && t.place == c.place);
         // one scan over sizes, then the best are refined
         let tries = candidates.iter().filter(had);
-        let tries: Vec<Variant> = tries
-            .flat_map(|c| with_sizes(data, &fit.terms, c))
-            .collect();
+        let tries: Vec<Variant> = tries.flat_map(|c| with_sizes(data, &fit.terms, c)).collect();
         match best_of(data, tries, 3)? {
             Some(next) if criterion(&next) < criterion(&fit) => fit = next,
             _ => break,

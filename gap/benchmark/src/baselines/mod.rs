@@ -65,15 +65,10 @@ pub fn all(folder: &Path, answer: &Answer) -> Result<Vec<BaselineOutcome>, DataE
     timed(NAMES[0], &|| judged(fit::fit_all(&data)?))?;
     timed(NAMES[1], &|| judged(evolve::evolve(&data, GENERATIONS)?))?;
     timed(NAMES[2], &|| judged(fit::forward_selection(&data)?))?;
-    timed(NAMES[3], &|| {
-        Ok(Some((Vec::new(), residual::holdout_ratio(&data)?)))
-    })?;
+    timed(NAMES[3], &|| Ok(Some((Vec::new(), residual::holdout_ratio(&data)?))))?;
     if matches!(answer.block, Block::Single | Block::Pair) {
-        let truth: Vec<(String, String)> = answer
-            .effects
-            .iter()
-            .map(|e| (e.effect.clone(), e.joint.clone()))
-            .collect();
+        let truth: Vec<(String, String)> =
+            answer.effects.iter().map(|e| (e.effect.clone(), e.joint.clone())).collect();
         timed(NAMES[4], &|| match fit::oracle(&data, &truth)? {
             Some(fit) => judged((fit, Vec::new())),
             None => Ok(None),
@@ -109,26 +104,16 @@ pub fn summaries(all: &[(Answer, Vec<BaselineOutcome>)]) -> Vec<BaselineSummary>
                 .filter_map(|(a, o)| Some((a, o.iter().find(|o| o.baseline == *name)?)))
                 .collect();
             let right = |a: &Answer, n: &str| {
-                a.effects
-                    .iter()
-                    .any(|t| t.effect == n || t.equivalent.iter().any(|e| e == n))
+                a.effects.iter().any(|t| t.effect == n || t.equivalent.iter().any(|e| e == n))
             };
             let large = |a: &Answer| {
                 a.block == Block::Single && a.effects.first().is_some_and(|t| t.d >= 3.0)
             };
-            let singles: Vec<_> = mine
-                .iter()
-                .filter(|(a, _)| a.block == Block::Single)
-                .collect();
-            let wrong: usize = singles
-                .iter()
-                .map(|(a, o)| o.names.iter().filter(|n| !right(a, n)).count())
-                .sum();
-            let mut ratios: Vec<f64> = mine
-                .iter()
-                .filter(|(a, _)| large(a))
-                .map(|(_, o)| o.holdout_ratio)
-                .collect();
+            let singles: Vec<_> = mine.iter().filter(|(a, _)| a.block == Block::Single).collect();
+            let wrong: usize =
+                singles.iter().map(|(a, o)| o.names.iter().filter(|n| !right(a, n)).count()).sum();
+            let mut ratios: Vec<f64> =
+                mine.iter().filter(|(a, _)| large(a)).map(|(_, o)| o.holdout_ratio).collect();
             ratios.sort_by(f64::total_cmp);
             BaselineSummary {
                 baseline: (*name).to_owned(),

@@ -44,10 +44,7 @@ fn series(part: &Part, s: &Segment, shown: &[f32], kind: Kind, index: usize) -> 
         index,
         name: String::new(),
         time_s: part.data.time_s[piece.range.clone()].to_vec(),
-        value: shown[piece.range.clone()]
-            .iter()
-            .map(|x| f64::from(*x))
-            .collect(),
+        value: shown[piece.range.clone()].iter().map(|x| f64::from(*x)).collect(),
     })
 }
 
@@ -57,9 +54,7 @@ pub fn holdout_ratio(data: &CaseData) -> Result<f64, DataError> {
     let shown = |part: &Part| data.replayer.predict(&part.data, &nominal);
     let (fit, held) = (shown(&data.fit)?.remove(0), shown(&data.holdout)?.remove(0));
     let off = |part: &Part, shown: &[f32], k: usize| part.data.value[k] - f64::from(shown[k]);
-    let before: Vec<f64> = (0..held.len())
-        .map(|k| off(&data.holdout, &held, k))
-        .collect();
+    let before: Vec<f64> = (0..held.len()).map(|k| off(&data.holdout, &held, k)).collect();
     let mut after = before.clone();
     for a in 0..data.model().actuated().len() {
         for kind in [Kind::Position, Kind::Velocity, Kind::Current] {

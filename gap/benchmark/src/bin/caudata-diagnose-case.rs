@@ -24,17 +24,12 @@ fn main() -> ExitCode {
 }
 
 fn run() -> Result<(), String> {
-    let mut options = Options {
-        threads: 1,
-        ..Options::default()
-    };
+    let mut options = Options { threads: 1, ..Options::default() };
     let mut folder = None;
     let mut args = std::env::args().skip(1);
     while let Some(arg) = args.next() {
         match arg.as_str() {
-            "--without" => options
-                .without
-                .push(args.next().ok_or("--without needs an effect id")?),
+            "--without" => options.without.push(args.next().ok_or("--without needs an effect id")?),
             "--budget" => {
                 let seconds = args.next().and_then(|s| s.parse().ok());
                 options.budget_s = Some(seconds.ok_or("--budget needs a number of seconds")?);

@@ -51,18 +51,13 @@ pub fn score(of: &[(f64, bool)]) -> Score {
     for &(p, right) in of {
         bins[((p * SCORE_BINS as f64) as usize).min(SCORE_BINS - 1)] += p - truth(right);
     }
-    let confident = of
-        .iter()
-        .filter(|x| x.0 >= crate::score::outcome::CONFIDENT);
+    let confident = of.iter().filter(|x| x.0 >= crate::score::outcome::CONFIDENT);
     Score {
         names: of.len(),
         log_score: of.iter().map(log).sum::<f64>() / n,
         brier: of.iter().map(|x| (x.0 - truth(x.1)).powi(2)).sum::<f64>() / n,
         calibration_error: bins.iter().map(|b| b.abs()).sum::<f64>() / n,
-        confident: (
-            confident.clone().filter(|x| !x.1).count(),
-            confident.count(),
-        ),
+        confident: (confident.clone().filter(|x| !x.1).count(), confident.count()),
     }
 }
 
@@ -142,9 +137,7 @@ pub fn fit(cases: &[Case], by_hand: Map, command: String, seed: u64) -> Calibrat
     let rows = rows(cases, &doubts);
     let precision = precision(cases, &by_hand.log_odds, &doubts);
     let log_odds = weights(&rows, &by_hand.log_odds, precision);
-    let told = rows
-        .iter()
-        .map(|(x, right)| (log_odds.probability(x), *right));
+    let told = rows.iter().map(|(x, right)| (log_odds.probability(x), *right));
     let mut by_odds: Vec<(f64, bool)> = told.collect();
     by_odds.sort_by(|a, b| b.0.total_cmp(&a.0));
     let top = &by_odds[..by_odds.len().div_ceil(3)];
@@ -194,9 +187,7 @@ fn weights(rows: &Rows, by_hand: &Weights, precision: f64) -> Weights {
         constant += step;
         odds.iter_mut().for_each(|o| *o += step);
         for j in 0..FEATURE_COUNT {
-            let slope: f64 = (0..rows.len())
-                .map(|k| wrong_by(&odds, k) * rows[k].0[j])
-                .sum();
+            let slope: f64 = (0..rows.len()).map(|k| wrong_by(&odds, k) * rows[k].0[j]).sum();
             let curvature = 0.25 * rows.iter().map(|r| r.0[j].powi(2)).sum::<f64>();
             let to = w[j] - (slope + precision * (w[j] - prior[j])) / (curvature + precision);
             let to = if to * FEATURES[j].1 > 0.0 { to } else { 0.0 };
@@ -206,10 +197,7 @@ fn weights(rows: &Rows, by_hand: &Weights, precision: f64) -> Weights {
             w[j] = to;
         }
     }
-    Weights {
-        constant: rounded(constant),
-        each: w.map(rounded),
-    }
+    Weights { constant: rounded(constant), each: w.map(rounded) }
 }
 
 /// From what on of (number, good) fewer are good: where to part them so that two shares, each by the rule of
@@ -217,10 +205,7 @@ fn weights(rows: &Rows, by_hand: &Weights, precision: f64) -> Weights {
 fn cut(mut of: Vec<(f64, bool)>, by_hand: f64) -> f64 {
     of.sort_by(|a, b| a.0.total_cmp(&b.0));
     let log = |part: &[(f64, bool)]| {
-        let (n, good) = (
-            part.len() as f64,
-            part.iter().filter(|x| x.1).count() as f64,
-        );
+        let (n, good) = (part.len() as f64, part.iter().filter(|x| x.1).count() as f64);
         let p = (good + 1.0) / (n + 2.0);
         (p, good * p.ln() + (n - good) * (1.0 - p).ln())
     };
@@ -251,12 +236,7 @@ mod tests {
     fn name(among: f64, scatter: f64, right: bool) -> Name {
         Name {
             effect: "kp_error".to_owned(),
-            grounds: Grounds {
-                among_look_alikes: among,
-                left: 0.3,
-                scatter,
-                ..Grounds::default()
-            },
+            grounds: Grounds { among_look_alikes: among, left: 0.3, scatter, ..Grounds::default() },
             confidence: among,
             right,
         }
@@ -286,13 +266,7 @@ mod tests {
                 case(k, Block::Single, vec![name(among, scatter, right)])
             })
             .collect();
-        let by_hand = Map {
-            doubts: Thresholds {
-                left: 0.15,
-                scatter: 0.1,
-            },
-            ..Map::default()
-        };
+        let by_hand = Map { doubts: Thresholds { left: 0.15, scatter: 0.1 }, ..Map::default() };
         let map = fit(&cases, by_hand, String::new(), 1);
         assert_eq!((map.names, map.right), (100, 75));
         assert_eq!(map.map.log_odds.each[0], 0.0);

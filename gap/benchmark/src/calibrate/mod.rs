@@ -60,12 +60,7 @@ pub struct Name {
 /// Case `number` of `seed`: in ten cases one is healthy, four have one effect, two have two, two have a law that
 /// never was in the catalogue, and one has an effect that is left out of it.
 fn plan(seed: u64, number: usize) -> Plan {
-    let key = Key {
-        seed,
-        actor: number as u64,
-        env: 0,
-        episode: 0,
-    };
+    let key = Key { seed, actor: number as u64, env: 0, episode: 0 };
     let mut s = Stream::new(key, Purpose::Command);
     let rig = match (number + 1) % CASES_AN_ARM {
         0 => "arm",
@@ -76,10 +71,7 @@ fn plan(seed: u64, number: usize) -> Plan {
         true => Amount::Short,
         false => Amount::Full,
     };
-    let mut plan = Plan {
-        other_laws: true,
-        ..Plan::new(Block::Null, rig, nuisances, amount)
-    };
+    let mut plan = Plan { other_laws: true, ..Plan::new(Block::Null, rig, nuisances, amount) };
     let d = SIZES_D[sets::below(&mut s, SIZES_D.len())];
     let joint = sets::joint(rig, &mut s);
     let local = |h: &Hidden| h.scope == Scope::Joint && h.layer != "sensing";
@@ -203,11 +195,7 @@ mod tests {
     fn a_case_does_not_depend_on_how_many_there_are() {
         let told = |seed, number| {
             let p = plan(seed, number);
-            (
-                p.block,
-                p.seed,
-                p.effects.iter().map(|e| e.0.id).collect::<Vec<_>>(),
-            )
+            (p.block, p.seed, p.effects.iter().map(|e| e.0.id).collect::<Vec<_>>())
         };
         assert_eq!(told(3, 17), told(3, 17));
         assert_ne!(told(3, 17).1, told(4, 17).1);

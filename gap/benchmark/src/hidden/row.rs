@@ -106,9 +106,7 @@ impl Hidden {
         let here = |(id, _, beside): &&(&str, &str, &[&str])| {
             joints == 1 && *id == self.id && beside.iter().any(|b| hidden.contains(b))
         };
-        rows.filter(here)
-            .flat_map(|(_, same, beside)| beside.iter().map(|b| (*same, *b)))
-            .collect()
+        rows.filter(here).flat_map(|(_, same, beside)| beside.iter().map(|b| (*same, *b))).collect()
     }
 
     /// Puts it into `world`, at joint `a` where it has one.
@@ -135,12 +133,7 @@ impl Hidden {
                 }
                 (Of::Sum(_), Change::Does(_)) => (f64::NAN, f64::NAN),
             };
-            TrueParameter {
-                names,
-                unit: m.unit,
-                value,
-                nominal,
-            }
+            TrueParameter { names, unit: m.unit, value, nominal }
         });
         measured.collect()
     }
@@ -194,11 +187,7 @@ impl Hidden {
         unit: &'static str,
         nominal: fn(&RobotModel, usize) -> f64,
     ) -> Self {
-        self.reported(Measure {
-            names,
-            unit,
-            of: Of::Sum(nominal),
-        })
+        self.reported(Measure { names, unit, of: Of::Sum(nominal) })
     }
 
     pub(super) const fn value(
@@ -207,11 +196,7 @@ impl Hidden {
         unit: &'static str,
         of: fn(&World, &RobotModel, usize) -> (f64, f64),
     ) -> Self {
-        self.reported(Measure {
-            names,
-            unit,
-            of: Of::Value(of),
-        })
+        self.reported(Measure { names, unit, of: Of::Value(of) })
     }
 
     pub(super) const fn reported(mut self, as_this: Measure) -> Self {
@@ -226,11 +211,7 @@ impl Hidden {
         unit: &'static str,
         of: fn(&World, &RobotModel, usize) -> (f64, f64),
     ) -> Self {
-        self.truth[1] = Some(Measure {
-            names,
-            unit,
-            of: Of::Value(of),
-        });
+        self.truth[1] = Some(Measure { names, unit, of: Of::Value(of) });
         self
     }
 }

@@ -98,11 +98,8 @@ pub fn judge(answer: &Answer, given: &Given, joint_links: &[(String, String)]) -
     let empty = Vec::new();
     let causes = given.report.as_ref().map_or(&empty, |r| &r.causes);
     let verdict = given.report.as_ref().map(|r| r.verdict);
-    let truth: Vec<Judged> = answer
-        .effects
-        .iter()
-        .map(|t| judged(t, causes, joint_links))
-        .collect();
+    let truth: Vec<Judged> =
+        answer.effects.iter().map(|t| judged(t, causes, joint_links)).collect();
     let is_true = |c: &Cause| is_true(answer, c, causes);
     let leads = given.report.as_ref().map_or(&empty, |r| &r.leads);
     let wrong: Vec<&Cause> = causes.iter().filter(|c| !is_true(c)).collect();
@@ -116,21 +113,13 @@ pub fn judge(answer: &Answer, given: &Given, joint_links: &[(String, String)]) -
         )
     );
     let wrong_confidence = wrong.iter().map(|c| c.confidence).fold(0.0, f64::max);
-    let next = given
-        .report
-        .as_ref()
-        .and_then(|r| r.next_experiment.as_ref());
+    let next = given.report.as_ref().and_then(|r| r.next_experiment.as_ref());
     // which place it is, a trial alone does not say
     let open_name = causes.iter().any(Cause::has_open_name);
     let next_helps = ((verdict == Some(Verdict::Ambiguous) && open_name)
         || verdict == Some(Verdict::InsufficientData))
     .then(|| {
-        next.is_some_and(|n| {
-            answer
-                .effects
-                .iter()
-                .any(|t| n.separates.iter().any(|s| same(t, s)))
-        })
+        next.is_some_and(|n| answer.effects.iter().any(|t| n.separates.iter().any(|s| same(t, s))))
     });
     Outcome {
         case: answer.case.clone(),
@@ -186,10 +175,7 @@ fn right(answer: &Answer, given: &Given, truth: &[Judged], detected: bool) -> bo
             verdict == Some(Verdict::DataFault) || names_fault(answer, given)
         }
         Block::Decoy => verdict.is_some() && unnamed,
-        Block::Outside => matches!(
-            verdict,
-            Some(Verdict::Unexplained | Verdict::PartlyExplained)
-        ),
+        Block::Outside => matches!(verdict, Some(Verdict::Unexplained | Verdict::PartlyExplained)),
         Block::Starved => {
             // an open question must hold the truth
             verdict == Some(Verdict::InsufficientData)
@@ -231,9 +217,7 @@ fn judged(t: &TrueEffect, causes: &[Cause], joint_links: &[(String, String)]) ->
             three.push(n);
         }
     }
-    let in_set = causes
-        .iter()
-        .any(|c| c.effect == t.effect || c.alternatives.contains(&t.effect));
+    let in_set = causes.iter().any(|c| c.effect == t.effect || c.alternatives.contains(&t.effect));
     let value = cause.and_then(|c| compare(t, c));
     Judged {
         effect: t.effect.clone(),
@@ -257,10 +241,7 @@ fn place_right(t: &TrueEffect, c: &Cause, joint_links: &[(String, String)]) -> b
     if t.joint.is_empty() || only_one {
         return only_one || c.location.is_empty() || c.location.len() == joint_links.len();
     }
-    let link = joint_links
-        .iter()
-        .find(|(j, _)| *j == t.joint)
-        .map(|(_, l)| l);
+    let link = joint_links.iter().find(|(j, _)| *j == t.joint).map(|(_, l)| l);
     c.location.len() == 1 && (c.location[0] == t.joint || Some(&c.location[0]) == link)
 }
 
@@ -291,12 +272,10 @@ fn compare(t: &TrueEffect, c: &Cause) -> Option<Compared> {
         Some((v, found))
     });
     let (v, (name, p)) =
-        by_name.or_else(
-            || match (t.parameters.as_slice(), c.parameters.iter().next()) {
-                ([v], Some(p)) if c.parameters.len() == 1 => Some((v, p)),
-                _ => None,
-            },
-        )?;
+        by_name.or_else(|| match (t.parameters.as_slice(), c.parameters.iter().next()) {
+            ([v], Some(p)) if c.parameters.len() == 1 => Some((v, p)),
+            _ => None,
+        })?;
     let (truth, nominal) = as_reported(v, name)?;
     let size = (truth - nominal).abs();
     let slack = 1e-9 + 1e-6 * truth.abs();
@@ -324,12 +303,8 @@ fn as_reported(v: &TrueValue, name: &str) -> Option<(f64, f64)> {
 
 /// Geometric mean over joint signals of the error on held-out runs, after over before.
 fn gain(report: &Report) -> Option<f64> {
-    let ratios: Vec<f64> = report
-        .gain
-        .values()
-        .map(|g| g.ratio)
-        .filter(|r| *r > 0.0 && r.is_finite())
-        .collect();
+    let ratios: Vec<f64> =
+        report.gain.values().map(|g| g.ratio).filter(|r| *r > 0.0 && r.is_finite()).collect();
     if ratios.is_empty() {
         return None;
     }

@@ -116,9 +116,7 @@ impl Summary {
         let named = |o: &Outcome| !o.given.is_empty();
         let fault = |o: &Outcome| {
             o.block == Block::Decoy
-                && crate::decoy::Decoy::ALL
-                    .iter()
-                    .any(|x| x.name() == o.decoy && x.is_fault())
+                && crate::decoy::Decoy::ALL.iter().any(|x| x.name() == o.decoy && x.is_fault())
         };
         let true_names: Vec<&Judged> = all
             .iter()
@@ -166,9 +164,9 @@ impl Summary {
                 |o| o.truth.iter().any(|t| t.named),
             ),
             wrong_per_case: mean(&counted.iter().map(|o| o.wrong as f64).collect::<Vec<_>>()),
-            leads: counted.iter().fold((0, 0), |(right, wrong), o| {
-                (right + o.leads.0, wrong + o.leads.1)
-            }),
+            leads: counted
+                .iter()
+                .fold((0, 0), |(right, wrong), o| (right + o.leads.0, wrong + o.leads.1)),
             wrong_per_single: of(&single, &|o| o.wrong as f64),
             outside_flagged: Rate::count(all, block(Block::Outside), |o| o.right),
             outside_wrong: Rate::count(all, block(Block::Outside), |o| {
@@ -194,11 +192,7 @@ impl Summary {
     pub fn rows(&self) -> Vec<Row> {
         let percent = |x: f64| format!("{:.1} %", 100.0 * x);
         let mut rows = vec![
-            row(
-                "false alarms on nulls (any name)",
-                &self.false_alarms,
-                "<= 5 %, upper bound",
-            ),
+            row("false alarms on nulls (any name)", &self.false_alarms, "<= 5 %, upper bound"),
             row("nulls with a gap but no name", &self.null_gaps, ""),
             row("decoys named as physics", &self.decoys_named, "<= 5 %"),
             row("data faults called so", &self.faults_found, ""),
@@ -210,16 +204,8 @@ impl Summary {
                 4.0 => "98 %; name 85 %",
                 _ => "",
             };
-            rows.push(row(
-                &format!("seen at d = {}", step.d),
-                &step.detected,
-                owed,
-            ));
-            rows.push(row(
-                &format!("first name right at d = {}", step.d),
-                &step.first,
-                "",
-            ));
+            rows.push(row(&format!("seen at d = {}", step.d), &step.detected, owed));
+            rows.push(row(&format!("first name right at d = {}", step.d), &step.first, ""));
         }
         let (median, ninety) = self.parameter_error;
         let errors = format!("{}, {}", percent(median), percent(ninety));
@@ -229,33 +215,13 @@ impl Summary {
             row("layer right, d >= 2", &self.layer, "93 %"),
             row("joint right, d >= 2", &self.joint, "90 %"),
             row("answer set holds the truth", &self.coverage, "92-98 %"),
-            row(
-                "size of the answer set, mean",
-                &format!("{:.2}", self.set_size),
-                "<= 2",
-            ),
-            row(
-                "parameter error, median and 90 %, d >= 4",
-                &errors,
-                "10 %, 30 %",
-            ),
-            row(
-                "95 % intervals that hold the truth",
-                &self.interval,
-                "88-98 %",
-            ),
+            row("size of the answer set, mean", &format!("{:.2}", self.set_size), "<= 2"),
+            row("parameter error, median and 90 %, d >= 4", &errors, "10 %, 30 %"),
+            row("95 % intervals that hold the truth", &self.interval, "88-98 %"),
             row("pairs: both named", &self.pairs_both, "70 %"),
             row("pairs: at least one", &self.pairs_one, "97 %"),
-            row(
-                "the same, pairs of d >= 2 together",
-                &self.pairs_one_visible,
-                "",
-            ),
-            row(
-                "wrong names per case",
-                &format!("{:.3}", self.wrong_per_case),
-                "<= 0.10",
-            ),
+            row("the same, pairs of d >= 2 together", &self.pairs_one_visible, ""),
+            row("wrong names per case", &format!("{:.3}", self.wrong_per_case), "<= 0.10"),
         ]);
         rows.extend(self.rows_of_blocks());
         rows
@@ -267,43 +233,15 @@ impl Summary {
         let seconds = format!("{:.1}, {:.1}", self.seconds.0, self.seconds.1);
         vec![
             row("leads in the same cases: true, not true", &leads, ""),
-            row(
-                "outside the catalogue: flagged",
-                &self.outside_flagged,
-                "80 %",
-            ),
-            row(
-                "outside the catalogue: confident wrong name",
-                &self.outside_wrong,
-                "<= 10 %",
-            ),
-            row(
-                "starved: ambiguous, insufficient or right",
-                &self.starved,
-                "",
-            ),
-            row(
-                "change before the hold-out not sold as a cause",
-                &self.holdout_change,
-                "",
-            ),
+            row("outside the catalogue: flagged", &self.outside_flagged, "80 %"),
+            row("outside the catalogue: confident wrong name", &self.outside_wrong, "<= 10 %"),
+            row("starved: ambiguous, insufficient or right", &self.starved, ""),
+            row("change before the hold-out not sold as a cause", &self.holdout_change, ""),
             row("on the ground: first name right", &self.ground, ""),
             row("in water: first name right", &self.water, ""),
-            row(
-                "girdle play: right hinge, within 0.5 deg",
-                &self.play,
-                "found",
-            ),
-            row(
-                "expected calibration error",
-                &format!("{:.3}", self.calibration_error),
-                "<= 0.07",
-            ),
-            row(
-                "next experiment separates the truth",
-                &self.next_helps,
-                "70 %",
-            ),
+            row("girdle play: right hinge, within 0.5 deg", &self.play, "found"),
+            row("expected calibration error", &format!("{:.3}", self.calibration_error), "<= 0.07"),
+            row("next experiment separates the truth", &self.next_helps, "70 %"),
             row("seconds per case, mean and longest", &seconds, ""),
             row("diagnoses that failed", &self.failed, "0"),
         ]
@@ -315,11 +253,8 @@ impl Summary {
 pub fn median_gain(all: &[Outcome]) -> f64 {
     let large =
         |o: &&Outcome| o.block == Block::Single && o.truth.first().is_some_and(|t| t.d >= 3.0);
-    let mut ratios: Vec<f64> = all
-        .iter()
-        .filter(large)
-        .map(|o| o.gain_ratio.unwrap_or(1.0))
-        .collect();
+    let mut ratios: Vec<f64> =
+        all.iter().filter(large).map(|o| o.gain_ratio.unwrap_or(1.0)).collect();
     ratios.sort_by(f64::total_cmp);
     ratios.get(ratios.len() / 2).copied().unwrap_or(f64::NAN)
 }
@@ -379,21 +314,15 @@ fn play(all: &[Outcome]) -> Rate {
 }
 
 fn mean(x: &[f64]) -> f64 {
-    if x.is_empty() {
-        0.0
-    } else {
-        x.iter().sum::<f64>() / x.len() as f64
-    }
+    if x.is_empty() { 0.0 } else { x.iter().sum::<f64>() / x.len() as f64 }
 }
 
 /// Expected calibration error and the bins behind it, over every name that was given.
 fn calibration(all: &[Outcome]) -> (f64, Vec<Bin>) {
     let mut bins = [(0usize, 0.0, 0.0); BINS];
     let mut total = 0.0;
-    for &(confidence, right) in all
-        .iter()
-        .filter(|o| o.block != Block::HoldoutChange)
-        .flat_map(|o| &o.confidences)
+    for &(confidence, right) in
+        all.iter().filter(|o| o.block != Block::HoldoutChange).flat_map(|o| &o.confidences)
     {
         let b = ((confidence * BINS as f64) as usize).min(BINS - 1);
         bins[b].0 += 1;
@@ -407,11 +336,7 @@ fn calibration(all: &[Outcome]) -> (f64, Vec<Bin>) {
         .map(|&(n, c, r)| {
             let per = 1.0 / f64::max(n as f64, 1.0);
             error += n as f64 / f64::max(total, 1.0) * (c * per - r * per).abs();
-            Bin {
-                names: n,
-                confidence: c * per,
-                right: r * per,
-            }
+            Bin { names: n, confidence: c * per, right: r * per }
         })
         .collect();
     (error, bins)
@@ -428,10 +353,7 @@ mod tests {
             rig: "pendulum".into(),
             decoy: String::new(),
             verdict: "explained".into(),
-            given: given
-                .iter()
-                .map(|g| ((*g).to_owned(), String::new(), 0.9))
-                .collect(),
+            given: given.iter().map(|g| ((*g).to_owned(), String::new(), 0.9)).collect(),
             detected: !given.is_empty(),
             together_d: 0.0,
             wrong: given.len() - truth.iter().filter(|t| t.named).count(),
@@ -462,10 +384,7 @@ mod tests {
             in_set: true,
             ..Judged::default()
         };
-        let miss = Judged {
-            d: 3.8,
-            ..Judged::default()
-        };
+        let miss = Judged { d: 3.8, ..Judged::default() };
         let all = [
             outcome(Block::Null, &[], vec![]),
             outcome(Block::Null, &["kp_error"], vec![]),
@@ -475,10 +394,7 @@ mod tests {
         let s = Summary::of(&all);
         assert_eq!((s.false_alarms.hits, s.false_alarms.of), (1, 2));
         assert_eq!((s.first_large.hits, s.first_large.of), (1, 2));
-        assert_eq!(
-            (s.by_size[3].detected.hits, s.by_size[3].detected.of),
-            (1, 2)
-        );
+        assert_eq!((s.by_size[3].detected.hits, s.by_size[3].detected.of), (1, 2));
         assert_eq!(s.by_size[2].detected.of, 0);
         // one wrong name in four cases
         assert!((s.wrong_per_case - 0.25).abs() < 1e-12);

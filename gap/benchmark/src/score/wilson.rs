@@ -24,22 +24,13 @@ impl Rate {
     /// `hits` of `of`.
     pub fn new(hits: usize, of: usize) -> Self {
         if of == 0 {
-            return Self {
-                high: 1.0,
-                ..Self::default()
-            };
+            return Self { high: 1.0, ..Self::default() };
         }
         let (n, p) = (of as f64, hits as f64 / of as f64);
         let below = 1.0 + Z * Z / n;
         let centre = (p + Z * Z / (2.0 * n)) / below;
         let half = Z / below * (p * (1.0 - p) / n + Z * Z / (4.0 * n * n)).sqrt();
-        Self {
-            hits,
-            of,
-            rate: p,
-            low: (centre - half).max(0.0),
-            high: (centre + half).min(1.0),
-        }
+        Self { hits, of, rate: p, low: (centre - half).max(0.0), high: (centre + half).min(1.0) }
     }
 
     /// Counts how many of those for which `among` holds have `hit`.

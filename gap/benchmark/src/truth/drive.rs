@@ -104,11 +104,7 @@ impl Firmware {
         let late = (p.loop_delay_s / tick_s).round() as usize;
         if late > 0 {
             self.waiting_nm.push(wanted);
-            wanted = if self.waiting_nm.len() > late {
-                self.waiting_nm.remove(0)
-            } else {
-                0.0
-            };
+            wanted = if self.waiting_nm.len() > late { self.waiting_nm.remove(0) } else { 0.0 };
         }
         let volts = p.volt_per_nm * wanted + p.feed_forward_vs_per_rad * speed;
         // Duty from the voltage that the firmware believes in, then the bridge's steps.
@@ -128,10 +124,8 @@ impl Firmware {
             let half = 0.5 * a * tick_s;
             speed = speed.min((half * half + 2.0 * a * way.abs()).sqrt() - half);
             let wanted = speed * way.signum();
-            self.profile_radps = wanted.clamp(
-                self.profile_radps - a * tick_s,
-                self.profile_radps + a * tick_s,
-            );
+            self.profile_radps =
+                wanted.clamp(self.profile_radps - a * tick_s, self.profile_radps + a * tick_s);
         } else {
             self.profile_radps = speed * way.signum();
         }
@@ -159,11 +153,7 @@ pub fn current_a(p: &JointSpec, volts: f64, w_radps: f64, heat_k: f64) -> f64 {
         let drop = p.bridge_drop_v / resistance;
         free -= free.clamp(-drop, drop);
     }
-    let most = if free * w_radps < 0.0 {
-        p.brake_current_a
-    } else {
-        p.drive_current_a
-    };
+    let most = if free * w_radps < 0.0 { p.brake_current_a } else { p.drive_current_a };
     free.clamp(-most, most)
 }
 
@@ -215,10 +205,7 @@ pub fn lugre(p: &JointSpec, bound_nm: f64, v_radps: f64, z_rad: f64, step_s: f64
     let rate = v_radps - pull * z_rad;
     let fade = v_radps / BRISTLE_FADE_RADPS;
     let damping = stiffness * BRISTLE_DAMPING_S * (-fade * fade).exp();
-    (
-        stiffness * z_rad + damping * rate + p.viscous_nms_per_rad * v_radps,
-        rate,
-    )
+    (stiffness * z_rad + damping * rate + p.viscous_nms_per_rad * v_radps, rate)
 }
 
 /// Force of something that is touched: `k·p·(1 + λ·ṗ)`, never pulling.
@@ -231,11 +218,7 @@ fn touch(k: f64, depth: f64, rate: f64) -> f64 {
 
 /// Torque between rotor and link, positive on the link, N·m.
 pub fn gear_nm(p: &JointSpec, lead_rad: f64, lead_radps: f64) -> f64 {
-    let k = if p.gear_nm_per_rad > 0.0 {
-        p.gear_nm_per_rad
-    } else {
-        TEETH_NM_PER_RAD
-    };
+    let k = if p.gear_nm_per_rad > 0.0 { p.gear_nm_per_rad } else { TEETH_NM_PER_RAD };
     let h = p.half_gap_rad;
     if h == 0.0 {
         // Compliance without a gap: a spring with a little loss.

@@ -46,10 +46,7 @@ pub struct Channels {
 
 impl Channels {
     /// An IMU and motion capture.
-    pub const ALL: Self = Self {
-        imu: true,
-        mocap: true,
-    };
+    pub const ALL: Self = Self { imu: true, mocap: true };
 }
 
 /// A robot and its imperfections in one run.
@@ -72,12 +69,7 @@ impl Session {
         seed: u64,
         run: u64,
     ) -> Self {
-        let key = Key {
-            seed,
-            actor: 11,
-            env: run,
-            episode: 0,
-        };
+        let key = Key { seed, actor: 11, env: run, episode: 0 };
         let mut s = Stream::new(key, Purpose::Randomisation);
         let mut lane = lane.clone();
         lane.foot_friction *= s.uniform(0.9, 1.1);
@@ -100,18 +92,10 @@ impl Session {
             }
         }
         // offsets are of the device: the same in all runs
-        let mut device = Stream::new(
-            Key {
-                env: 0,
-                actor: 12,
-                ..key
-            },
-            Purpose::Sensor,
-        );
+        let mut device = Stream::new(Key { env: 0, actor: 12, ..key }, Purpose::Sensor);
         let imu = model.sensors().imu.as_ref();
-        let (gyro, acc) = imu.map_or((0.0, 0.0), |i| {
-            (0.1 * i.gyro_bias_std_radps, 0.1 * i.acc_bias_std_mps2)
-        });
+        let (gyro, acc) =
+            imu.map_or((0.0, 0.0), |i| (0.1 * i.gyro_bias_std_radps, 0.1 * i.acc_bias_std_mps2));
         Self {
             lane,
             // what is left after a lab has subtracted the mean at rest
@@ -155,10 +139,7 @@ pub struct Beginning {
 
 impl From<BaseHold> for Beginning {
     fn from(place: BaseHold) -> Self {
-        Self {
-            place,
-            hand: [0.0; 6],
-        }
+        Self { place, hand: [0.0; 6] }
     }
 }
 
@@ -166,10 +147,7 @@ impl From<BaseHold> for Beginning {
 pub const WATER_LEVEL_M: f64 = 2.0;
 
 fn pool() -> TerrainConfig {
-    TerrainConfig {
-        water_level_m: WATER_LEVEL_M,
-        ..TerrainConfig::of(TerrainKind::DeepWater)
-    }
+    TerrainConfig { water_level_m: WATER_LEVEL_M, ..TerrainConfig::of(TerrainKind::DeepWater) }
 }
 
 /// Moves the robot through `rows_rad` (one command per row) and returns the log's rows.
@@ -204,13 +182,7 @@ pub fn run(
     for q in &mut start {
         *q += 0.004 * stream.normal();
     }
-    engine.reset(
-        0,
-        &InitialState {
-            joint_pos_rad: start,
-            ..InitialState::nominal(model)
-        },
-    )?;
+    engine.reset(0, &InitialState { joint_pos_rad: start, ..InitialState::nominal(model) })?;
     let period_s = config.control_period_s() * f64::from(STEPS_PER_ROW);
     for _ in 0..(settle_s / ENGINE_STEP_S) as usize {
         engine.step(&narrow(&rows_rad[0]), &begins.hand)?;
@@ -218,15 +190,8 @@ pub fn run(
     let mut out = Vec::with_capacity(rows_rad.len());
     for (k, row) in rows_rad.iter().enumerate() {
         let t = k as f64 * period_s;
-        let stamp = if k == 0 {
-            0.0
-        } else {
-            t + 0.00005 * stream.normal_f64()
-        };
-        out.push((
-            stamp,
-            read(model, engine.state(), session, row, t, channels, stream),
-        ));
+        let stamp = if k == 0 { 0.0 } else { t + 0.00005 * stream.normal_f64() };
+        out.push((stamp, read(model, engine.state(), session, row, t, channels, stream)));
         let targets = narrow(row);
         for _ in 0..STEPS_PER_ROW {
             engine.step(&targets, &[0.0; 6])?;
@@ -260,10 +225,7 @@ fn read(
         // noise of a band of half the rate
         let band = |density: f64| density * 50.0_f64.sqrt();
         let (gyro, acc) = imu.map_or((0.0, 0.0), |i| {
-            (
-                band(i.gyro_noise_radps_per_sqrt_hz),
-                band(i.acc_noise_mps2_per_sqrt_hz),
-            )
+            (band(i.gyro_noise_radps_per_sqrt_hz), band(i.acc_noise_mps2_per_sqrt_hz))
         });
         for i in 0..3 {
             row.push(Some(
@@ -284,18 +246,9 @@ fn read(
             let x = x + noise * s.normal_f64();
             row.push((!hidden).then_some(x));
         };
-        state
-            .base_pos_m
-            .iter()
-            .for_each(|x| put(f64::from(*x), MOCAP_NOISE_M));
-        state
-            .base_quat_wxyz
-            .iter()
-            .for_each(|x| put(f64::from(*x), QUAT_NOISE));
-        state
-            .foot_pos_m
-            .iter()
-            .for_each(|x| put(f64::from(*x), MOCAP_NOISE_M));
+        state.base_pos_m.iter().for_each(|x| put(f64::from(*x), MOCAP_NOISE_M));
+        state.base_quat_wxyz.iter().for_each(|x| put(f64::from(*x), QUAT_NOISE));
+        state.foot_pos_m.iter().for_each(|x| put(f64::from(*x), MOCAP_NOISE_M));
     }
     row
 }

@@ -136,9 +136,8 @@ pub fn record(
     let vel: Vec<Vec<f64>> = (0..servos)
         .map(|a| lagged(&dense.vel_radps[a], sensing.servos[a].velocity_lag_s))
         .collect();
-    let cur: Vec<Vec<f64>> = (0..servos)
-        .map(|a| lagged(&dense.current_a[a], CURRENT_LAG_S))
-        .collect();
+    let cur: Vec<Vec<f64>> =
+        (0..servos).map(|a| lagged(&dense.current_a[a], CURRENT_LAG_S)).collect();
     let mut last_stamp = f64::NEG_INFINITY;
     let mut rows = Vec::with_capacity(commands.sent_s.len());
     for (k, &t) in commands.sent_s.iter().enumerate() {
@@ -146,10 +145,8 @@ pub fn record(
         last_stamp = stamp;
         let seen = t * (1.0 - sensing.clock_drift) - sensing.measurement_delay_s;
         let lost = stream.uniform_f64(0.0, 1.0) < sensing.reading_loss;
-        let mut row: Vec<Option<f64>> = commands.rows_rad[k]
-            .iter()
-            .map(|&u| Some(counted(u, 1e-6)))
-            .collect();
+        let mut row: Vec<Option<f64>> =
+            commands.rows_rad[k].iter().map(|&u| Some(counted(u, 1e-6))).collect();
         let mut put = |x: f64| row.push((!lost).then_some(x));
         for a in 0..servos {
             let noise = sensing.servos[a].position_noise_rad * stream.normal_f64();

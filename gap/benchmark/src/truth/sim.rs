@@ -168,11 +168,8 @@ impl<'a> Sim<'a> {
         for step in -settle..=steps {
             let t = step as f64 * STEP_S;
             if step.rem_euclid(STEPS_PER_TICK as i64) == 0 {
-                let compensation = if self.spec.gain_follows_supply {
-                    bus / self.spec.reference_v
-                } else {
-                    1.0
-                };
+                let compensation =
+                    if self.spec.gain_follows_supply { bus / self.spec.reference_v } else { 1.0 };
                 for a in 0..servos {
                     let p = &self.spec.joints[a];
                     let delay = self.spec.command_delay_s + self.spec.skew_s * a as f64;
@@ -252,8 +249,7 @@ impl<'a> Sim<'a> {
         let n = self.tree.dofs();
         let (q, rest) = y.split_at(n);
         let (v, aux) = rest.split_at(n);
-        self.tree
-            .equations(q, v, &mut self.scratch, &mut self.mass, &mut self.bias);
+        self.tree.equations(q, v, &mut self.scratch, &mut self.mass, &mut self.bias);
         self.torque.fill(0.0);
         self.flows.clear();
         for d in 0..n {
@@ -289,11 +285,7 @@ impl<'a> Sim<'a> {
                 currents[a] = flow.current_a;
                 // What the gear passes on: everything but what turns the rotor itself.
                 let p = &self.spec.joints[a];
-                let rotor = if p.geared() {
-                    0.0
-                } else {
-                    p.rotor_kgm2 * acc[d]
-                };
+                let rotor = if p.geared() { 0.0 } else { p.rotor_kgm2 * acc[d] };
                 self.load_nm[a] += 0.2 * (flow.on_link_nm - rotor - self.load_nm[a]);
             }
         }

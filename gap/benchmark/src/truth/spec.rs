@@ -216,9 +216,7 @@ impl Spec {
     /// The robot of the model file.
     pub fn nominal(model: &RobotModel) -> Self {
         Self {
-            joints: (0..model.actuated().len())
-                .map(|a| JointSpec::nominal(model, a))
-                .collect(),
+            joints: (0..model.actuated().len()).map(|a| JointSpec::nominal(model, a)).collect(),
             links: vec![MassChange::default(); model.links().len()],
             gravity_mps2: model.gravity_mps2(),
             supply_v: model.supply_v(),

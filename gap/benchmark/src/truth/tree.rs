@@ -105,13 +105,7 @@ impl Tree {
             let change = changes.get(i).cloned().unwrap_or_default();
             bodies.push(changed(link, &change, dofs));
         }
-        Self {
-            bodies,
-            hinges,
-            model_joint,
-            gravity_mps2,
-            origin: pose::Pose::IDENTITY,
-        }
+        Self { bodies, hinges, model_joint, gravity_mps2, origin: pose::Pose::IDENTITY }
     }
 
     /// Degrees of freedom.
@@ -196,12 +190,7 @@ impl Tree {
         for (i, body) in self.bodies.iter().enumerate() {
             let (mut w, mut al, mut acc, mut point) = match body.parent {
                 Some(p) => (s.omega[p], s.alpha[p], s.origin_acc[p], s.rotation[p].pos_m),
-                None => (
-                    [0.0; 3],
-                    [0.0; 3],
-                    scale(self.gravity_mps2, -1.0),
-                    s.rotation[i].pos_m,
-                ),
+                None => ([0.0; 3], [0.0; 3], scale(self.gravity_mps2, -1.0), s.rotation[i].pos_m),
             };
             for &d in &body.dofs {
                 // to the anchor, rigidly with what carries it
@@ -246,8 +235,7 @@ impl Tree {
         s.composite.clear();
         for (i, body) in self.bodies.iter().enumerate() {
             let about = add3(&s.inertia[i], &point_inertia(body.mass_kg, s.com[i]));
-            s.composite
-                .push((body.mass_kg, scale(s.com[i], body.mass_kg), about));
+            s.composite.push((body.mass_kg, scale(s.com[i], body.mass_kg), about));
         }
         for i in (0..self.bodies.len()).rev() {
             if let Some(p) = self.bodies[i].parent {
@@ -282,17 +270,9 @@ fn changed(link: &caudata_model::Link, change: &MassChange, dofs: Vec<usize>) ->
     let (load, at) = change.payload;
     let mass_kg = own + load;
     let com_m = scale(add(scale(own_com, own), scale(at, load)), 1.0 / mass_kg);
-    let mut inertia = link
-        .inertia_kgm2
-        .map(|row| row.map(|x| x * change.mass_scale * change.inertia_scale));
+    let mut inertia =
+        link.inertia_kgm2.map(|row| row.map(|x| x * change.mass_scale * change.inertia_scale));
     inertia = add3(&inertia, &point_inertia(own, sub(own_com, com_m)));
     inertia = add3(&inertia, &point_inertia(load, sub(at, com_m)));
-    Body {
-        parent: link.parent,
-        placed: link.parent_from_link,
-        mass_kg,
-        com_m,
-        inertia,
-        dofs,
-    }
+    Body { parent: link.parent, placed: link.parent_from_link, mass_kg, com_m, inertia, dofs }
 }

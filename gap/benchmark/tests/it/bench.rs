@@ -39,9 +39,8 @@ fn links() -> Vec<(String, String)> {
 
 /// Judges `reports` against the answers of other cases.
 fn shuffled(answers: &[Answer], outcomes: &[Outcome], root: &Path) -> Vec<Outcome> {
-    let singles: Vec<usize> = (0..answers.len())
-        .filter(|&i| answers[i].block == Block::Single)
-        .collect();
+    let singles: Vec<usize> =
+        (0..answers.len()).filter(|&i| answers[i].block == Block::Single).collect();
     singles
         .iter()
         .enumerate()
@@ -71,10 +70,7 @@ fn a_quick_set_is_answered_sealed_and_worthless_with_shuffled_labels() {
 
     // The seal: nothing in a case folder or in its name says what is hidden, and the answers do not open with
     // another secret.
-    let words: Vec<&str> = plans
-        .iter()
-        .flat_map(|p| p.effects.iter().map(|e| e.0.id))
-        .collect();
+    let words: Vec<&str> = plans.iter().flat_map(|p| p.effects.iter().map(|e| e.0.id)).collect();
     for file in files(&root.path().join(run::CASES_NAME)) {
         let robot = file.extension().is_some_and(|e| e == "xml")
             || file.to_string_lossy().ends_with(".robot.toml");
@@ -87,18 +83,10 @@ fn a_quick_set_is_answered_sealed_and_worthless_with_shuffled_labels() {
             file.display(),
             String::from_utf8_lossy(&std::fs::read(&file).unwrap())
         );
-        assert!(
-            !words.iter().any(|w| said.contains(w)),
-            "{} names an effect",
-            file.display()
-        );
+        assert!(!words.iter().any(|w| said.contains(w)), "{} names an effect", file.display());
     }
     let sealed = std::fs::read(root.path().join(run::SEALED_NAME)).unwrap();
-    assert!(
-        !words
-            .iter()
-            .any(|w| sealed.windows(w.len()).any(|s| s == w.as_bytes()))
-    );
+    assert!(!words.iter().any(|w| sealed.windows(w.len()).any(|s| s == w.as_bytes())));
     assert!(run::answers(root.path(), b"a guess").is_err());
 
     let (outcomes, answers) =
@@ -143,12 +131,7 @@ fn a_case_is_the_same_bits_again() {
         let mut all = files(&root.path().join(run::CASES_NAME));
         all.sort();
         all.iter()
-            .map(|f| {
-                (
-                    f.strip_prefix(root.path()).unwrap().to_owned(),
-                    std::fs::read(f).unwrap(),
-                )
-            })
+            .map(|f| (f.strip_prefix(root.path()).unwrap().to_owned(), std::fs::read(f).unwrap()))
             .collect::<Vec<_>>()
     };
     let (one, two) = (make(), make());

@@ -27,13 +27,7 @@ fn report_of(seed: u64, fault: impl Fn(&RobotModel, &mut LaneParams)) -> Report 
     let runs = trials.iter().enumerate().map(|(i, &(trial, role))| {
         let dir = folder.path().join(trial);
         let made = excite::trial(&model, trial, None, excite::DEFAULT_RATE_HZ).unwrap();
-        let robot = Robot {
-            lab: &model,
-            model: &model,
-            lane: &lane,
-            seed,
-            payload: &[],
-        };
+        let robot = Robot { lab: &model, model: &model, lane: &lane, seed, payload: &[] };
         simulated::record(&robot, &made, i as u64, &dir).unwrap();
         Run {
             log: RunLog::read(&dir).unwrap(),
@@ -49,9 +43,7 @@ fn report_of(seed: u64, fault: impl Fn(&RobotModel, &mut LaneParams)) -> Report 
         runs: runs.collect(),
         data_faults: Vec::new(),
         options: Options {
-            only: ["kp_error", "command_delay", "torque_constant"]
-                .map(str::to_owned)
-                .to_vec(),
+            only: ["kp_error", "command_delay", "torque_constant"].map(str::to_owned).to_vec(),
             ..Options::default()
         },
     };
@@ -61,12 +53,7 @@ fn report_of(seed: u64, fault: impl Fn(&RobotModel, &mut LaneParams)) -> Report 
 fn no_gap(seed: u64) {
     let report = report_of(seed, |_, _| ());
     let worst: Vec<_> = report.divergence.iter().take(8).collect();
-    assert_eq!(
-        report.verdict,
-        Verdict::NoGap,
-        "{}\n{worst:?}",
-        report.summary
-    );
+    assert_eq!(report.verdict, Verdict::NoGap, "{}\n{worst:?}", report.summary);
 }
 
 /// A robot whose `joint` has `share` of its gain: that alone is found, and the share to within `error`.

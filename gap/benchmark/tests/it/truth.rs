@@ -22,11 +22,7 @@ fn limp(rig: &Rig) -> Spec {
 }
 
 fn hold(rad: &[f64], seconds: f64) -> (Commands, f64) {
-    let commands = Commands {
-        sent_s: vec![0.0],
-        rows_rad: vec![rad.to_vec()],
-        lost: vec![false],
-    };
+    let commands = Commands { sent_s: vec![0.0], rows_rad: vec![rad.to_vec()], lost: vec![false] };
     (commands, seconds)
 }
 
@@ -61,10 +57,7 @@ fn a_pendulum_swings_with_its_period() {
         (a, b) = ((a + b) / 2.0, (a * b).sqrt());
     }
     let want = std::f64::consts::TAU * (0.0046_f64 / 0.3924).sqrt() / a;
-    assert!(
-        (period / want - 1.0).abs() < 1e-5,
-        "{period} against {want}"
-    );
+    assert!((period / want - 1.0).abs() < 1e-5, "{period} against {want}");
 }
 
 #[test]
@@ -200,10 +193,7 @@ fn friction_settles_on_the_stribeck_curve() {
             force = f;
         }
         let want = v.signum() * (0.04 + 0.03 * (-(v / 0.1) * (v / 0.1)).exp()) + 0.0064 * v;
-        assert!(
-            (force - want).abs() < 2e-4,
-            "at {v}: {force} against {want}"
-        );
+        assert!((force - want).abs() < 2e-4, "at {v}: {force} against {want}");
     }
 }
 
@@ -233,10 +223,7 @@ fn in_the_gap_nothing_is_passed_on() {
         x[ROTOR_SPEED] = 0.2;
         x
     };
-    assert_eq!(
-        drive::flow(&p, 0.5, 0.0, &x, 6.0, 0.0, 0.0, STEP_S).on_link_nm,
-        0.0
-    );
+    assert_eq!(drive::flow(&p, 0.5, 0.0, &x, 6.0, 0.0, 0.0, STEP_S).on_link_nm, 0.0);
 }
 
 #[test]
@@ -308,10 +295,7 @@ fn a_command_arrives_after_its_delay_and_its_filter() {
         |d: &Dense| d.pos_rad[0].iter().position(|q| *q > 0.005).unwrap() as f64 * SAMPLE_S;
     let plain = begins(&step(&|_| ()));
     let late = begins(&step(&|s| s.command_delay_s = 0.023));
-    assert!(
-        (late - plain - 0.023).abs() < 0.0011,
-        "{late} after {plain}"
-    );
+    assert!((late - plain - 0.023).abs() < 0.0011, "{late} after {plain}");
     // a lost frame: nothing ever moves
     let mut spec = Spec::nominal(&rig.model);
     spec.joints[0].coulomb_nm = 0.0;
@@ -354,10 +338,7 @@ fn supply_sags_by_resistance_times_current() {
     let dense = run(&rig, &spec, &[1.57], 2.0);
     let bus = dense.bus_v.last().unwrap();
     let i = dense.current_a[0].last().unwrap();
-    assert!(
-        (bus - (12.0 - 2.0 * i.abs())).abs() < 0.02,
-        "{bus} with {i}"
-    );
+    assert!((bus - (12.0 - 2.0 * i.abs())).abs() < 0.02, "{bus} with {i}");
     assert!(i.abs() > 0.25);
 }
 
@@ -395,12 +376,7 @@ fn the_salamander_hangs_in_the_air_and_stays_finite() {
     assert!(dense.sane);
     // yaw joints carry nothing while the robot hangs straight; a fore knee carries its lower leg: within the
     // droop that 0.2 N·m make
-    for (a, (q, want)) in dense
-        .pos_rad
-        .iter()
-        .zip(model.nominal_pos_rad())
-        .enumerate()
-    {
+    for (a, (q, want)) in dense.pos_rad.iter().zip(model.nominal_pos_rad()).enumerate() {
         assert!((q.last().unwrap() - want).abs() < 0.05, "joint {a}");
     }
 }

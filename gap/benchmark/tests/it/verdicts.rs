@@ -26,9 +26,7 @@ fn recorded_on(rig: &str, effects: &[&str], block: Block, folder: &std::path::Pa
         rig: &Rig::bench(rig).unwrap(),
         seed: SEED,
         amount: Amount::Full,
-        effects: (effects.iter())
-            .map(|e| (find(e).unwrap(), 0, 4.0))
-            .collect(),
+        effects: (effects.iter()).map(|e| (find(e).unwrap(), 0, 4.0)).collect(),
         decoy: None,
         other_laws: false,
         without: Vec::new(),
@@ -54,25 +52,14 @@ fn diagnosed(case: &std::path::Path) -> Report {
 }
 
 fn in_words(causes: &[Cause]) -> String {
-    let each = causes
-        .iter()
-        .map(|c| format!("{} {:.2}", c.effect, c.confidence));
+    let each = causes.iter().map(|c| format!("{} {:.2}", c.effect, c.confidence));
     each.collect::<Vec<_>>().join(", ")
 }
 
 /// What stands for a law outside the catalogue is a partial explanation without a sure name.
 fn is_unsure(report: &Report) {
-    assert_eq!(
-        report.verdict,
-        Verdict::PartlyExplained,
-        "{}",
-        report.summary
-    );
-    assert!(
-        report.causes.iter().all(|c| c.confidence < CONFIDENT),
-        "{}",
-        in_words(&report.causes)
-    );
+    assert_eq!(report.verdict, Verdict::PartlyExplained, "{}", report.summary);
+    assert!(report.causes.iter().all(|c| c.confidence < CONFIDENT), "{}", in_words(&report.causes));
 }
 
 #[test]
@@ -98,9 +85,7 @@ fn a_gain_that_grows_with_the_error_is_no_sure_gain() {
     let inconstant = |d: &Doubt| {
         d.kind == DoubtKind::InconstantSize
             && d.location == "kp_error@swing"
-            && ["From slow to fast", "From small errors"]
-                .iter()
-                .any(|w| d.detail.starts_with(w))
+            && ["From slow to fast", "From small errors"].iter().any(|w| d.detail.starts_with(w))
     };
     assert!(report.doubts.iter().any(inconstant), "{:?}", report.doubts);
 }
@@ -133,11 +118,7 @@ fn an_integral_part_is_named_although_held_out_runs_hardly_ask_for_it() {
     };
     assert_eq!(cause.effect, "integral_action");
     let ki = &cause.parameters["ki_nm_per_rad_s"];
-    assert!(
-        (ki.value - truth).abs() < 0.15 * truth,
-        "{} of {truth}",
-        ki.value
-    );
+    assert!((ki.value - truth).abs() < 0.15 * truth, "{} of {truth}", ki.value);
 }
 
 #[test]
@@ -149,10 +130,7 @@ fn the_delay_of_a_loop_is_no_delay_of_a_measurement() {
     let first = &report.causes[0];
     assert_eq!(first.effect, "servo_loop_delay", "{}", report.summary);
     let delay_s = first.parameters["delay_s"].value;
-    assert!(
-        (delay_s - truth_s).abs() < 0.2 * truth_s,
-        "{delay_s} of {truth_s}"
-    );
+    assert!((delay_s - truth_s).abs() < 0.2 * truth_s, "{delay_s} of {truth_s}");
 }
 
 #[test]
@@ -162,11 +140,7 @@ fn two_gains_that_look_alike_are_both_named() {
     let answer = recorded_on("pendulum", &hidden, Block::Pair, root.path());
     let report = diagnosed(&root.path().join("case"));
     assert_eq!(report.causes.len(), 2, "{}", in_words(&report.causes));
-    let given = Given {
-        report: Some(report),
-        failure: String::new(),
-        seconds: 0.0,
-    };
+    let given = Given { report: Some(report), failure: String::new(), seconds: 0.0 };
     let links = [("swing".to_owned(), "arm".to_owned())];
     for effect in outcome::judge(&answer, &given, &links).truth {
         let right = effect.named && effect.interval_holds == Some(true);
@@ -197,15 +171,9 @@ fn a_motor_that_is_limited_as_it_drives_may_brake_as_before() {
     let [cause] = report.causes.as_slice() else {
         panic!("{}: {}", report.summary, in_words(&report.causes));
     };
-    assert_eq!(
-        (cause.effect.as_str(), report.verdict),
-        ("torque_limit", Verdict::Explained)
-    );
+    assert_eq!((cause.effect.as_str(), report.verdict), ("torque_limit", Verdict::Explained));
     let limit_nm = cause.parameters["limit_nm"].value;
-    assert!(
-        (limit_nm - truth_nm).abs() < 0.1 * truth_nm,
-        "{limit_nm} of {truth_nm}"
-    );
+    assert!((limit_nm - truth_nm).abs() < 0.1 * truth_nm, "{limit_nm} of {truth_nm}");
     // with a limit that holds both ways its fall under gravity is braked far too little; how much more is
     // allowed than was asked for nobody can tell
     assert!(cause.parameters["braking_freed"].value > 0.1);
@@ -224,14 +192,8 @@ fn outside_its_band_a_controller_may_act_on_the_whole_error() {
     // the edge of a jump has no slope to follow: what a fit begins with stays within a tenth of what it
     // should be, and the interval knows
     let width = &cause.parameters["half_width_rad"];
-    assert!(
-        (width.ci_low..=width.ci_high).contains(&truth_rad),
-        "{width:?} of {truth_rad}"
-    );
-    assert!(
-        (width.value - truth_rad).abs() < 0.15 * truth_rad,
-        "{width:?} of {truth_rad}"
-    );
+    assert!((width.ci_low..=width.ci_high).contains(&truth_rad), "{width:?} of {truth_rad}");
+    assert!((width.value - truth_rad).abs() < 0.15 * truth_rad, "{width:?} of {truth_rad}");
     assert!(cause.parameters["jump"].value > 0.7);
 }
 
@@ -250,11 +212,7 @@ fn what_takes_less_than_it_leaves_is_a_lead() {
         panic!("{}: {}", report.summary, in_words(&report.leads));
     };
     assert_eq!(lead.effect, "pre_sliding");
-    assert!(
-        report.summary.contains("a lead and no finding"),
-        "{}",
-        report.summary
-    );
+    assert!(report.summary.contains("a lead and no finding"), "{}", report.summary);
 }
 
 #[test]
@@ -277,16 +235,9 @@ fn frames_that_every_run_loses_elsewhere_are_measured_by_what_repeats_differ_by(
     let burst = &cause.parameters["burst"];
     assert!((1.5..5.0).contains(&burst.value), "{burst:?}");
     // the mean of repeats says next to nothing of it
-    assert!(
-        report.summary.contains("what repeats differ by"),
-        "{}",
-        report.summary
-    );
+    assert!(report.summary.contains("what repeats differ by"), "{}", report.summary);
     // where it is not in the catalogue it is not named
-    let without = Options {
-        without: vec!["dropped_frames".to_owned()],
-        ..Options::default()
-    };
+    let without = Options { without: vec!["dropped_frames".to_owned()], ..Options::default() };
     let report = examinee::diagnose(&root.path().join("case"), without).unwrap();
     assert!(report.causes.is_empty(), "{}", in_words(&report.causes));
 }
@@ -296,10 +247,7 @@ fn a_law_that_bends_where_it_is_hardly_plausible_is_no_sure_name() {
     let root = tempfile::tempdir().unwrap();
     recorded("coulomb_friction", Block::Outside, root.path());
     let without = ["coulomb_friction", "friction_drift"].map(str::to_owned);
-    let options = Options {
-        without: without.to_vec(),
-        ..Options::default()
-    };
+    let options = Options { without: without.to_vec(), ..Options::default() };
     // friction that is more at rest, with a speed beyond which it is less that the joint hardly reaches, is
     // friction without such a speed
     let report = examinee::diagnose(&root.path().join("case"), options).unwrap();

@@ -16,10 +16,7 @@ fn report_of(hidden: Hides) -> Report {
         file: LabFile::Stiff,
         place: BaseHold::Water,
         hidden,
-        channels: Channels {
-            imu: true,
-            mocap: true,
-        },
+        channels: Channels { imu: true, mocap: true },
         seed: 5,
         repeats: 2,
     };
@@ -37,12 +34,7 @@ fn report_of(hidden: Hides) -> Report {
 fn a_healthy_swimmer_has_no_gap() {
     let report = report_of(Hides::Nothing);
     let worst: Vec<_> = report.divergence.iter().take(8).collect();
-    assert_eq!(
-        report.verdict,
-        Verdict::NoGap,
-        "{}\n{worst:?}",
-        report.summary
-    );
+    assert_eq!(report.verdict, Verdict::NoGap, "{}\n{worst:?}", report.summary);
 }
 
 #[test]

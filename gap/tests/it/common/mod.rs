@@ -75,11 +75,7 @@ pub fn simulate(
         .collect();
     let mut powered = vec![true; actuated];
     for (k, row) in trial.commands_rad.iter().enumerate() {
-        let on: Vec<bool> = trial
-            .on
-            .get(k)
-            .cloned()
-            .unwrap_or_else(|| vec![true; actuated]);
+        let on: Vec<bool> = trial.on.get(k).cloned().unwrap_or_else(|| vec![true; actuated]);
         if on != powered {
             for (lane, params) in nominal.iter().enumerate() {
                 let mut p = params.clone();
@@ -97,24 +93,13 @@ pub fn simulate(
         for (lane, run) in out.iter_mut().enumerate() {
             let of = |all: &[f32], i: usize, n: usize| f64::from(all[lane * n + i]);
             let joints = robot.joints().len();
-            let each = |all: &[f32]| {
-                robot
-                    .actuated()
-                    .iter()
-                    .map(|&j| of(all, j, joints))
-                    .collect()
-            };
+            let each = |all: &[f32]| robot.actuated().iter().map(|&j| of(all, j, joints)).collect();
             run.pos_rad.push(each(&state.joint_pos_rad));
             run.vel_radps.push(each(&state.joint_vel_radps));
-            run.torque_nm.push(
-                (0..actuated)
-                    .map(|a| of(&state.motor_torque_nm, a, actuated))
-                    .collect(),
-            );
-            run.gyro
-                .push([0, 1, 2].map(|i| of(&state.imu_gyro_radps, i, 3)));
-            run.gravity
-                .push([0, 1, 2].map(|i| of(&state.imu_gravity, i, 3)));
+            run.torque_nm
+                .push((0..actuated).map(|a| of(&state.motor_torque_nm, a, actuated)).collect());
+            run.gyro.push([0, 1, 2].map(|i| of(&state.imu_gyro_radps, i, 3)));
+            run.gravity.push([0, 1, 2].map(|i| of(&state.imu_gravity, i, 3)));
         }
         let one: Vec<f32> = row.iter().map(|q| *q as f32).collect();
         let mut wrenches = vec![0.0f32; lanes * 6];
@@ -123,11 +108,7 @@ pub fn simulate(
             wrenches[x.run * 6..x.run * 6 + 3].copy_from_slice(&x.force_n);
         }
         engine.step(&one.repeat(lanes), &wrenches).unwrap();
-        assert!(
-            !engine.state().diverged.contains(&true),
-            "{} diverged at {t} s",
-            trial.name
-        );
+        assert!(!engine.state().diverged.contains(&true), "{} diverged at {t} s", trial.name);
     }
     out
 }
@@ -175,10 +156,7 @@ pub fn record(robot: &RobotModel, trial: &Trial, traces: &Traces, seed: u64) -> 
             put(count(*q, robot.servo(a).encoder_lsb_rad()));
         }
         for (a, v) in traces.vel_radps[k].iter().enumerate() {
-            put(count(
-                v + 0.01 * s.normal_f64(),
-                robot.servo(a).velocity_lsb_radps,
-            ));
+            put(count(v + 0.01 * s.normal_f64(), robot.servo(a).velocity_lsb_radps));
         }
         for (a, torque) in traces.torque_nm[k].iter().enumerate() {
             let servo = robot.servo(a);
@@ -212,13 +190,7 @@ pub fn changed(
     let signals = log.table.signals().to_vec();
     rebuilt(log, &signals, |k, t| {
         let row = log.table.row(k).unwrap();
-        (
-            t,
-            row.iter()
-                .zip(&signals)
-                .map(|(v, s)| change(s, k, t, *v))
-                .collect(),
-        )
+        (t, row.iter().zip(&signals).map(|(v, s)| change(s, k, t, *v)).collect())
     })
 }
 
@@ -234,8 +206,5 @@ pub fn rebuilt(
         table.row(t, &values).unwrap();
     }
     let csv = table.finish().unwrap();
-    RunLog::new(
-        log.meta.clone(),
-        Table::parse("log.csv", csv.as_slice()).unwrap(),
-    )
+    RunLog::new(log.meta.clone(), Table::parse("log.csv", csv.as_slice()).unwrap())
 }

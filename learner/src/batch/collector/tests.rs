@@ -54,17 +54,9 @@ fn chunk(actor_id: u32, sequence: u64, policy_version: u64) -> RolloutChunk {
         rewards: vec![0.0; 2],
         terminated: vec![false; 2],
         truncated: vec![false, true],
-        final_observations: vec![FinalObservation {
-            step: 1,
-            lane: 0,
-            observation: vec![9.0],
-        }],
+        final_observations: vec![FinalObservation { step: 1, lane: 0, observation: vec![9.0] }],
         episodes: Vec::new(),
-        moments: Moments {
-            count: 2,
-            mean: vec![1.0],
-            m2: vec![2.0],
-        },
+        moments: Moments { count: 2, mean: vec![1.0], m2: vec![2.0] },
         action_history: None,
         trace: None,
     }
@@ -76,13 +68,7 @@ fn offer(collector: &mut Collector, chunk: RolloutChunk) -> Outcome {
 
 fn bye(actor_id: u32, incarnation: u64, sent: u64) -> Vec<u8> {
     let run_id = "run".into();
-    encode(&Envelope::Bye(ActorBye {
-        run_id,
-        actor_id,
-        incarnation,
-        sent,
-        reason: "test".into(),
-    }))
+    encode(&Envelope::Bye(ActorBye { run_id, actor_id, incarnation, sent, reason: "test".into() }))
 }
 
 fn hello(actor_id: u32, incarnation: u64) -> Vec<u8> {
@@ -128,10 +114,7 @@ fn in_sync_only_chunks_of_the_current_version_are_used() {
     assert_eq!(reason(offer(&mut collector, chunk(0, 0, 0))), "stale");
     assert_eq!(reason(offer(&mut collector, chunk(0, 1, 1))), "waiting");
     // A second one of the same version and actor is beyond its quota: a restarted actor collects again.
-    let again = RolloutChunk {
-        incarnation: 1,
-        ..chunk(0, 0, 1)
-    };
+    let again = RolloutChunk { incarnation: 1, ..chunk(0, 0, 1) };
     assert_eq!(reason(offer(&mut collector, again)), "surplus");
     // What waits when the next version comes is too old.
     collector.policy_published(2, sha(2));
@@ -164,11 +147,7 @@ fn what_no_honest_actor_sends_is_refused_by_name_and_three_times_is_enough() {
             c.obs_dim = 2;
             c.observations = vec![0.0; 6];
             c.final_observations[0].observation = vec![0.0; 2];
-            c.moments = Moments {
-                count: 2,
-                mean: vec![0.0; 2],
-                m2: vec![0.0; 2],
-            };
+            c.moments = Moments { count: 2, mean: vec![0.0; 2], m2: vec![0.0; 2] };
         }),
         ("policy_hash", |c| c.policy_sha256 = [9; 32]),
         ("quarantined", |_| {}),
@@ -186,10 +165,7 @@ fn what_no_honest_actor_sends_is_refused_by_name_and_three_times_is_enough() {
     assert!(collector.is_ready());
     assert!(collector.accounting().holds());
     // A new incarnation of it is heard again.
-    let reborn = RolloutChunk {
-        incarnation: 1,
-        ..chunk(0, 0, 0)
-    };
+    let reborn = RolloutChunk { incarnation: 1, ..chunk(0, 0, 0) };
     assert_eq!(reason(offer(&mut collector, reborn)), "waiting");
 }
 
@@ -242,10 +218,7 @@ fn actors_that_left_or_fell_silent_are_not_waited_for() {
 fn chunks_of_a_learner_that_got_further_are_not_held_against_the_actor() {
     let mut collector = collector(0);
     for sequence in 0..5 {
-        assert_eq!(
-            reason(offer(&mut collector, chunk(0, sequence, 40))),
-            "unknown_policy"
-        );
+        assert_eq!(reason(offer(&mut collector, chunk(0, sequence, 40))), "unknown_policy");
     }
     assert_eq!(reason(offer(&mut collector, chunk(0, 5, 0))), "waiting");
 }
@@ -261,30 +234,17 @@ fn at_the_end_what_is_left_over_is_counted() {
     collector.offer(&bye(1, 0, 3));
     assert!(collector.all_gone());
     let report = collector.accounting().report();
-    assert_eq!(
-        (report.sent, report.accepted, report.dropped, report.waiting),
-        (4, 0, 4, 0)
-    );
+    assert_eq!((report.sent, report.accepted, report.dropped, report.waiting), (4, 0, 4, 0));
     assert_eq!(report.actors[1].dropped["lost"], 2);
     assert!(report.holds);
 }
 
 #[test]
 fn a_run_without_the_bad_actor_is_the_same_run() {
-    let mut clean = Collector::new(
-        CollectorSettings {
-            min_share: 0.4,
-            ..settings(0)
-        },
-        Accounting::default(),
-    );
-    let mut dirty = Collector::new(
-        CollectorSettings {
-            min_share: 0.4,
-            ..settings(0)
-        },
-        Accounting::default(),
-    );
+    let mut clean =
+        Collector::new(CollectorSettings { min_share: 0.4, ..settings(0) }, Accounting::default());
+    let mut dirty =
+        Collector::new(CollectorSettings { min_share: 0.4, ..settings(0) }, Accounting::default());
     let mut batches = (Vec::new(), Vec::new());
     for version in 0..6 {
         clean.policy_published(version, sha(version));
@@ -306,10 +266,7 @@ fn a_run_without_the_bad_actor_is_the_same_run() {
 #[test]
 fn fault_61_one_slow_actor_of_sixty_four_holds_up_nobody() {
     for (max_lead, ready) in [(0, false), (1, true)] {
-        let many = CollectorSettings {
-            actors: 64,
-            ..settings(max_lead)
-        };
+        let many = CollectorSettings { actors: 64, ..settings(max_lead) };
         let mut collector = Collector::new(many, Accounting::default());
         collector.policy_published(0, sha(0));
         for actor in 0..63 {
@@ -317,10 +274,7 @@ fn fault_61_one_slow_actor_of_sixty_four_holds_up_nobody() {
         }
         assert_eq!(collector.is_ready(), ready, "max_lead {max_lead}");
     }
-    let many = CollectorSettings {
-        actors: 64,
-        ..settings(1)
-    };
+    let many = CollectorSettings { actors: 64, ..settings(1) };
     let mut collector = Collector::new(many, Accounting::default());
     for version in 0..10 {
         collector.policy_published(version, sha(version));
@@ -341,10 +295,7 @@ fn fault_61_one_slow_actor_of_sixty_four_holds_up_nobody() {
 
 #[test]
 fn in_lockstep_every_actor_gives_the_same_share_and_nothing_goes_ahead_of_the_slowest() {
-    let lockstep = CollectorSettings {
-        lockstep: true,
-        ..settings(1)
-    };
+    let lockstep = CollectorSettings { lockstep: true, ..settings(1) };
     let mut collector = Collector::new(lockstep, Accounting::default());
     collector.policy_published(0, sha(0));
     // Actor 0 sends both of its quotas before actor 1 sends its first.
@@ -353,25 +304,14 @@ fn in_lockstep_every_actor_gives_the_same_share_and_nothing_goes_ahead_of_the_sl
     assert!(!collector.is_ready());
     offer(&mut collector, chunk(1, 0, 0));
     assert!(collector.is_ready());
-    let taken: Vec<_> = collector
-        .take()
-        .iter()
-        .map(|c| (c.actor_id, c.sequence))
-        .collect();
+    let taken: Vec<_> = collector.take().iter().map(|c| (c.actor_id, c.sequence)).collect();
     assert_eq!(taken, [(0, 0), (1, 0)]);
     assert!(!collector.is_ready());
     offer(&mut collector, chunk(1, 1, 0));
-    let taken: Vec<_> = collector
-        .take()
-        .iter()
-        .map(|c| (c.actor_id, c.sequence))
-        .collect();
+    let taken: Vec<_> = collector.take().iter().map(|c| (c.actor_id, c.sequence)).collect();
     assert_eq!(taken, [(0, 1), (1, 1)]);
     // Lanes are numbered through: there is no place for a third actor.
-    assert_eq!(
-        reason(offer(&mut collector, chunk(2, 0, 0))),
-        "actor_number"
-    );
+    assert_eq!(reason(offer(&mut collector, chunk(2, 0, 0))), "actor_number");
 }
 
 #[test]

@@ -17,11 +17,7 @@ fn values(t: &Tensor) -> Vec<f32> {
     Vec::try_from(t.contiguous().view([-1])).unwrap()
 }
 
-const SETTINGS: LossSettings = LossSettings {
-    clip: 0.2,
-    value_weight: 2.0,
-    entropy_weight: 0.01,
-};
+const SETTINGS: LossSettings = LossSettings { clip: 0.2, value_weight: 2.0, entropy_weight: 0.01 };
 
 /// One action, σ = 1 before and after, so that log r = ½[(a−μ_p)² − (a−μ)²].
 fn one_action(means: &[f32], advantages: &[f32], weights: &[f32]) -> (Vec<f32>, OutputGradient) {
@@ -38,10 +34,7 @@ fn one_action(means: &[f32], advantages: &[f32], weights: &[f32]) -> (Vec<f32>, 
         targets: column(&ones),
         weights: column(weights),
     };
-    let outputs = Outputs {
-        means: column(means),
-        values: column(&vec![3.0; rows]),
-    };
+    let outputs = Outputs { means: column(means), values: column(&vec![3.0; rows]) };
     let (sums, gradient) =
         loss_and_gradient(&SETTINGS, rows, &outputs, &log_std, &log_std, &samples);
     (values(&sums), gradient)
@@ -76,17 +69,13 @@ fn clipping_cuts_the_gradient_on_the_winning_side_only() {
 
 fn noise(seed: usize, shape: &[i64], scale: f32) -> Tensor {
     let n = shape.iter().product::<i64>() as usize;
-    let xs: Vec<f32> = (0..n)
-        .map(|i| scale * (((i * 53 + seed * 29) % 97) as f32 / 48.0 - 1.0))
-        .collect();
+    let xs: Vec<f32> =
+        (0..n).map(|i| scale * (((i * 53 + seed * 29) % 97) as f32 / 48.0 - 1.0)).collect();
     Tensor::from_slice(&xs).view(shape)
 }
 
 fn samples(rows: i64, actions: i64, prox_log_std: &Tensor) -> Samples {
-    let (taken, prox_means) = (
-        noise(1, &[rows, actions], 1.0),
-        noise(2, &[rows, actions], 0.5),
-    );
+    let (taken, prox_means) = (noise(1, &[rows, actions], 1.0), noise(2, &[rows, actions], 0.5));
     Samples {
         prox_log_probs: log_prob(&taken, &prox_means, prox_log_std),
         actions: taken,
@@ -117,17 +106,10 @@ fn the_gradient_is_autograds_and_shards_add_up() {
     plain_loss(&s, &means, &value, &log_std).backward();
 
     let _guard = tch::no_grad_guard();
-    let mut grads = (
-        Vec::new(),
-        Vec::new(),
-        Tensor::zeros([actions], (Kind::Float, Device::Cpu)),
-    );
+    let mut grads = (Vec::new(), Vec::new(), Tensor::zeros([actions], (Kind::Float, Device::Cpu)));
     for (start, len) in [(0, 16), (16, 24)] {
         let cut = |t: &Tensor| t.narrow(0, start, len);
-        let outputs = Outputs {
-            means: cut(&means),
-            values: cut(&value),
-        };
+        let outputs = Outputs { means: cut(&means), values: cut(&value) };
         let part = Samples {
             actions: cut(&s.actions),
             prox_means: cut(&s.prox_means),
@@ -136,14 +118,8 @@ fn the_gradient_is_autograds_and_shards_add_up() {
             targets: cut(&s.targets),
             weights: cut(&s.weights),
         };
-        let (_, g) = loss_and_gradient(
-            &SETTINGS,
-            rows as usize,
-            &outputs,
-            &log_std,
-            &prox_log_std,
-            &part,
-        );
+        let (_, g) =
+            loss_and_gradient(&SETTINGS, rows as usize, &outputs, &log_std, &prox_log_std, &part);
         grads.0.push(g.means);
         grads.1.push(g.values);
         grads.2 += g.log_std;
@@ -160,8 +136,5 @@ fn an_absurd_ratio_stays_finite() {
     assert!(sums[sums::SURROGATE].is_finite());
     assert!(values(&gradient.means)[0].is_finite());
     let (sums, _) = one_action(&[f32::NAN], &[1.0], &[1.0]);
-    assert!(
-        sums[sums::SURROGATE].is_nan(),
-        "not-a-number is passed on, for the guard to see"
-    );
+    assert!(sums[sums::SURROGATE].is_nan(), "not-a-number is passed on, for the guard to see");
 }

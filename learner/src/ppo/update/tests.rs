@@ -8,15 +8,7 @@ use caudata_random::{Key, Purpose};
 use tch::Device;
 
 fn stream(purpose: Purpose) -> Stream {
-    Stream::new(
-        Key {
-            seed: 5,
-            actor: 0,
-            env: 0,
-            episode: 0,
-        },
-        purpose,
-    )
+    Stream::new(Key { seed: 5, actor: 0, env: 0, episode: 0 }, purpose)
 }
 
 const OBS: usize = 6;
@@ -29,10 +21,8 @@ fn ppo(change: impl FnOnce(&mut PpoSettings), threads: usize) -> Ppo {
         ..NetworkConfig::default()
     };
     let spec = NetworkSpec::new(&config, OBS, ACT).unwrap();
-    let mut settings = PpoSettings {
-        ppo: PpoConfig::default(),
-        staleness: StalenessConfig::default(),
-    };
+    let mut settings =
+        PpoSettings { ppo: PpoConfig::default(), staleness: StalenessConfig::default() };
     change(&mut settings);
     Ppo::new(ActorCritic::new(spec, 1, Device::Cpu), settings, threads).unwrap()
 }
@@ -142,10 +132,7 @@ fn stale_data_with_wild_weights_halves_the_step() {
         );
         let before = ppo.net().flat().copy();
         let stats = update(&mut ppo, &batch(8, 8), version);
-        (
-            (ppo.net().flat() - before).abs().max().double_value(&[]),
-            stats.effective_share,
-        )
+        ((ppo.net().flat() - before).abs().max().double_value(&[]), stats.effective_share)
     };
     let (fresh, share) = one_step(0.9, 0);
     assert_eq!(share, 1.0, "the version that acted is the current one");
@@ -185,14 +172,8 @@ fn older_data_has_the_returns_of_fresh_data_unless_v_trace_is_asked_for() {
     let fresh = targets(Returns::Gae, 0);
     assert!(fresh.weights.iter().all(|&w| w == 1.0));
     let stale = targets(Returns::Gae, 1);
-    assert_eq!(
-        (&stale.advantages, &stale.targets),
-        (&fresh.advantages, &fresh.targets)
-    );
-    assert!(
-        stale.weights.iter().any(|&w| w < 0.5),
-        "the loss weighs it by its age all the same"
-    );
+    assert_eq!((&stale.advantages, &stale.targets), (&fresh.advantages, &fresh.targets));
+    assert!(stale.weights.iter().any(|&w| w < 0.5), "the loss weighs it by its age all the same");
     let capped = {
         let ppo = ppo(
             |s| {
@@ -211,30 +192,14 @@ fn older_data_has_the_returns_of_fresh_data_unless_v_trace_is_asked_for() {
 
 #[test]
 fn the_rate_follows_the_divergence() {
-    let config = PpoConfig {
-        target_kl: 0.01,
-        ..PpoConfig::default()
-    };
+    let config = PpoConfig { target_kl: 0.01, ..PpoConfig::default() };
     assert_eq!(adapted_rate(&config, config.target_kl, 3e-3, 0.021), 2e-3);
     assert_eq!(adapted_rate(&config, config.target_kl, 2e-3, 0.004), 3e-3);
     assert_eq!(adapted_rate(&config, config.target_kl, 2e-3, 0.01), 2e-3);
-    assert_eq!(
-        adapted_rate(&config, config.target_kl, 2e-3, 0.0),
-        2e-3,
-        "nothing has changed yet"
-    );
-    assert_eq!(
-        adapted_rate(&config, config.target_kl, 1.2e-5, 1.0),
-        config.learning_rate_min
-    );
-    assert_eq!(
-        adapted_rate(&config, config.target_kl, 9e-3, 0.001),
-        config.learning_rate_max
-    );
-    let fixed = PpoConfig {
-        target_kl: 0.0,
-        ..config
-    };
+    assert_eq!(adapted_rate(&config, config.target_kl, 2e-3, 0.0), 2e-3, "nothing has changed yet");
+    assert_eq!(adapted_rate(&config, config.target_kl, 1.2e-5, 1.0), config.learning_rate_min);
+    assert_eq!(adapted_rate(&config, config.target_kl, 9e-3, 0.001), config.learning_rate_max);
+    let fixed = PpoConfig { target_kl: 0.0, ..config };
     assert_eq!(adapted_rate(&fixed, fixed.target_kl, 2e-3, 5.0), 2e-3);
 }
 
@@ -271,13 +236,7 @@ fn a_batch_of_another_size_is_refused() {
     let mut wrong = batch(2, 2);
     wrong.obs_dim = 3;
     let error = ppo(|_| {}, 1)
-        .update(
-            &Arc::new(wrong),
-            &scaling(),
-            0,
-            &mut stream(Purpose::Minibatch),
-            false,
-        )
+        .update(&Arc::new(wrong), &scaling(), 0, &mut stream(Purpose::Minibatch), false)
         .unwrap_err();
     assert!(error.to_string().contains("3 observations"), "{error}");
 }
@@ -288,8 +247,7 @@ fn a_critic_alone_learns_while_the_policy_and_its_rate_stay() {
     let mut ppo = ppo(|_| {}, 1);
     let (before, rate) = (ppo.net().to_vec().unwrap(), ppo.learning_rate());
     let order = &mut stream(Purpose::Minibatch);
-    ppo.update(&Arc::new(batch), &scaling(), 0, order, true)
-        .unwrap();
+    ppo.update(&Arc::new(batch), &scaling(), 0, order, true).unwrap();
     let after = ppo.net().to_vec().unwrap();
     let policy = ppo.net().policy_len();
     assert_eq!(before[..policy], after[..policy]);
@@ -313,11 +271,7 @@ fn the_critic_has_its_own_rate() {
         let _ = update(&mut ppo, &batch(8, 8), 0);
         let after = ppo.net().to_vec().unwrap();
         let policy = ppo.net().policy_len();
-        let change: Vec<f32> = before
-            .iter()
-            .zip(&after)
-            .map(|(b, a)| (a - b).abs())
-            .collect();
+        let change: Vec<f32> = before.iter().zip(&after).map(|(b, a)| (a - b).abs()).collect();
         let max = |part: &[f32]| part.iter().copied().fold(0.0, f32::max);
         (max(&change[..policy]), max(&change[policy..]))
     };

@@ -19,16 +19,9 @@ pub fn config(iterations: u64, more: &[&str]) -> Config {
     let mut overrides: Vec<String> = TINY.iter().map(|&text| text.to_owned()).collect();
     overrides.push(format!("run.iterations={iterations}"));
     overrides.extend(more.iter().map(|&text| text.to_owned()));
-    let mut config = Config::load(&Source {
-        preset: Some("quick".into()),
-        file: None,
-        overrides,
-    })
-    .unwrap();
-    let robots = concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../robots/polymander.robot.toml"
-    );
+    let mut config =
+        Config::load(&Source { preset: Some("quick".into()), file: None, overrides }).unwrap();
+    let robots = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/polymander.robot.toml");
     config.robot = robots.into();
     config
 }
@@ -46,9 +39,7 @@ impl Listener {
     pub fn events(&self) -> Vec<Event> {
         let bytes = self.lines.lock().unwrap().clone();
         let text = String::from_utf8(bytes).unwrap();
-        text.lines()
-            .map(|line| serde_json::from_str(line).unwrap())
-            .collect()
+        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
     }
 }
 

@@ -67,9 +67,7 @@ impl Server {
         let store = SharedStore::new(store);
         let trouble = store.trouble();
         let ended = tokio::spawn(async move {
-            serve_with(listener, store, counted, stopped, options)
-                .await
-                .unwrap();
+            serve_with(listener, store, counted, stopped, options).await.unwrap();
         });
         Self {
             address,

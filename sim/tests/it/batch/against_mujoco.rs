@@ -68,11 +68,7 @@ fn accelerates_as_mujoco_does() {
             .collect();
         let wanted = ask(&python, held, &motions);
         for (precision, limit) in [(Precision::Double, 1e-6), (Precision::Single, 1e-4)] {
-            let config = EngineConfig {
-                fixed_base: held,
-                precision,
-                ..EngineConfig::default()
-            };
+            let config = EngineConfig { fixed_base: held, precision, ..EngineConfig::default() };
             let mut worst = 0.0_f64;
             for (at, want) in motions.iter().zip(&wanted) {
                 let got = accelerations(&model, &config, &LaneParams::nominal(&model), at).unwrap();

@@ -15,11 +15,7 @@ use crate::conformance::robots;
 const LANES: usize = 40;
 
 fn rough() -> TerrainConfig {
-    TerrainConfig {
-        kind: TerrainKind::Rough,
-        size_m: 12.0,
-        ..TerrainConfig::default()
-    }
+    TerrainConfig { kind: TerrainKind::Rough, size_m: 12.0, ..TerrainConfig::default() }
 }
 
 /// An engine whose lane `l` is robot `who(l)`: parameters, start and commands depend on that alone.
@@ -57,11 +53,7 @@ fn command(
 ) -> Vec<f32> {
     let mut all = Vec::new();
     for lane in 0..lanes {
-        let key = Key {
-            env: who(lane) as u64,
-            episode: period as u64,
-            ..Key::for_run(21)
-        };
+        let key = Key { env: who(lane) as u64, episode: period as u64, ..Key::for_run(21) };
         let mut stream = Stream::new(key, Purpose::Action);
         let nominal = model.nominal_pos_rad().iter();
         all.extend(nominal.map(|&q| q as f32 + stream.uniform(-0.4, 0.4)));
@@ -93,8 +85,7 @@ fn ten_thousand_steps_give_the_same_bits_for_any_thread_count_and_through_a_snap
                 e = build(model.clone(), LANES, &config, &rough(), 3, 1).unwrap();
                 e.restore(&bytes).unwrap();
             }
-            e.step(&command(&model, LANES, period, |l| l), &wrenches)
-                .unwrap();
+            e.step(&command(&model, LANES, period, |l| l), &wrenches).unwrap();
         }
         results.push(bits(e.state()));
     }
@@ -105,27 +96,16 @@ fn ten_thousand_steps_give_the_same_bits_for_any_thread_count_and_through_a_snap
 
 /// Says that a width is not tested here; anything but that missing width is a failure.
 fn lacks_width(error: &SimError, lane_width: u32) {
-    let missing = matches!(
-        error,
-        SimError::Config {
-            field: "lane_width",
-            ..
-        }
-    );
+    let missing = matches!(error, SimError::Config { field: "lane_width", .. });
     assert!(missing, "{error}");
-    let _ = writeln!(
-        std::io::stderr(),
-        "skipped: this processor has no {lane_width} lanes"
-    );
+    let _ = writeln!(std::io::stderr(), "skipped: this processor has no {lane_width} lanes");
 }
 
 /// FNV-1a over the bits of everything reported.
 fn fingerprint(state: &State) -> u64 {
-    bits(state)
-        .iter()
-        .fold(0xcbf2_9ce4_8422_2325, |hash, word| {
-            (hash ^ u64::from(*word)).wrapping_mul(0x0000_0100_0000_01b3)
-        })
+    bits(state).iter().fold(0xcbf2_9ce4_8422_2325, |hash, word| {
+        (hash ^ u64::from(*word)).wrapping_mul(0x0000_0100_0000_01b3)
+    })
 }
 
 /// What 10,000 steps of random targets on level ground end in, on any processor with 8 or 16 lanes. A change
@@ -135,18 +115,10 @@ const GOLDEN: u64 = 0x4ffc_769d_4b1a_4808;
 #[test]
 fn ten_thousand_steps_end_where_they_always_did() {
     let model = robots::polymander();
-    for (lane_width, threads, restored) in [
-        (8, 1, false),
-        (8, 2, false),
-        (8, 4, false),
-        (8, 1, true),
-        (16, 1, false),
-        (16, 4, false),
-    ] {
-        let config = EngineConfig {
-            lane_width,
-            ..EngineConfig::default()
-        };
+    for (lane_width, threads, restored) in
+        [(8, 1, false), (8, 2, false), (8, 4, false), (8, 1, true), (16, 1, false), (16, 4, false)]
+    {
+        let config = EngineConfig { lane_width, ..EngineConfig::default() };
         let flat = TerrainConfig::default();
         let mut e = match build(model.clone(), LANES, &config, &flat, 3, threads) {
             Ok(engine) => engine,
@@ -179,8 +151,7 @@ fn a_lane_does_not_know_its_place() {
         let mut e = engine(&model, lanes, &config, 1, who);
         let wrenches = vec![0.0; 6 * lanes];
         for period in 0..100 {
-            e.step(&command(&model, lanes, period, who), &wrenches)
-                .unwrap();
+            e.step(&command(&model, lanes, period, who), &wrenches).unwrap();
         }
         e.state().clone()
     };
@@ -190,10 +161,7 @@ fn a_lane_does_not_know_its_place() {
     for (f, field) in together.fields().iter().enumerate() {
         let k = field.len() / LANES;
         let row = |all: &[f32], lane: usize| -> Vec<u32> {
-            all[lane * k..(lane + 1) * k]
-                .iter()
-                .map(|v| v.to_bits())
-                .collect()
+            all[lane * k..(lane + 1) * k].iter().map(|v| v.to_bits()).collect()
         };
         for lane in 0..LANES {
             let same = row(turned.fields()[f], (lane + LANES - 7) % LANES);
@@ -208,19 +176,15 @@ fn per_width(held: bool, periods: usize) -> Vec<(u32, State)> {
     let model = robots::polymander();
     let mut results = Vec::new();
     for width in [1, 4, 8, 16] {
-        let config = EngineConfig {
-            lane_width: width,
-            fixed_base: held,
-            ..EngineConfig::default()
-        };
+        let config =
+            EngineConfig { lane_width: width, fixed_base: held, ..EngineConfig::default() };
         if let Err(error) = build(model.clone(), 3, &config, &rough(), 3, 1) {
             lacks_width(&error, width);
             continue;
         }
         let mut e = engine(&model, 3, &config, 1, |l| l);
         for period in 0..periods {
-            e.step(&command(&model, 3, period, |l| l), &[0.0; 18])
-                .unwrap();
+            e.step(&command(&model, 3, period, |l| l), &[0.0; 18]).unwrap();
         }
         results.push((width, e.state().clone()));
     }
@@ -248,10 +212,7 @@ fn sixteen_and_eight_lanes_give_the_same_bits() {
     if let (Some((_, a)), Some((_, b))) = (find(8), find(16)) {
         assert_eq!(bits(a), bits(b));
     } else {
-        let _ = writeln!(
-            std::io::stderr(),
-            "skipped: this processor lacks one of them"
-        );
+        let _ = writeln!(std::io::stderr(), "skipped: this processor lacks one of them");
     }
 }
 
@@ -288,8 +249,7 @@ fn a_neighbours_effects_are_nothing_to_a_lane() {
         }
         e.set_params(1, &params).unwrap();
         for period in 0..100 {
-            e.step(&command(&model, 2, period, |l| l), &[0.0; 12])
-                .unwrap();
+            e.step(&command(&model, 2, period, |l| l), &[0.0; 12]).unwrap();
         }
         e.state().clone()
     };
@@ -299,10 +259,7 @@ fn a_neighbours_effects_are_nothing_to_a_lane() {
         let bits = |v: &[f32]| v[..k].iter().map(|x| x.to_bits()).collect::<Vec<_>>();
         assert_eq!(bits(a), bits(b));
     }
-    assert_ne!(
-        plain.joint_pos_rad, busy.joint_pos_rad,
-        "lane 1 moves otherwise"
-    );
+    assert_ne!(plain.joint_pos_rad, busy.joint_pos_rad, "lane 1 moves otherwise");
 }
 
 /// What a lane's loops have under way is its own: delays come, grow, shrink and go, and a neighbour that
@@ -332,8 +289,7 @@ fn a_neighbours_longer_memory_is_nothing_to_a_lane() {
                 50 => late(e.as_mut(), 0, 0.0061),
                 _ => (),
             }
-            e.step(&command(&model, 2, period, |l| l), &[0.0; 12])
-                .unwrap();
+            e.step(&command(&model, 2, period, |l| l), &[0.0; 12]).unwrap();
             let state = e.state();
             all.push(state.joint_pos_rad[..state.joints].to_vec());
         }

@@ -14,10 +14,7 @@ fn slides_where_the_tangent_is_the_friction() {
 /// So it does with MuJoCo's friction, whose lift changes the load of the feet only while the slip changes.
 #[test]
 fn slides_at_the_same_angle_with_convex_friction() {
-    slides_at_its_angle(&EngineConfig {
-        convex_friction: true,
-        ..EngineConfig::default()
-    });
+    slides_at_its_angle(&EngineConfig { convex_friction: true, ..EngineConfig::default() });
 }
 
 /// A table that slides at 1 m/s lifts with MuJoCo's friction (v_n follows μ·v_t until the contact opens, a
@@ -26,15 +23,10 @@ fn slides_at_the_same_angle_with_convex_friction() {
 fn a_sliding_foot_lifts_itself_with_convex_friction_only() {
     let model = robots::table();
     let highest = |convex_friction: bool| {
-        let config = EngineConfig {
-            convex_friction,
-            ..EngineConfig::default()
-        };
+        let config = EngineConfig { convex_friction, ..EngineConfig::default() };
         let mut e = build(model.clone(), 1, &config, &TerrainConfig::default(), 1, 1).unwrap();
-        let sliding = InitialState {
-            base_vel_mps: [1.0, 0.0, 0.0],
-            ..InitialState::nominal(&model)
-        };
+        let sliding =
+            InitialState { base_vel_mps: [1.0, 0.0, 0.0], ..InitialState::nominal(&model) };
         e.reset(0, &sliding).unwrap();
         let start = e.state().com_pos_m[2];
         let mut highest = 0.0_f32;
@@ -45,10 +37,7 @@ fn a_sliding_foot_lifts_itself_with_convex_friction_only() {
         highest
     };
     let (coulomb, convex) = (highest(false), highest(true));
-    assert!(
-        coulomb < 1e-5,
-        "with Coulomb's friction it rose by {coulomb} m"
-    );
+    assert!(coulomb < 1e-5, "with Coulomb's friction it rose by {coulomb} m");
     assert!(convex > 5e-5, "with MuJoCo's it rose by {convex} m only");
 }
 
@@ -79,10 +68,7 @@ fn slides_at_its_angle(config: &EngineConfig) {
     assert!(held < 1e-3, "half a degree below, it crept {held} m in 2 s");
     // half a degree above: g·(sin θ − μ·cos θ) = 9.81·sin 0.5°/cos 26.57° = 0.0957 m/s², from the start:
     // ½·0.0957·(3² − 1²) = 0.383 m
-    assert!(
-        (gone - 0.383).abs() < 0.02,
-        "half a degree above, it slid {gone} m"
-    );
+    assert!((gone - 0.383).abs() < 0.02, "half a degree above, it slid {gone} m");
 }
 
 /// Spawned 5 cm deep in the ground, the robot is pushed out without breaking down or flying off, and ends up
@@ -108,10 +94,7 @@ fn a_deep_start_is_pushed_out() {
     // the centre of mass stands at about 0.1 m
     assert!(highest < 0.3, "it flew to {highest} m");
     let (normal, pushed_out) = (s.base_pos_m[2], s.base_pos_m[5]);
-    assert!(
-        (pushed_out - normal).abs() < 0.01,
-        "it stands at {pushed_out} instead of {normal} m"
-    );
+    assert!((pushed_out - normal).abs() < 0.01, "it stands at {pushed_out} instead of {normal} m");
 }
 
 /// In its nominal pose the robot stands as high as in MuJoCo 3.17 on the same MJCF with the same servo:
@@ -136,10 +119,7 @@ fn stands_as_high_as_in_mujoco() {
 fn harder_ground_gives_way_less() {
     let model = robots::table();
     let sinks = |contact_hardness: f64| {
-        let config = EngineConfig {
-            contact_hardness,
-            ..EngineConfig::default()
-        };
+        let config = EngineConfig { contact_hardness, ..EngineConfig::default() };
         let mut e = build(model.clone(), 1, &config, &TerrainConfig::default(), 1, 1).unwrap();
         for _ in 0..100 {
             e.step(&[0.0], &[0.0; 6]).unwrap();

@@ -11,15 +11,9 @@ use crate::conformance::robots;
 fn tumbling_keeps_its_momentum() {
     let model = robots::tumbler();
     for (precision, slack) in [(Precision::Double, 4e-3), (Precision::Single, 4e-3)] {
-        let config = EngineConfig {
-            precision,
-            ..EngineConfig::default()
-        };
+        let config = EngineConfig { precision, ..EngineConfig::default() };
         let mut e = build(model.clone(), 1, &config, &TerrainConfig::default(), 1, 1).unwrap();
-        let weightless = LaneParams {
-            gravity_mps2: [0.0; 3],
-            ..LaneParams::nominal(&model)
-        };
+        let weightless = LaneParams { gravity_mps2: [0.0; 3], ..LaneParams::nominal(&model) };
         e.set_params(0, &weightless).unwrap();
         let init = InitialState {
             base_z_m: Some(1.0),

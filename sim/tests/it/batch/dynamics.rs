@@ -12,10 +12,7 @@ use crate::conformance::robots;
 /// Largest difference over the largest acceleration.
 fn apart(got: &Accelerations, want: &Accelerations) -> f64 {
     let flat = |a: &Accelerations| -> Vec<f64> {
-        (a.base_mps2.iter().chain(&a.base_radps2))
-            .chain(&a.joint_radps2)
-            .copied()
-            .collect()
+        (a.base_mps2.iter().chain(&a.base_radps2)).chain(&a.joint_radps2).copied().collect()
     };
     let (got, want) = (flat(got), flat(want));
     assert_eq!(got.len(), want.len());
@@ -24,11 +21,7 @@ fn apart(got: &Accelerations, want: &Accelerations) -> f64 {
 }
 
 fn check(model: &RobotModel, held: bool, at: &Motion, precision: Precision) -> f64 {
-    let config = EngineConfig {
-        fixed_base: held,
-        precision,
-        ..EngineConfig::default()
-    };
+    let config = EngineConfig { fixed_base: held, precision, ..EngineConfig::default() };
     let got = accelerations(model, &config, &LaneParams::nominal(model), at).unwrap();
     apart(&got, &plain::accelerations(model, held, at))
 }

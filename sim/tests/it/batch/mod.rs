@@ -19,11 +19,7 @@ use caudata_sim::batch::smooth::Motion;
 pub(crate) fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
     // `f64::max` would forget a NaN
     let fold = |most: f64, v: f64| {
-        if most.is_nan() || v.is_nan() {
-            f64::NAN
-        } else {
-            most.max(v.abs())
-        }
+        if most.is_nan() || v.is_nan() { f64::NAN } else { most.max(v.abs()) }
     };
     values.into_iter().fold(0.0, fold)
 }
@@ -43,10 +39,7 @@ fn random_motion(model: &RobotModel, reach: f64, stream: &mut Stream) -> Motion 
     };
     let norm = quat.iter().map(|x| x * x).sum::<f64>().sqrt();
     Motion {
-        world_from_base: Pose {
-            pos_m: three(many(3, 1.0)),
-            quat_wxyz: quat.map(|x| x / norm),
-        },
+        world_from_base: Pose { pos_m: three(many(3, 1.0)), quat_wxyz: quat.map(|x| x / norm) },
         base_vel_mps: three(many(3, 1.0)),
         base_angvel_radps: three(many(3, 2.0)),
         joint_pos_rad: many(joints, reach),

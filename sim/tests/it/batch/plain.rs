@@ -11,9 +11,7 @@ type Column = (Vector3<f64>, Vector3<f64>);
 /// What [`caudata_sim::batch::smooth::accelerations`] should give.
 pub fn accelerations(model: &RobotModel, held: bool, at: &Motion) -> Accelerations {
     let free = model.base() == BaseKind::Free && !held;
-    let places = model
-        .kinematics(&at.world_from_base, &at.joint_pos_rad)
-        .unwrap();
+    let places = model.kinematics(&at.world_from_base, &at.joint_pos_rad).unwrap();
     let joints = model.joints().len();
     let first = if free { 6 } else { 0 };
     let n = first + joints;
@@ -32,13 +30,7 @@ pub fn accelerations(model: &RobotModel, held: bool, at: &Motion) -> Acceleratio
         // joints
         let (mut w, mut alpha, mut v, mut a, mut point) = if free {
             let spin = Vector3::from(at.base_angvel_radps);
-            (
-                spin,
-                Vector3::zeros(),
-                Vector3::from(at.base_vel_mps),
-                Vector3::zeros(),
-                base,
-            )
+            (spin, Vector3::zeros(), Vector3::from(at.base_vel_mps), Vector3::zeros(), base)
         } else {
             let o = Vector3::zeros();
             (o, o, o, o, base)
@@ -97,11 +89,7 @@ pub fn accelerations(model: &RobotModel, held: bool, at: &Motion) -> Acceleratio
     }
     let x = mass.lu().solve(&force).unwrap();
     let three = |k: usize| {
-        if free {
-            [x[k], x[k + 1], x[k + 2]]
-        } else {
-            [0.0; 3]
-        }
+        if free { [x[k], x[k + 1], x[k + 2]] } else { [0.0; 3] }
     };
     Accelerations {
         base_mps2: three(0),

@@ -11,10 +11,7 @@ use crate::conformance::robots;
 const STEPS: usize = 60;
 
 fn engine(substeps: u32) -> BatchEngine {
-    let config = EngineConfig {
-        substeps,
-        ..EngineConfig::default()
-    };
+    let config = EngineConfig { substeps, ..EngineConfig::default() };
     let terrain = Terrain::generate(&TerrainConfig::default(), 1).unwrap();
     let model = robots::polymander();
     BatchEngine::new(model, 3, config, Arc::new(terrain), 1).unwrap()
@@ -32,20 +29,11 @@ fn walk(engine: &mut BatchEngine, step: usize) {
 }
 
 fn base(state: &State) -> [&[f32]; 4] {
-    [
-        &state.base_pos_m,
-        &state.base_quat_wxyz,
-        &state.base_vel_mps,
-        &state.base_angvel_radps,
-    ]
+    [&state.base_pos_m, &state.base_quat_wxyz, &state.base_vel_mps, &state.base_angvel_radps]
 }
 
 fn imu(state: &State) -> [&[f32]; 3] {
-    [
-        &state.imu_gyro_radps,
-        &state.imu_acc_mps2,
-        &state.imu_gravity,
-    ]
+    [&state.imu_gyro_radps, &state.imu_acc_mps2, &state.imu_gravity]
 }
 
 #[test]
@@ -53,26 +41,11 @@ fn what_is_read_out_is_the_same_and_the_rest_stays() {
     let joints = Readout::JOINTS;
     for readout in [
         joints,
-        Readout {
-            base: true,
-            ..joints
-        },
-        Readout {
-            imu: true,
-            ..joints
-        },
-        Readout {
-            feet: true,
-            ..joints
-        },
-        Readout {
-            rest: true,
-            ..joints
-        },
-        Readout {
-            rest: false,
-            ..Readout::ALL
-        },
+        Readout { base: true, ..joints },
+        Readout { imu: true, ..joints },
+        Readout { feet: true, ..joints },
+        Readout { rest: true, ..joints },
+        Readout { rest: false, ..Readout::ALL },
     ] {
         let (mut whole, mut part) = (engine(1), engine(1));
         let start = part.state().clone();
@@ -85,20 +58,13 @@ fn what_is_read_out_is_the_same_and_the_rest_stays() {
             assert_eq!(some.joint_pos_rad, all.joint_pos_rad, "{readout:?} {step}");
             assert_eq!(some.joint_vel_radps, all.joint_vel_radps);
             assert_eq!(some.motor_torque_nm, all.motor_torque_nm);
-            assert_eq!(
-                base(some),
-                base(or_start(readout.base)),
-                "{readout:?} {step}"
-            );
+            assert_eq!(base(some), base(or_start(readout.base)), "{readout:?} {step}");
             assert_eq!(imu(some), imu(or_start(readout.imu)), "{readout:?} {step}");
             assert_eq!(some.foot_pos_m, or_start(readout.feet).foot_pos_m);
             assert_eq!(some.foot_vel_mps, or_start(readout.rest).foot_vel_mps);
             assert_eq!(some.foot_height_m, or_start(readout.rest).foot_height_m);
             assert_eq!(some.foot_force_n, or_start(readout.rest).foot_force_n);
-            assert_eq!(
-                some.com_angvel_radps,
-                or_start(readout.rest).com_angvel_radps
-            );
+            assert_eq!(some.com_angvel_radps, or_start(readout.rest).com_angvel_radps);
             assert_eq!(some.heading_rad, or_start(readout.rest).heading_rad);
             assert_eq!(some.mech_power_w, or_start(readout.rest).mech_power_w);
         }

@@ -34,10 +34,7 @@ fn body(
     text: &mut String,
 ) {
     let three = |most: f64, stream: &mut Stream| -> String {
-        (0..3)
-            .map(|_| stream.uniform_f64(-most, most).to_string())
-            .collect::<Vec<_>>()
-            .join(" ")
+        (0..3).map(|_| stream.uniform_f64(-most, most).to_string()).collect::<Vec<_>>().join(" ")
     };
     let pos = three(0.3, stream);
     let quat = format!("{} {}", stream.uniform_f64(0.3, 1.0), three(1.0, stream));
@@ -46,22 +43,14 @@ fn body(
     let com = three(0.1, stream);
     // any three numbers in 1..1.9 fulfil the triangle inequality
     let [x, y, z] = [(); 3].map(|()| 0.002 * stream.uniform_f64(1.0, 1.9));
-    write!(
-        text,
-        r#"<inertial pos="{com}" mass="{mass}" diaginertia="{x} {y} {z}"/>"#
-    )
-    .unwrap();
+    write!(text, r#"<inertial pos="{com}" mass="{mass}" diaginertia="{x} {y} {z}"/>"#).unwrap();
     if b == 0 && free {
         text.push_str("<freejoint/>");
     } else {
         let joints = 1 + (stream.uniform_f64(0.0, 1.0) > 0.7) as usize;
         for k in 0..joints {
             let name = format!("j{b}_{k}");
-            let kind = if stream.uniform_f64(0.0, 1.0) > 0.75 {
-                "slide"
-            } else {
-                "hinge"
-            };
+            let kind = if stream.uniform_f64(0.0, 1.0) > 0.75 { "slide" } else { "hinge" };
             // some along a frame axis, either way round, most not
             // (a second slide along the same axis would have no inertia of its own)
             let pick = if k == 0 { 10.0 } else { 0.0 };
@@ -71,11 +60,7 @@ fn body(
                 2 => "0 0 -1".to_owned(),
                 _ => format!("{} {}", three(1.0, stream).rsplit_once(' ').unwrap().0, 0.7),
             };
-            let anchor = if kind == "hinge" {
-                three(0.05, stream)
-            } else {
-                "0 0 0".to_owned()
-            };
+            let anchor = if kind == "hinge" { three(0.05, stream) } else { "0 0 0".to_owned() };
             write!(
                 text,
                 r#"<joint name="{name}" type="{kind}" axis="{axis}" pos="{anchor}" range="-1000 1000"/>"#

@@ -12,27 +12,18 @@ use caudata_sim::{
 use crate::conformance::{engine, nominal_targets, robots};
 
 fn rugged() -> TerrainConfig {
-    TerrainConfig {
-        size_m: 8.0,
-        height_m: 0.03,
-        ..TerrainConfig::of(TerrainKind::Rugged)
-    }
+    TerrainConfig { size_m: 8.0, height_m: 0.03, ..TerrainConfig::of(TerrainKind::Rugged) }
 }
 
 /// Lanes at different places, with different friction, thrashing at random.
 pub fn prepare(e: &mut dyn Engine, model: &RobotModel) {
     for lane in 0..e.lanes() {
-        let params = LaneParams {
-            foot_friction: 0.5 + 0.05 * lane as f32,
-            ..LaneParams::nominal(model)
-        };
+        let params =
+            LaneParams { foot_friction: 0.5 + 0.05 * lane as f32, ..LaneParams::nominal(model) };
         e.set_params(lane, &params).unwrap();
         e.reset(
             lane,
-            &InitialState {
-                base_xy_m: [0.3 * lane as f32, 0.0],
-                ..InitialState::nominal(model)
-            },
+            &InitialState { base_xy_m: [0.3 * lane as f32, 0.0], ..InitialState::nominal(model) },
         )
         .unwrap();
     }
@@ -46,13 +37,7 @@ pub fn thrash(e: &mut dyn Engine, model: &RobotModel, streams: &mut [Stream], pe
         let mut wrenches = Vec::new();
         for stream in streams.iter_mut() {
             targets.extend(nominal.iter().map(|q| q + stream.uniform(-0.5, 0.5)));
-            wrenches.extend((0..6).map(|i| {
-                if i < 3 {
-                    stream.uniform(-3.0, 3.0)
-                } else {
-                    0.0
-                }
-            }));
+            wrenches.extend((0..6).map(|i| if i < 3 { stream.uniform(-3.0, 3.0) } else { 0.0 }));
         }
         e.step(&targets, &wrenches).unwrap();
     }
@@ -60,15 +45,7 @@ pub fn thrash(e: &mut dyn Engine, model: &RobotModel, streams: &mut [Stream], pe
 
 pub fn streams(lanes: usize) -> Vec<Stream> {
     (0..lanes)
-        .map(|env| {
-            Stream::new(
-                Key {
-                    env: env as u64,
-                    ..Key::for_run(11)
-                },
-                Purpose::Action,
-            )
-        })
+        .map(|env| Stream::new(Key { env: env as u64, ..Key::for_run(11) }, Purpose::Action))
         .collect()
 }
 
@@ -81,10 +58,7 @@ fn thrashed(config: &EngineConfig, model: &Arc<RobotModel>, threads: usize) -> S
 
 /// Bits, not values: −0 and +0 differ.
 pub fn bits(s: &State) -> Vec<u32> {
-    s.fields()
-        .iter()
-        .flat_map(|f| f.iter().map(|v| v.to_bits()))
-        .collect()
+    s.fields().iter().flat_map(|f| f.iter().map(|v| v.to_bits())).collect()
 }
 
 pub fn same_bits_for_any_thread_count(config: &EngineConfig) {
@@ -92,11 +66,7 @@ pub fn same_bits_for_any_thread_count(config: &EngineConfig) {
     let one = thrashed(config, &model, 1);
     assert!(one.diverged.iter().all(|d| !d));
     for threads in [2, 3, 64] {
-        assert_eq!(
-            bits(&one),
-            bits(&thrashed(config, &model, threads)),
-            "{threads} threads"
-        );
+        assert_eq!(bits(&one), bits(&thrashed(config, &model, threads)), "{threads} threads");
     }
 }
 
@@ -115,12 +85,7 @@ pub fn lanes_do_not_touch_each_other(config: &EngineConfig) {
                 e.step(&nominal_targets(&model, 3), &wrenches).unwrap();
             }
             assert_eq!(e.state().diverged, [false, true, false]);
-            assert!(
-                e.state()
-                    .fields()
-                    .iter()
-                    .all(|f| f.iter().all(|v| v.is_finite()))
-            );
+            assert!(e.state().fields().iter().all(|f| f.iter().all(|v| v.is_finite())));
         } else {
             for _ in 0..30 {
                 e.step(&nominal_targets(&model, 3), &[0.0; 18]).unwrap();
@@ -176,18 +141,8 @@ pub fn arrays_of_wrong_length_are_refused(config: &EngineConfig) {
     assert_eq!(error.to_string(), "targets_rad has 3 values, expected 2");
     assert!(matches!(
         e.step(&[0.0; 2], &[0.0; 6]),
-        Err(SimError::Shape {
-            what: "wrenches",
-            got: 6,
-            expected: 12
-        })
+        Err(SimError::Shape { what: "wrenches", got: 6, expected: 12 })
     ));
-    assert!(matches!(
-        e.reset(2, &InitialState::nominal(&model)),
-        Err(SimError::Lane { .. })
-    ));
-    assert!(
-        build(model, 0, config, &TerrainConfig::default(), 0, 1).is_err(),
-        "no lanes"
-    );
+    assert!(matches!(e.reset(2, &InitialState::nominal(&model)), Err(SimError::Lane { .. })));
+    assert!(build(model, 0, config, &TerrainConfig::default(), 0, 1).is_err(), "no lanes");
 }

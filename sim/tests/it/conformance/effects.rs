@@ -58,12 +58,7 @@ pub fn droop_says_which(config: &EngineConfig) {
     near("dead band", 15.0 * (0.95 - q[0]), load(q[0]), 2e-3);
     near("resistance", 7.5 * (1.0 - q[1]), load(q[1]), 2e-3);
     near("integral", q[2], 1.0, 1e-3);
-    near(
-        "spring",
-        15.0 * (1.0 - q[3]) + 5.0 * (0.5 - q[3]),
-        load(q[3]),
-        2e-3,
-    );
+    near("spring", 15.0 * (1.0 - q[3]) + 5.0 * (0.5 - q[3]), load(q[3]), 2e-3);
 }
 
 /// 0.5 A at 1 N·m/A is 0.5 N·m and not more; a joint that stops at 0.3 rad gets no further; a profile of 1
@@ -85,10 +80,7 @@ pub fn limits_limit(config: &EngineConfig) {
     });
     near("current limit", f64::from(strongest), 0.5, 1e-5);
     // it hangs back by load over gain, more at the end of that second than at its start
-    let target: Vec<f64> = at_speed
-        .iter()
-        .map(|q| q + 0.981 * q.sin() / 15.0)
-        .collect();
+    let target: Vec<f64> = at_speed.iter().map(|q| q + 0.981 * q.sin() / 15.0).collect();
     near("speed of the profile", target[1] - target[0], 1.0, 5e-3);
     // limited to 10 N·m, and 15·1.7 wants more; 0.29 N·m of weight; the stop on 0.025 kg·m² has 19·0.025·2632
     // = 1250 N·m/rad
@@ -100,10 +92,7 @@ pub fn limits_limit(config: &EngineConfig) {
 /// way until then. Without a delay it comes at once. More than 50 ms is refused.
 pub fn a_late_loop_gives_its_torque_later(config: &EngineConfig) {
     let model = robots::wheels();
-    let all = [
-        geared(&model, |j| j.loop_delay_s = 0.025),
-        geared(&model, |_| ()),
-    ];
+    let all = [geared(&model, |j| j.loop_delay_s = 0.025), geared(&model, |_| ())];
     let mut e = lanes(config, &model, &all);
     let per_20_ms = periods(config, 0.02);
     for _ in 0..2 {
@@ -147,12 +136,7 @@ pub fn friction_sets_the_speed(config: &EngineConfig) {
     let mut e = lanes(config, &model, &all);
     run(e.as_mut(), periods(config, 4.0), &[900.0; 6], |_, _| ());
     for (lane, want) in [6.0, 4.0, 3.6].into_iter().enumerate() {
-        near(
-            "speed",
-            f64::from(e.state().joint_vel_radps[2 * lane]),
-            want,
-            0.02,
-        );
+        near("speed", f64::from(e.state().joint_vel_radps[2 * lane]), want, 0.02);
     }
 }
 
@@ -183,11 +167,7 @@ pub fn load_friction_lifts_and_lowers(config: &EngineConfig) {
 /// away and, as slow as 2 N·m·s/rad let it be, is held at asin(0.15/0.981) = 0.1535 rad.
 pub fn stribeck_grips_at_rest(config: &EngineConfig) {
     let model = robots::pendulum();
-    let cases = [
-        (0.05, 0.14, 0.14),
-        (0.0, 0.14, 0.1021),
-        (0.05, 0.17, 0.1535),
-    ];
+    let cases = [(0.05, 0.14, 0.14), (0.0, 0.14, 0.1021), (0.05, 0.17, 0.1535)];
     let mut e = engine(config, &model, cases.len());
     for (lane, (extra, start, _)) in cases.iter().enumerate() {
         let mut p = LaneParams {
@@ -198,10 +178,7 @@ pub fn stribeck_grips_at_rest(config: &EngineConfig) {
         p.joints[0].stribeck_nm = *extra;
         p.joints[0].stribeck_speed_radps = 1.0;
         e.set_params(lane, &p).unwrap();
-        let init = InitialState {
-            joint_pos_rad: vec![*start],
-            ..InitialState::nominal(&model)
-        };
+        let init = InitialState { joint_pos_rad: vec![*start], ..InitialState::nominal(&model) };
         e.reset(lane, &init).unwrap();
     }
     run(e.as_mut(), periods(config, 15.0), &[0.0; 3], |_, _| ());
@@ -277,9 +254,7 @@ fn against_first(config: &EngineConfig, e: &mut dyn Engine, joint: usize) -> Vec
     }
     let polar = |(s, c): (f64, f64)| (s.hypot(c), c.atan2(s));
     let (gain, phase) = polar(sums[0]);
-    sums.iter()
-        .map(|&s| (polar(s).0 / gain, phase - polar(s).1))
-        .collect()
+    sums.iter().map(|&s| (polar(s).0 / gain, phase - polar(s).1)).collect()
 }
 
 /// A delay of 13 ms lags by exactly 2π·2·0.013 = 0.1634 rad at 2 Hz with gain 1; 5 ms and 8 ms of skew of the
@@ -287,14 +262,8 @@ fn against_first(config: &EngineConfig, e: &mut dyn Engine, joint: usize) -> Vec
 pub fn delay_and_skew_shift_the_phase(config: &EngineConfig) {
     let model = robots::wheels();
     let none = geared(&model, |_| ());
-    let late = LaneParams {
-        command_delay_s: 0.013,
-        ..none.clone()
-    };
-    let mut skewed = LaneParams {
-        command_delay_s: 0.005,
-        ..none.clone()
-    };
+    let late = LaneParams { command_delay_s: 0.013, ..none.clone() };
+    let mut skewed = LaneParams { command_delay_s: 0.005, ..none.clone() };
     skewed.joints[0].command_skew_s = 0.008;
     let all = [none, late, skewed];
     // A fraction of a step is blended into one, which is right for the impulse and up to a sixteenth of a
@@ -314,10 +283,7 @@ pub fn delay_and_skew_shift_the_phase(config: &EngineConfig) {
 /// physics step or so.
 pub fn low_pass_lags_and_damps(config: &EngineConfig) {
     let model = robots::wheels();
-    let all = [
-        geared(&model, |_| ()),
-        geared(&model, |j| j.command_low_pass_s = 0.05),
-    ];
+    let all = [geared(&model, |_| ()), geared(&model, |j| j.command_low_pass_s = 0.05)];
     let (gain, lag) = against_first(config, lanes(config, &model, &all).as_mut(), 0)[1];
     near("gain", gain, 0.8467, 0.01);
     near("lag", lag, 0.5610, 2.0 * TAU * config.dt_s);
@@ -327,16 +293,9 @@ pub fn low_pass_lags_and_damps(config: &EngineConfig) {
 /// that seed and count say.
 pub fn lost_frames_are_held(config: &EngineConfig) {
     let model = robots::wheels();
-    let loss = CommandLoss {
-        share: 0.4,
-        burst: 2.0,
-        seed: 7,
-    };
+    let loss = CommandLoss { share: 0.4, burst: 2.0, seed: 7 };
     let none = geared(&model, |_| ());
-    let losing = LaneParams {
-        command_loss: loss,
-        ..none.clone()
-    };
+    let losing = LaneParams { command_loss: loss, ..none.clone() };
     let mut e = lanes(config, &model, &[losing, none]);
     let mut memory = LossMemory::default();
     let mut held = [0.0_f32; 2];
@@ -366,12 +325,7 @@ pub fn ripple_goes_with_the_angle(config: &EngineConfig) {
     for command in [0.05, 1.8, -1.3] {
         run(e.as_mut(), periods(config, 2.0), &[command; 2], |_, _| ());
         let q = pos(e.as_ref(), 0);
-        near(
-            "balance",
-            15.0 * (f64::from(command) - q) + 0.05 * (16.0 * q).sin(),
-            0.0,
-            1e-3,
-        );
+        near("balance", 15.0 * (f64::from(command) - q) + 0.05 * (16.0 * q).sin(), 0.0, 1e-3);
     }
 }
 

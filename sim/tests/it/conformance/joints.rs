@@ -26,10 +26,8 @@ pub fn pendulum_period_with_armature(config: &EngineConfig) {
 fn check_period(config: &EngineConfig, armature: f64) {
     let model = robots::pendulum();
     let mut e = engine(config, &model, 1);
-    let params = LaneParams {
-        joint_armature_kgm2: vec![armature as f32],
-        ..LaneParams::nominal(&model)
-    };
+    let params =
+        LaneParams { joint_armature_kgm2: vec![armature as f32], ..LaneParams::nominal(&model) };
     e.set_params(0, &params).unwrap();
     e.reset(0, &at(&model, 0.1)).unwrap();
     let mut crossings = Vec::new();
@@ -69,23 +67,14 @@ pub fn pendulum_keeps_its_energy(config: &EngineConfig) {
 pub fn double_pendulum_gains_no_energy(config: &EngineConfig) {
     let model = robots::double_pendulum();
     let mut e = engine(config, &model, 1);
-    e.reset(
-        0,
-        &InitialState {
-            joint_pos_rad: vec![1.8, 1.2],
-            ..InitialState::nominal(&model)
-        },
-    )
-    .unwrap();
+    e.reset(0, &InitialState { joint_pos_rad: vec![1.8, 1.2], ..InitialState::nominal(&model) })
+        .unwrap();
     let start = energy_j(&model, e.as_ref());
     // hanging straight down: centres of mass at 1 − 0.1 and 1 − 0.3 m
     let lowest = 9.81 * (0.5 * 0.9 + 0.3 * 0.7);
     run(e.as_mut(), periods(config, 5.0), &[0.0, 0.0], |_, e| {
         let gained = (energy_j(&model, e) - start) / (start - lowest);
-        assert!(
-            (-0.3..0.01).contains(&gained),
-            "gained {gained} of its energy"
-        );
+        assert!((-0.3..0.01).contains(&gained), "gained {gained} of its energy");
     });
 }
 
@@ -93,10 +82,7 @@ pub fn double_pendulum_gains_no_energy(config: &EngineConfig) {
 /// own bookkeeping.
 fn energy_j(model: &RobotModel, e: &dyn Engine) -> f64 {
     let wide = |v: &[f32]| v.iter().map(|&x| f64::from(x)).collect::<Vec<_>>();
-    let (q, qd) = (
-        wide(&e.state().joint_pos_rad),
-        wide(&e.state().joint_vel_radps),
-    );
+    let (q, qd) = (wide(&e.state().joint_pos_rad), wide(&e.state().joint_vel_radps));
     let h = 1e-6;
     let moved = |sign: f64| {
         let q: Vec<f64> = q.iter().zip(&qd).map(|(q, v)| q + sign * h * v).collect();
@@ -112,10 +98,7 @@ fn energy_j(model: &RobotModel, e: &dyn Engine) -> f64 {
         // angular velocity in the link's frame from Rᵀ·dR/dt
         let (ra, rb) = (a.rotation(), b.rotation());
         let skew = |r: usize, c: usize| -> f64 {
-            (0..3)
-                .map(|k| ra[k][r] * (rb[k][c] - ra[k][c]))
-                .sum::<f64>()
-                / (2.0 * h)
+            (0..3).map(|k| ra[k][r] * (rb[k][c] - ra[k][c])).sum::<f64>() / (2.0 * h)
         };
         let w = [skew(2, 1), skew(0, 2), skew(1, 0)];
         for r in 0..3 {
@@ -131,10 +114,8 @@ fn energy_j(model: &RobotModel, e: &dyn Engine) -> f64 {
 pub fn viscous_damping_decays(config: &EngineConfig) {
     let model = robots::pendulum();
     let mut e = engine(config, &model, 1);
-    let params = LaneParams {
-        joint_damping_nms_per_rad: vec![0.01],
-        ..LaneParams::nominal(&model)
-    };
+    let params =
+        LaneParams { joint_damping_nms_per_rad: vec![0.01], ..LaneParams::nominal(&model) };
     e.set_params(0, &params).unwrap();
     e.reset(0, &at(&model, 0.1)).unwrap();
     let mut late = 0.0_f64;
@@ -155,10 +136,7 @@ pub fn viscous_damping_decays(config: &EngineConfig) {
 pub fn friction_holds_and_brakes(config: &EngineConfig) {
     let model = robots::pendulum();
     let mut e = engine(config, &model, 2);
-    let params = LaneParams {
-        joint_friction_nm: vec![0.1],
-        ..LaneParams::nominal(&model)
-    };
+    let params = LaneParams { joint_friction_nm: vec![0.1], ..LaneParams::nominal(&model) };
     for (lane, q) in [(0, 0.08), (1, 0.4)] {
         e.set_params(lane, &params).unwrap();
         e.reset(lane, &at(&model, q)).unwrap();
@@ -172,17 +150,9 @@ pub fn friction_holds_and_brakes(config: &EngineConfig) {
     let s = e.state();
     near("held position", f64::from(s.joint_pos_rad[0]), 0.08, 0.003);
     near("held speed", f64::from(s.joint_vel_radps[0]), 0.0, 1e-4);
-    near(
-        "first reversal",
-        first_reversal.unwrap(),
-        -(0.4 - 0.204),
-        0.01,
-    );
+    near("first reversal", first_reversal.unwrap(), -(0.4 - 0.204), 0.01);
     let rest = f64::from(s.joint_pos_rad[1]).abs();
-    assert!(
-        rest < 0.1 / 0.981 + 0.003,
-        "comes to rest where friction can hold it, not at {rest}"
-    );
+    assert!(rest < 0.1 / 0.981 + 0.003, "comes to rest where friction can hold it, not at {rest}");
     near("rest speed", f64::from(s.joint_vel_radps[1]), 0.0, 1e-4);
 }
 
@@ -191,10 +161,7 @@ pub fn friction_holds_and_brakes(config: &EngineConfig) {
 pub fn stops_hold(config: &EngineConfig) {
     let model = robots::pendulum();
     let mut e = engine(config, &model, 1);
-    let thrown = InitialState {
-        joint_vel_radps: vec![14.0],
-        ..at(&model, 0.0)
-    };
+    let thrown = InitialState { joint_vel_radps: vec![14.0], ..at(&model, 0.0) };
     e.reset(0, &thrown).unwrap();
     let (mut highest, mut lowest) = (0.0_f64, 0.0_f64);
     run(e.as_mut(), periods(config, 6.0), &[0.0], |_, e| {
@@ -222,34 +189,16 @@ pub fn slide_falls_and_stops(config: &EngineConfig) {
         -0.1962,
         9.81 * 0.2 * config.dt_s / 2.0 + 1e-3,
     );
-    near(
-        "weight",
-        f64::from(e.state().com_pos_m[2]),
-        2.0 - 0.1962,
-        0.006,
-    );
+    near("weight", f64::from(e.state().com_pos_m[2]), 2.0 - 0.1962, 0.006);
     run(e.as_mut(), periods(config, 3.0), &[0.0], |_, _| ());
-    near(
-        "resting on the stop",
-        f64::from(e.state().joint_pos_rad[0]),
-        -0.5,
-        1e-3,
-    );
-    near(
-        "at rest",
-        f64::from(e.state().joint_vel_radps[0]),
-        0.0,
-        0.01,
-    );
+    near("resting on the stop", f64::from(e.state().joint_pos_rad[0]), -0.5, 1e-3);
+    near("at rest", f64::from(e.state().joint_vel_radps[0]), 0.0, 0.01);
 }
 
 /// A held robot does not fall, and its base reports no motion.
 pub fn held_robot_hangs(config: &EngineConfig) {
     let model = robots::polymander();
-    let held = EngineConfig {
-        fixed_base: true,
-        ..config.clone()
-    };
+    let held = EngineConfig { fixed_base: true, ..config.clone() };
     let mut e = engine(&held, &model, 1);
     let init = InitialState {
         base_z_m: Some(0.7),
@@ -266,24 +215,12 @@ pub fn held_robot_hangs(config: &EngineConfig) {
     );
     let s = e.state();
     assert_eq!(s.base_pos_m, [0.2, -0.1, 0.7]);
-    near(
-        "yaw",
-        2.0 * f64::from(s.base_quat_wxyz[3]).asin(),
-        1.0,
-        1e-6,
-    );
+    near("yaw", 2.0 * f64::from(s.base_quat_wxyz[3]).asin(), 1.0, 1e-6);
     assert_eq!(s.base_vel_mps, [0.0; 3]);
-    assert!(
-        s.com_vel_mps.iter().all(|v| v.abs() < 0.03),
-        "still swinging: {:?}",
-        s.com_vel_mps
-    );
+    assert!(s.com_vel_mps.iter().all(|v| v.abs() < 0.03), "still swinging: {:?}", s.com_vel_mps);
     assert!(!s.diverged[0] && s.foot_force_n.iter().all(|&f| f == 0.0));
 }
 
 fn at(model: &Arc<RobotModel>, q: f32) -> InitialState {
-    InitialState {
-        joint_pos_rad: vec![q],
-        ..InitialState::nominal(model)
-    }
+    InitialState { joint_pos_rad: vec![q], ..InitialState::nominal(model) }
 }

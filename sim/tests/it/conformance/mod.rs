@@ -23,15 +23,7 @@ use caudata_sim::{Engine, EngineConfig, EngineKind, InitialState, TerrainConfig,
 
 /// One engine on flat ground, one thread.
 fn engine(config: &EngineConfig, model: &Arc<RobotModel>, lanes: usize) -> Box<dyn Engine> {
-    build(
-        model.clone(),
-        lanes,
-        config,
-        &TerrainConfig::default(),
-        1,
-        1,
-    )
-    .unwrap()
+    build(model.clone(), lanes, config, &TerrainConfig::default(), 1, 1).unwrap()
 }
 
 /// Steps `periods` control periods with constant targets and no pushes, calling `each` after every one.
@@ -60,10 +52,7 @@ fn periods(config: &EngineConfig, seconds: f64) -> usize {
 
 #[track_caller]
 fn near(what: &str, got: f64, want: f64, tolerance: f64) {
-    assert!(
-        (got - want).abs() <= tolerance,
-        "{what}: got {got}, want {want} ± {tolerance}"
-    );
+    assert!((got - want).abs() <= tolerance, "{what}: got {got}, want {want} ± {tolerance}");
 }
 
 /// Whether the engine is on this machine; says so where it is not.

@@ -5,23 +5,14 @@ use caudata_sim::{EngineConfig, InitialState, LaneParams};
 use crate::conformance::{engine, near, periods, robots, run};
 
 fn vector(field: &[f32]) -> [f64; 3] {
-    [
-        f64::from(field[0]),
-        f64::from(field[1]),
-        f64::from(field[2]),
-    ]
+    [f64::from(field[0]), f64::from(field[1]), f64::from(field[2])]
 }
 
 /// At rest and level the IMU feels +9.81 along z and sees gravity along −z; in free fall it feels nothing.
 pub fn imu_at_rest_and_in_fall(config: &EngineConfig) {
     let model = robots::table();
     let mut e = engine(config, &model, 2);
-    near(
-        "after a reset",
-        f64::from(e.state().imu_acc_mps2[2]),
-        9.81,
-        1e-5,
-    );
+    near("after a reset", f64::from(e.state().imu_acc_mps2[2]), 9.81, 1e-5);
     e.reset(
         1,
         &InitialState {
@@ -59,14 +50,7 @@ pub fn imu_at_rest_and_in_fall(config: &EngineConfig) {
 pub fn gyro_follows_rotation(config: &EngineConfig) {
     let model = robots::table();
     let mut e = engine(config, &model, 1);
-    e.set_params(
-        0,
-        &LaneParams {
-            gravity_mps2: [0.0; 3],
-            ..LaneParams::nominal(&model)
-        },
-    )
-    .unwrap();
+    e.set_params(0, &LaneParams { gravity_mps2: [0.0; 3], ..LaneParams::nominal(&model) }).unwrap();
     let spun = InitialState {
         base_z_m: Some(5.0),
         base_rpy_rad: [0.5, 0.2, -0.7],
@@ -89,17 +73,10 @@ pub fn gyro_follows_rotation(config: &EngineConfig) {
 pub fn heading_is_the_girdle_line(config: &EngineConfig) {
     let model = robots::polymander();
     let mut e = engine(config, &model, 1);
-    for (yaw, want) in [
-        (0.7_f32, 0.7),
-        (-3.0, -3.0),
-        (4.0, 4.0 - std::f64::consts::TAU),
-    ] {
+    for (yaw, want) in [(0.7_f32, 0.7), (-3.0, -3.0), (4.0, 4.0 - std::f64::consts::TAU)] {
         e.reset(
             0,
-            &InitialState {
-                base_rpy_rad: [0.0, 0.0, yaw],
-                ..InitialState::nominal(&model)
-            },
+            &InitialState { base_rpy_rad: [0.0, 0.0, yaw], ..InitialState::nominal(&model) },
         )
         .unwrap();
         near("straight", f64::from(e.state().heading_rad[0]), want, 1e-5);
@@ -123,17 +100,11 @@ pub fn whole_body_spin(config: &EngineConfig) {
         ..InitialState::nominal(&model)
     };
     e.reset(0, &moving).unwrap();
-    for (got, want) in vector(&e.state().com_angvel_radps)
-        .iter()
-        .zip([0.4, -0.3, 0.8])
-    {
+    for (got, want) in vector(&e.state().com_angvel_radps).iter().zip([0.4, -0.3, 0.8]) {
         near("rigid", *got, want, 1e-6);
     }
     // centre of mass 1 cm up: v + ω × (0, 0, 0.01) = (0.3 − 0.003, 0.1 − 0.004, −0.2)
-    for (got, want) in vector(&e.state().com_vel_mps)
-        .iter()
-        .zip([0.297, 0.096, -0.2])
-    {
+    for (got, want) in vector(&e.state().com_vel_mps).iter().zip([0.297, 0.096, -0.2]) {
         near("velocity", *got, want, 1e-6);
     }
     // wheel alone at 11 rad/s: L = 0.002·11 over I = 0.022 → 1 rad/s

@@ -63,10 +63,7 @@ body_friction = 0.5
 }
 
 pub fn load(toml: &str, bodies: &str, actuated: &[&str]) -> Arc<RobotModel> {
-    let motors: String = actuated
-        .iter()
-        .map(|j| format!("<motor joint={j:?}/>"))
-        .collect();
+    let motors: String = actuated.iter().map(|j| format!("<motor joint={j:?}/>")).collect();
     let mjcf = format!(
         r#"<mujoco><compiler angle="radian" autolimits="true"/><option gravity="0 0 -9.81"/>
         <worldbody>{bodies}</worldbody><actuator>{motors}</actuator></mujoco>"#

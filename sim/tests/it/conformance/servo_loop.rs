@@ -69,16 +69,8 @@ pub fn saturates_at_its_envelope(config: &EngineConfig) {
     });
     near("limit", f64::from(strongest[0]), 1.0, 1e-5);
     near("limit", f64::from(strongest[1]), 0.05, 1e-6);
-    assert!(
-        e.state().joint_pos_rad[0] > 2.2,
-        "1 N·m lifts it over the load"
-    );
-    near(
-        "hangs at its limit",
-        f64::from(e.state().joint_pos_rad[1]),
-        0.050_99,
-        1e-3,
-    );
+    assert!(e.state().joint_pos_rad[0] > 2.2, "1 N·m lifts it over the load");
+    near("hangs at its limit", f64::from(e.state().joint_pos_rad[1]), 0.050_99, 1e-3);
 }
 
 /// The integral of reported power is the energy gained: lifted from 0 to 1.5 rad and held still, m·g·l·(1 −
@@ -103,10 +95,7 @@ pub fn commands_arrive_delayed(config: &EngineConfig) {
     let delays = [0.0, 0.003, 0.02, 0.03];
     let mut e = engine(config, &model, delays.len());
     for (lane, &delay) in delays.iter().enumerate() {
-        let params = LaneParams {
-            command_delay_s: delay,
-            ..geared(&model)
-        };
+        let params = LaneParams { command_delay_s: delay, ..geared(&model) };
         e.set_params(lane, &params).unwrap();
         e.reset(lane, &InitialState::nominal(&model)).unwrap();
     }

@@ -13,20 +13,13 @@ pub fn continues_bit_exactly(config: &EngineConfig) {
 }
 
 pub fn continues_bit_exactly_on_a_height_field(config: &EngineConfig) {
-    let rough = TerrainConfig {
-        kind: TerrainKind::Rough,
-        size_m: 8.0,
-        ..TerrainConfig::default()
-    };
+    let rough = TerrainConfig { kind: TerrainKind::Rough, size_m: 8.0, ..TerrainConfig::default() };
     check(config, &rough);
 }
 
 /// Everything that remembers is on: gears, filters, profile, windings, supply, lost frames, carried water.
 pub fn continues_bit_exactly_with_every_effect(config: &EngineConfig) {
-    let wet = TerrainConfig {
-        kind: TerrainKind::DeepWater,
-        ..TerrainConfig::default()
-    };
+    let wet = TerrainConfig { kind: TerrainKind::DeepWater, ..TerrainConfig::default() };
     check(config, &wet);
 }
 
@@ -35,11 +28,7 @@ fn everything(model: &RobotModel) -> LaneParams {
     let mut p = LaneParams {
         command_delay_s: 0.033,
         supply_resistance_ohm: 0.2,
-        command_loss: CommandLoss {
-            share: 0.2,
-            burst: 2.0,
-            seed: 4,
-        },
+        command_loss: CommandLoss { share: 0.2, burst: 2.0, seed: 4 },
         ..LaneParams::nominal(model)
     };
     for joint in &mut p.joints {
@@ -72,10 +61,7 @@ fn check(config: &EngineConfig, terrain: &TerrainConfig) {
     let late = if terrain.kind == TerrainKind::DeepWater {
         everything(&model)
     } else {
-        LaneParams {
-            command_delay_s: 0.033,
-            ..LaneParams::nominal(&model)
-        }
+        LaneParams { command_delay_s: 0.033, ..LaneParams::nominal(&model) }
     };
     through.set_params(1, &late).unwrap();
     thrash(through.as_mut(), &model, &mut inputs, 100);
@@ -105,38 +91,17 @@ pub fn refuses_what_is_not_its_own(config: &EngineConfig) {
     let model = robots::polymander();
     let mut e = engine(config, &model, 2);
     let bytes = e.snapshot().unwrap();
-    e.reset(
-        0,
-        &InitialState {
-            base_xy_m: [1.0, 2.0],
-            ..InitialState::nominal(&model)
-        },
-    )
-    .unwrap();
+    e.reset(0, &InitialState { base_xy_m: [1.0, 2.0], ..InitialState::nominal(&model) }).unwrap();
     let before = bits(e.state());
     let mut damaged = bytes.clone();
     damaged[bytes.len() / 2] ^= 4;
-    for wrong in [
-        &damaged[..],
-        &bytes[..bytes.len() - 3],
-        &[],
-        b"not a snapshot",
-    ] {
+    for wrong in [&damaged[..], &bytes[..bytes.len() - 3], &[], b"not a snapshot"] {
         let message = e.restore(wrong).unwrap_err().to_string();
-        assert!(
-            message.starts_with("snapshot cannot be restored"),
-            "{message}"
-        );
+        assert!(message.starts_with("snapshot cannot be restored"), "{message}");
     }
-    let other_config = EngineConfig {
-        substeps: config.substeps + 1,
-        ..config.clone()
-    };
-    let valley = TerrainConfig {
-        kind: TerrainKind::Valley,
-        size_m: 4.0,
-        ..TerrainConfig::default()
-    };
+    let other_config = EngineConfig { substeps: config.substeps + 1, ..config.clone() };
+    let valley =
+        TerrainConfig { kind: TerrainKind::Valley, size_m: 4.0, ..TerrainConfig::default() };
     let others = [
         engine(config, &model, 3),
         engine(&other_config, &model, 2),

@@ -18,20 +18,13 @@ fn settled(config: &EngineConfig, model: &Arc<RobotModel>) -> Box<dyn Engine> {
 }
 
 fn force_sum(e: &dyn Engine, axis: usize) -> f64 {
-    e.state()
-        .foot_force_n
-        .chunks(3)
-        .map(|f| f64::from(f[axis]))
-        .sum()
+    e.state().foot_force_n.chunks(3).map(|f| f64::from(f[axis])).sum()
 }
 
 /// Started at 1 m/s it slides v²/(2·μ·g) = 1/(2·0.5·9.81) = 0.1019 m; while it slides, the ground pulls back
 /// with μ·m·g. On a plane, and over the cells of a height field that is as level.
 pub fn sliding_stops_by_friction(config: &EngineConfig) {
-    let field = TerrainConfig {
-        patch_share: 0.0,
-        ..TerrainConfig::of(TerrainKind::Slippery)
-    };
+    let field = TerrainConfig { patch_share: 0.0, ..TerrainConfig::of(TerrainKind::Slippery) };
     for ground in [TerrainConfig::default(), field] {
         slide_on(config, &ground);
     }
@@ -40,14 +33,8 @@ pub fn sliding_stops_by_friction(config: &EngineConfig) {
 fn slide_on(config: &EngineConfig, ground: &TerrainConfig) {
     let model = robots::table();
     let mut e = build(model.clone(), 1, config, ground, 1, 1).unwrap();
-    e.reset(
-        0,
-        &InitialState {
-            base_vel_mps: [0.6, 0.8, 0.0],
-            ..InitialState::nominal(&model)
-        },
-    )
-    .unwrap();
+    e.reset(0, &InitialState { base_vel_mps: [0.6, 0.8, 0.0], ..InitialState::nominal(&model) })
+        .unwrap();
     let mut pull = Vec::new();
     run(e.as_mut(), periods(config, 1.0), &[0.0], |k, e| {
         if (2..6).contains(&k) {
@@ -57,22 +44,12 @@ fn slide_on(config: &EngineConfig, ground: &TerrainConfig) {
     let s = e.state();
     let slid = f64::from(s.base_pos_m[0]).hypot(f64::from(s.base_pos_m[1]));
     near("way", slid, 0.1019, 0.006);
-    near(
-        "straight",
-        f64::from(s.base_pos_m[1] / s.base_pos_m[0]),
-        0.8 / 0.6,
-        0.05,
-    );
+    near("straight", f64::from(s.base_pos_m[1] / s.base_pos_m[0]), 0.8 / 0.6, 0.05);
     for [x, y] in pull {
         near("friction along x", x, -0.6 * 0.5 * WEIGHT_N, 0.4);
         near("friction along y", y, -0.8 * 0.5 * WEIGHT_N, 0.4);
     }
-    near(
-        "stopped",
-        f64::from(s.com_vel_mps[0]).hypot(f64::from(s.com_vel_mps[1])),
-        0.0,
-        1e-3,
-    );
+    near("stopped", f64::from(s.com_vel_mps[0]).hypot(f64::from(s.com_vel_mps[1])), 0.0, 1e-3);
 }
 
 /// The limit is μ·m·g = 9.81 N: 8 N do not move it (creep below 2 mm/s), 12 N do, with (12 − 9.81)/2 = 1.095
@@ -87,12 +64,7 @@ pub fn friction_holds_below_its_limit(config: &EngineConfig) {
             e.step(&[0.0], &[push, 0.0, 0.0, 0.0, 0.0, 0.0]).unwrap();
         }
         let moved = f64::from(e.state().com_pos_m[0]) - start;
-        near(
-            "way under a push",
-            moved,
-            0.5 * acceleration,
-            0.002 + 0.08 * acceleration,
-        );
+        near("way under a push", moved, 0.5 * acceleration, 0.002 + 0.08 * acceleration);
         if acceleration == 0.0 {
             near("pull", force_sum(e.as_ref(), 0), -f64::from(push), 0.1);
         }
@@ -125,14 +97,7 @@ pub fn contact_force_carries_the_weight(config: &EngineConfig) {
 pub fn landing_gives_the_momentum_back(config: &EngineConfig) {
     let model = robots::table();
     let mut e = engine(config, &model, 1);
-    e.reset(
-        0,
-        &InitialState {
-            base_z_m: Some(0.12),
-            ..InitialState::nominal(&model)
-        },
-    )
-    .unwrap();
+    e.reset(0, &InitialState { base_z_m: Some(0.12), ..InitialState::nominal(&model) }).unwrap();
     let (mut impulse, mut fastest) = (0.0, 0.0_f64);
     let n = periods(config, 1.0);
     run(e.as_mut(), n, &[0.0], |_, e| {
@@ -142,12 +107,7 @@ pub fn landing_gives_the_momentum_back(config: &EngineConfig) {
     // Seen at the end of a control period only: within g·20 ms of √(2·9.81·0.1) = 1.4007 m/s.
     assert!((-1.41..-1.2).contains(&fastest), "fell at {fastest} m/s");
     // Rest at the start and the end: the impulse of the ground is the weight's over the whole time.
-    near(
-        "impulse",
-        impulse,
-        WEIGHT_N * n as f64 * config.control_period_s(),
-        0.05,
-    );
+    near("impulse", impulse, WEIGHT_N * n as f64 * config.control_period_s(), 0.05);
     near("at rest", f64::from(e.state().com_vel_mps[2]), 0.0, 2e-3);
 }
 
@@ -155,10 +115,7 @@ pub fn landing_gives_the_momentum_back(config: &EngineConfig) {
 /// ground.
 pub fn rests_on_a_slope(config: &EngineConfig) {
     let model = robots::table();
-    let valley = TerrainConfig {
-        kind: TerrainKind::Valley,
-        ..TerrainConfig::default()
-    };
+    let valley = TerrainConfig { kind: TerrainKind::Valley, ..TerrainConfig::default() };
     let mut e = build(model.clone(), 2, config, &valley, 1, 1).unwrap();
     let slope = 15.0_f32.to_radians();
     // at y = 2.03 the wall rises towards +y: roll the table by +15° to fit it
@@ -168,14 +125,7 @@ pub fn rests_on_a_slope(config: &EngineConfig) {
         ..InitialState::nominal(&model)
     };
     e.reset(0, &on_wall).unwrap();
-    e.set_params(
-        1,
-        &LaneParams {
-            foot_friction: 0.1,
-            ..LaneParams::nominal(&model)
-        },
-    )
-    .unwrap();
+    e.set_params(1, &LaneParams { foot_friction: 0.1, ..LaneParams::nominal(&model) }).unwrap();
     e.reset(1, &on_wall).unwrap();
     run(e.as_mut(), periods(config, 0.5), &[0.0; 2], |_, _| ());
     let start = f64::from(e.state().com_pos_m[1]);
@@ -183,33 +133,17 @@ pub fn rests_on_a_slope(config: &EngineConfig) {
     run(e.as_mut(), periods(config, 1.0), &[0.0; 2], |_, _| ());
     let s = e.state();
     near("stays", f64::from(s.com_pos_m[1]), start, 0.004);
-    assert!(
-        slippery - f64::from(s.com_pos_m[4]) > 0.2,
-        "slides down with friction 0.1"
-    );
+    assert!(slippery - f64::from(s.com_pos_m[4]) > 0.2, "slides down with friction 0.1");
     // A ball touching a slope stands r·(1/cos 15° − 1) = 0.7 mm over the ground straight below it.
     for &h in &s.foot_height_m[..4] {
-        near(
-            "foot height",
-            f64::from(h),
-            0.02 * (1.0 / 15.0_f64.to_radians().cos() - 1.0),
-            1.5e-3,
-        );
+        near("foot height", f64::from(h), 0.02 * (1.0 / 15.0_f64.to_radians().cos() - 1.0), 1.5e-3);
     }
-    near(
-        "weight",
-        force_sum(e.as_ref(), 2).abs() - slippery_share(e.as_ref()),
-        WEIGHT_N,
-        0.3,
-    );
+    near("weight", force_sum(e.as_ref(), 2).abs() - slippery_share(e.as_ref()), WEIGHT_N, 0.3);
 }
 
 /// Vertical foot force of lane 1.
 fn slippery_share(e: &dyn Engine) -> f64 {
-    e.state().foot_force_n[12..]
-        .chunks(3)
-        .map(|f| f64::from(f[2]))
-        .sum()
+    e.state().foot_force_n[12..].chunks(3).map(|f| f64::from(f[2])).sum()
 }
 
 /// Gravity leans by 15° (tan 0.268) over ground whose every patch has the factor 0.5: friction 0.6 counts as
@@ -248,10 +182,7 @@ pub fn slippery_patches_scale_friction(config: &EngineConfig) {
 pub fn legs_stop_each_other(config: &EngineConfig) {
     let model = robots::scissors();
     for touches in [true, false] {
-        let config = EngineConfig {
-            self_collision: touches,
-            ..config.clone()
-        };
+        let config = EngineConfig { self_collision: touches, ..config.clone() };
         let mut e = engine(&config, &model, 1);
         let params = LaneParams {
             kp_nm_per_rad: vec![15.0; 2],
@@ -269,12 +200,7 @@ pub fn legs_stop_each_other(config: &EngineConfig) {
             near("angle", swung, 0.4855, 0.02);
             let want = 15.0 * (0.6 - swung) / (0.15 * swung.cos());
             near("on the left foot", f64::from(s.foot_force_n[1]), want, 0.5);
-            near(
-                "on the right foot",
-                f64::from(s.foot_force_n[4]),
-                -want,
-                0.5,
-            );
+            near("on the right foot", f64::from(s.foot_force_n[4]), -want, 0.5);
         } else {
             near("angle", swung, 0.6, 1e-3);
             assert!(s.foot_force_n.iter().all(|&f| f == 0.0));

@@ -64,11 +64,7 @@ pub fn floats_at_its_line(config: &EngineConfig) {
         only_heave(p, 40.0);
         p.payload_kg = 0.4;
     };
-    let all: [Start<'_>; 3] = [
-        (0.02, 0.0, &settle),
-        (0.2, 0.0, &higher),
-        (0.0, 0.0, &loaded),
-    ];
+    let all: [Start<'_>; 3] = [(0.02, 0.0, &settle), (0.2, 0.0, &higher), (0.0, 0.0, &loaded)];
     let mut e = floating(config, &model, &all);
     run(e.as_mut(), periods(config, 6.0), &[0.0; 3], |_, _| ());
     near("float line", height(e.as_ref(), 0), -0.02, 1e-3);
@@ -92,11 +88,8 @@ pub fn bobs_by_the_book(config: &EngineConfig) {
         only_heave(p, 6.0);
         p.water[0].added_mass_z = 1.0;
     };
-    let all: [Start<'_>; 3] = [
-        (-0.015, 0.0, &plain),
-        (-0.015, 0.0, &carrying),
-        (-0.015, 0.0, &uneven),
-    ];
+    let all: [Start<'_>; 3] =
+        [(-0.015, 0.0, &plain), (-0.015, 0.0, &carrying), (-0.015, 0.0, &uneven)];
     let mut e = floating(config, &model, &all);
     let wants = [(11.815, 0.75), (8.363, 0.375), (8.363, 0.375)];
     let (mut crossings, mut sizes) = (vec![vec![]; 3], vec![vec![]; 3]);
@@ -140,12 +133,7 @@ pub fn sinks_at_its_terminal_velocity(config: &EngineConfig) {
     };
     let mut e = floating(config, &model, &[(-0.5, 0.0, &heavy)]);
     run(e.as_mut(), periods(config, 2.0), &[0.0], |_, _| ());
-    near(
-        "velocity",
-        f64::from(e.state().base_vel_mps[2]),
-        -0.8287,
-        0.008,
-    );
+    near("velocity", f64::from(e.state().base_vel_mps[2]), -0.8287, 0.008);
 }
 
 /// Afloat, what it moves through the water at falls as v/(1 + c·v·t/m), c = 0.7·½·1000·0.2·0.1 = 7 N·s²/m²:
@@ -188,9 +176,6 @@ pub fn polymander_floats(config: &EngineConfig) {
     assert!(!s.diverged[0]);
     // 1.43 times its weight: between 30 and 70 % of it would stick out with a few centimetres of draught
     let z = f64::from(s.com_pos_m[2]) - LEVEL;
-    assert!(
-        (-0.06..0.03).contains(&z),
-        "its middle is {z} m from the surface"
-    );
+    assert!((-0.06..0.03).contains(&z), "its middle is {z} m from the surface");
     assert!(f64::from(s.com_vel_mps[2]).abs() < 0.05);
 }

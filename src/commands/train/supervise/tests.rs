@@ -13,10 +13,8 @@ const STARTED: &str = r#"echo '{"event":"started","run_id":"r","transport":"{}",
 
 /// A learner's last line.
 fn finished(reason: &str) -> String {
-    let event = Event::Finished(Box::new(Finished {
-        reason: reason.into(),
-        ..Finished::default()
-    }));
+    let event =
+        Event::Finished(Box::new(Finished { reason: reason.into(), ..Finished::default() }));
     format!("echo '{}'", serde_json::to_string(&event).unwrap())
 }
 
@@ -24,10 +22,7 @@ fn finished(reason: &str) -> String {
 /// of another test that is just being started, and is then too busy to be run.
 pub fn write_program(path: &Path, text: &str) {
     let mut shell = Command::new("/bin/sh");
-    shell.args([
-        "-c",
-        "printf '#!/bin/sh\\n%s\\n' \"$1\" > \"$0\" && chmod 755 \"$0\"",
-    ]);
+    shell.args(["-c", "printf '#!/bin/sh\\n%s\\n' \"$1\" > \"$0\" && chmod 755 \"$0\""]);
     assert!(shell.arg(path).arg(text).status().unwrap().success());
 }
 
@@ -59,13 +54,7 @@ impl Stage {
             .set("actors.count=1")
             .set("actors.flush_timeout_s=0.1");
         let config = Config::load(&source).unwrap();
-        Self {
-            dir,
-            folder,
-            config,
-            stop: StopFlag::new(),
-            restart_learner: false,
-        }
+        Self { dir, folder, config, stop: StopFlag::new(), restart_learner: false }
     }
 
     fn run(&self) -> Result<Outcome, Failure> {
@@ -94,10 +83,7 @@ fn wait_for(file: &str) -> String {
 
 #[test]
 fn the_learner_s_exit_code_and_error_line_pass_through() {
-    let stage = Stage::new(
-        "echo 'error: checkpoint 7 is damaged' >&2; exit 78",
-        "exec sleep 600",
-    );
+    let stage = Stage::new("echo 'error: checkpoint 7 is damaged' >&2; exit 78", "exec sleep 600");
     let failure = stage.run().err().unwrap();
     assert_eq!(failure.code(), ExitCode::CheckpointDamaged);
     assert_eq!(failure.to_string(), "the learner: checkpoint 7 is damaged");
@@ -106,10 +92,7 @@ fn the_learner_s_exit_code_and_error_line_pass_through() {
 
 #[test]
 fn a_killed_learner_is_a_failure_even_after_its_last_word() {
-    let stage = Stage::new(
-        &format!("{}; kill -9 $$", finished("completed")),
-        "exec sleep 600",
-    );
+    let stage = Stage::new(&format!("{}; kill -9 $$", finished("completed")), "exec sleep 600");
     // What the learner of an earlier session said is not why this one ended.
     let log = stage.folder.logs().join("learner.log");
     fs::write(log, "error: only 1 chunks came\nhint: old\n").unwrap();
@@ -133,11 +116,7 @@ fn the_learner_s_hint_passes_through() {
 fn an_actor_takes_an_incarnation_that_the_learner_listens_to() {
     // The run was in one process before: no ledgers, but the learner knows four incarnations.
     let started = STARTED.replace("\"cpu\"", "\"cpu\",\"next_incarnations\":[4]");
-    let learner = format!(
-        "{started}; {}; {}",
-        wait_for("$RUN/four"),
-        finished("completed")
-    );
+    let learner = format!("{started}; {}; {}", wait_for("$RUN/four"), finished("completed"));
     let actor = r#"case "$*" in *'--incarnation 4'*) touch $RUN/four;; esac; exec sleep 600"#;
     assert!(Stage::new(&learner, actor).run().is_ok());
 }
@@ -150,10 +129,7 @@ fn a_progress_file_that_cannot_be_written_ends_the_run_in_good_order() {
     std::os::unix::fs::symlink("/dev/full", stage.folder.progress()).unwrap();
     let failure = stage.run().err().unwrap();
     assert_eq!(failure.code(), ExitCode::IoError, "{failure}");
-    assert!(
-        stage.folder.root().join("asked").exists(),
-        "the learner was asked to stop"
-    );
+    assert!(stage.folder.root().join("asked").exists(), "the learner was asked to stop");
 }
 
 #[test]
@@ -172,11 +148,7 @@ fn a_killed_actor_is_started_again_as_its_next_incarnation() {
     let stage = Stage::new(&learner, actor);
     let outcome = stage.run().unwrap();
     assert_eq!(outcome.restarts, 1);
-    let counts: Vec<_> = outcome
-        .ledgers
-        .iter()
-        .map(|l| (l.incarnation, l.sent))
-        .collect();
+    let counts: Vec<_> = outcome.ledgers.iter().map(|l| (l.incarnation, l.sent)).collect();
     assert_eq!(counts, [(0, Some(5)), (1, Some(6))]);
     assert_eq!(outcome.finished.reason, "completed");
 }
@@ -240,10 +212,7 @@ fn an_actor_that_cannot_work_ends_the_run_with_its_exit_code() {
     let stage = Stage::new(&learner, actor);
     let failure = stage.run().err().unwrap();
     assert_eq!(failure.code(), ExitCode::PolicyRefused);
-    assert!(
-        failure.to_string().contains("wrong joint order"),
-        "{failure}"
-    );
+    assert!(failure.to_string().contains("wrong joint order"), "{failure}");
 }
 
 #[test]
@@ -253,15 +222,8 @@ fn an_actor_that_keeps_dying_is_given_up() {
     stage.config.actors.restarts_per_minute = 1;
     let failure = stage.run().err().unwrap();
     assert_eq!(failure.code(), ExitCode::TempFail);
-    assert!(
-        failure.to_string().contains("no actor is left"),
-        "{failure}"
-    );
-    assert_eq!(
-        stage.folder.next_incarnation(0),
-        0,
-        "the script makes no ledger"
-    );
+    assert!(failure.to_string().contains("no actor is left"), "{failure}");
+    assert_eq!(stage.folder.next_incarnation(0), 0, "the script makes no ledger");
 }
 
 #[test]
@@ -305,8 +267,5 @@ fn a_server_that_cannot_start_passes_its_exit_code_on() {
     write_program(&server, "echo 'error: 127.0.0.1:1 is in use' >&2; exit 71");
     let failure = stage.run().err().unwrap();
     assert_eq!(failure.code(), ExitCode::OsResource);
-    assert_eq!(
-        failure.to_string(),
-        "the policy server: 127.0.0.1:1 is in use"
-    );
+    assert_eq!(failure.to_string(), "the policy server: 127.0.0.1:1 is in use");
 }

@@ -30,23 +30,13 @@ fn images_are_built_and_the_actor_s_is_small_and_runs() {
     };
     let target = actor.parent().unwrap();
     let dir = tempfile::tempdir().unwrap();
-    let storage = format!(
-        "--root {0}/storage --runroot {0}/run --storage-driver vfs",
-        dir.path().display()
-    );
+    let storage =
+        format!("--root {0}/storage --runroot {0}/run --storage-driver vfs", dir.path().display());
     let buildah = |arguments: &[&str]| {
-        output(
-            Command::new("buildah")
-                .args(storage.split(' '))
-                .args(arguments),
-        )
+        output(Command::new("buildah").args(storage.split(' ')).args(arguments))
     };
     let base = dir.path().join("base");
-    output(
-        Command::new("debootstrap")
-            .args(["--variant=minbase", "bookworm"])
-            .arg(&base),
-    );
+    output(Command::new("debootstrap").args(["--variant=minbase", "bookworm"]).arg(&base));
     let container = buildah(&["from", "scratch"]);
     buildah(&["add", &container, base.to_str().unwrap(), "/"]);
     buildah(&["commit", &container, "localhost/base"]);
@@ -100,10 +90,7 @@ fn images_go_to_the_registry_that_is_named() {
     );
     let last = asked.lines().last().unwrap();
     assert_eq!(last, "push registry.example.org/lab/actor:1");
-    assert!(
-        asked.contains("-t registry.example.org/lab/build:1"),
-        "{asked}"
-    );
+    assert!(asked.contains("-t registry.example.org/lab/build:1"), "{asked}");
 }
 
 /// systemd reads every unit without a complaint, but for programs that are not installed here.
@@ -117,30 +104,21 @@ fn systemd_takes_the_units() {
     let mut paths = Vec::new();
     for unit in units.flatten() {
         let text = std::fs::read_to_string(unit.path()).unwrap();
-        let lines = text
-            .lines()
-            .map(|line| match line.split_once("/opt/caudata/bin/") {
-                Some((key, command)) => {
-                    let (_, arguments) = command.split_once(' ').unwrap_or_default();
-                    format!("{key}/bin/true {arguments}")
-                }
-                None => line.replace("User=caudata", "User=root"),
-            });
+        let lines = text.lines().map(|line| match line.split_once("/opt/caudata/bin/") {
+            Some((key, command)) => {
+                let (_, arguments) = command.split_once(' ').unwrap_or_default();
+                format!("{key}/bin/true {arguments}")
+            }
+            None => line.replace("User=caudata", "User=root"),
+        });
         let path = dir.path().join(unit.file_name());
         std::fs::write(&path, lines.collect::<Vec<_>>().join("\n")).unwrap();
         paths.push(path);
     }
     assert!(paths.len() >= 7, "{paths:?}");
-    let output = Command::new("systemd-analyze")
-        .arg("verify")
-        .args(&paths)
-        .output()
-        .unwrap();
+    let output = Command::new("systemd-analyze").arg("verify").args(&paths).output().unwrap();
     let said = String::from_utf8_lossy(&output.stderr);
-    let ours: Vec<&str> = said
-        .lines()
-        .filter(|line| line.contains("caudata"))
-        .collect();
+    let ours: Vec<&str> = said.lines().filter(|line| line.contains("caudata")).collect();
     assert!(output.status.success() && ours.is_empty(), "{said}");
 }
 
@@ -155,25 +133,14 @@ fn recipes_name_files_that_exist_and_run_as_nobody() {
         let entry = format!("\nENTRYPOINT [\"/usr/local/bin/caudata-{image}\"]\n");
         assert!(text.contains(&entry), "{image}");
         let last_stage = text.rsplit("\nFROM ").next().unwrap();
-        assert!(
-            last_stage.starts_with("scratch"),
-            "{image}: the last stage holds nothing else"
-        );
-        for line in text
-            .lines()
-            .filter_map(|line| line.strip_prefix("COPY docker/"))
-        {
+        assert!(last_stage.starts_with("scratch"), "{image}: the last stage holds nothing else");
+        for line in text.lines().filter_map(|line| line.strip_prefix("COPY docker/")) {
             let file = line.split_whitespace().next().unwrap();
-            assert!(
-                repository().join("docker").join(file).is_file(),
-                "{image}: {file}"
-            );
+            assert!(repository().join("docker").join(file).is_file(), "{image}: {file}");
         }
     }
     let cuda = read("docker/images/learner-cuda.Dockerfile").unwrap();
-    let torch = cuda
-        .lines()
-        .find_map(|line| line.strip_prefix("ARG TORCH="));
+    let torch = cuda.lines().find_map(|line| line.strip_prefix("ARG TORCH="));
     let pinned = format!("libtorch-{}-cpu-x86_64", torch.unwrap());
     assert!(
         read("setup/pins.py").unwrap().contains(&pinned),
@@ -188,21 +155,14 @@ fn recipes_name_files_that_exist_and_run_as_nobody() {
         "kubernetes/components/renew/renew.sh",
         "slurm/submit.sh",
     ] {
-        output(
-            Command::new("sh")
-                .arg("-n")
-                .arg(repository().join("docker").join(script)),
-        );
+        output(Command::new("sh").arg("-n").arg(repository().join("docker").join(script)));
     }
     for job in ["learner", "actors"] {
         let path = format!("docker/slurm/{job}.sbatch");
         output(Command::new("sh").arg("-n").arg(repository().join(&path)));
         let text = read(&path).unwrap();
         for option in ["--requeue", "--signal=B:TERM@", "--open-mode=append"] {
-            assert!(
-                text.contains(&format!("#SBATCH {option}")),
-                "{job}: {option}"
-            );
+            assert!(text.contains(&format!("#SBATCH {option}")), "{job}: {option}");
         }
     }
 }

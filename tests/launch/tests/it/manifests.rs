@@ -6,13 +6,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use caudata_launch_tests::{flags_of, has_tool, program, read, repository, skipped, yaml};
 use serde_json::Value;
 
-const BASE: [&str; 5] = [
-    "namespace.yaml",
-    "learner.yaml",
-    "actors.yaml",
-    "policy-server.yaml",
-    "network-policy.yaml",
-];
+const BASE: [&str; 5] =
+    ["namespace.yaml", "learner.yaml", "actors.yaml", "policy-server.yaml", "network-policy.yaml"];
 
 /// API groups of the kinds that are used, as the Kubernetes API reference (1.29) has them.
 const KINDS: [(&str, &str); 7] = [
@@ -70,10 +65,7 @@ fn check_configuration(sets: &[String], place: &str) {
 fn documents() -> Vec<Value> {
     let base = BASE.map(|file| format!("docker/kubernetes/base/{file}"));
     let router = "docker/kubernetes/components/router/router.yaml".to_owned();
-    base.into_iter()
-        .chain([router])
-        .flat_map(|file| yaml(&read(&file).unwrap()).unwrap())
-        .collect()
+    base.into_iter().chain([router]).flat_map(|file| yaml(&read(&file).unwrap()).unwrap()).collect()
 }
 
 fn name(document: &Value) -> &str {
@@ -124,15 +116,10 @@ fn check_arguments(program: &str, subcommand: &[&str], arguments: &[String], pla
     }
     check_configuration(&sets, place);
     match flags_of(program, subcommand).unwrap() {
-        None => skipped(&format!(
-            "{program} is not built; its flags in {place} are not checked"
-        )),
+        None => skipped(&format!("{program} is not built; its flags in {place} are not checked")),
         Some(known) => {
             for flag in used {
-                assert!(
-                    known.contains(&flag),
-                    "{place}: {program} has no flag {flag}"
-                );
+                assert!(known.contains(&flag), "{place}: {program} has no flag {flag}");
             }
         }
     }
@@ -149,10 +136,7 @@ fn the_configuration_of_the_cluster_is_valid_and_meant_for_several_hosts() {
     assert_eq!(config.text("transport.kind"), "zenoh");
     assert!(!config.text("cluster.tls_dir").is_empty());
     for endpoint in config.get("transport.zenoh_listen").as_array().unwrap() {
-        assert!(
-            endpoint.as_str().unwrap().starts_with("quic/"),
-            "{endpoint}"
-        );
+        assert!(endpoint.as_str().unwrap().starts_with("quic/"), "{endpoint}");
     }
     assert!(config.text("cluster.policy_server").starts_with("https://"));
 }
@@ -166,10 +150,7 @@ fn every_document_has_a_known_kind_and_its_own_name() {
             panic!("unknown kind {kind}");
         });
         assert_eq!(text(&document["apiVersion"]), *version, "{kind}");
-        assert!(
-            seen.insert((kind.clone(), name(&document).to_owned())),
-            "{kind} twice"
-        );
+        assert!(seen.insert((kind.clone(), name(&document).to_owned())), "{kind} twice");
     }
 }
 
@@ -195,10 +176,7 @@ fn the_router_has_the_version_of_the_library() {
         .and_then(|package| package.split("version = \"").nth(1)?.split('"').next())
         .unwrap();
     let router = read("docker/kubernetes/components/router/router.yaml").unwrap();
-    assert!(
-        router.contains(&format!("eclipse/zenoh:{version}")),
-        "{version}"
-    );
+    assert!(router.contains(&format!("eclipse/zenoh:{version}")), "{version}");
 }
 
 #[test]
@@ -208,19 +186,12 @@ fn containers_have_no_privileges_and_a_bound_on_memory() {
         let pod = pod(&workload);
         assert_eq!(pod["automountServiceAccountToken"], false, "{place}");
         assert_eq!(pod["securityContext"]["runAsNonRoot"], true, "{place}");
-        assert_eq!(
-            pod["securityContext"]["seccompProfile"]["type"], "RuntimeDefault",
-            "{place}"
-        );
+        assert_eq!(pod["securityContext"]["seccompProfile"]["type"], "RuntimeDefault", "{place}");
         for container in list(&pod["containers"]) {
             let security = &container["securityContext"];
             assert_eq!(security["allowPrivilegeEscalation"], false, "{place}");
             assert_eq!(security["readOnlyRootFilesystem"], true, "{place}");
-            assert_eq!(
-                strings(&security["capabilities"]["drop"]),
-                ["ALL"],
-                "{place}"
-            );
+            assert_eq!(strings(&security["capabilities"]["drop"]), ["ALL"], "{place}");
             let resources = &container["resources"];
             assert!(!resources["requests"]["cpu"].is_null(), "{place}");
             assert!(!resources["requests"]["memory"].is_null(), "{place}");
@@ -238,21 +209,11 @@ fn ports_volumes_and_selectors_meet() {
     let listen: u64 = listen.rsplit(':').next().unwrap().parse().unwrap();
     let ports = [
         ("caudata-learner", "rollouts", listen),
-        (
-            "caudata-learner",
-            "metrics",
-            config.port("telemetry.metrics_addr"),
-        ),
-        (
-            "caudata-policy-server",
-            "grpc",
-            config.port("policy_server.addr"),
-        ),
+        ("caudata-learner", "metrics", config.port("telemetry.metrics_addr")),
+        ("caudata-policy-server", "grpc", config.port("policy_server.addr")),
     ];
-    let workloads: BTreeMap<String, Value> = workloads()
-        .into_iter()
-        .map(|workload| (name(&workload).to_owned(), workload))
-        .collect();
+    let workloads: BTreeMap<String, Value> =
+        workloads().into_iter().map(|workload| (name(&workload).to_owned(), workload)).collect();
     let port_of = |workload: &Value, port: &str| {
         let containers = list(&pod(workload)["containers"]);
         let ports = containers.iter().flat_map(|c| list(&c["ports"]));
@@ -260,11 +221,7 @@ fn ports_volumes_and_selectors_meet() {
         found.next().and_then(|p| p["containerPort"].as_u64())
     };
     for (workload, port, number) in ports {
-        assert_eq!(
-            port_of(&workloads[workload], port),
-            Some(number),
-            "{workload} {port}"
-        );
+        assert_eq!(port_of(&workloads[workload], port), Some(number), "{workload} {port}");
     }
     for service in documents().iter().filter(|d| d["kind"] == "Service") {
         let app = text(&service["spec"]["selector"]["app.kubernetes.io/name"]).to_owned();
@@ -276,10 +233,7 @@ fn ports_volumes_and_selectors_meet() {
     }
     for (place, workload) in &workloads {
         let labels = &workload["spec"]["template"]["metadata"]["labels"];
-        assert_eq!(
-            &workload["spec"]["selector"]["matchLabels"], labels,
-            "{place}"
-        );
+        assert_eq!(&workload["spec"]["selector"]["matchLabels"], labels, "{place}");
         let claims = list(&workload["spec"]["volumeClaimTemplates"]);
         let volumes: BTreeSet<String> = list(&pod(workload)["volumes"])
             .iter()
@@ -311,10 +265,7 @@ fn network_policies_and_the_disruption_budget_speak_of_pods_that_exist() {
     }
     let mut checked = 0;
     for document in documents() {
-        if matches!(
-            text(&document["kind"]),
-            "NetworkPolicy" | "PodDisruptionBudget"
-        ) {
+        if matches!(text(&document["kind"]), "NetworkPolicy" | "PodDisruptionBudget") {
             let mut found = Vec::new();
             selectors(&document["spec"], &mut found);
             for app in found {
@@ -342,10 +293,8 @@ fn every_secret_is_one_that_the_readme_makes() {
         .lines()
         .find_map(|line| line.strip_prefix("for part in ")?.strip_suffix("; do"))
         .unwrap();
-    let made: BTreeSet<String> = parts
-        .split_whitespace()
-        .map(|part| format!("caudata-{part}-tls"))
-        .collect();
+    let made: BTreeSet<String> =
+        parts.split_whitespace().map(|part| format!("caudata-{part}-tls")).collect();
     for workload in workloads() {
         for volume in list(&pod(&workload)["volumes"]) {
             if let Some(secret) = volume["secret"]["secretName"].as_str() {
@@ -363,9 +312,7 @@ fn time_to_end_is_longer_than_what_the_programs_need() {
     let grace = |app: &str| {
         let workloads = workloads();
         let workload = workloads.iter().find(|w| name(w) == app).unwrap();
-        pod(workload)["terminationGracePeriodSeconds"]
-            .as_f64()
-            .unwrap()
+        pod(workload)["terminationGracePeriodSeconds"].as_f64().unwrap()
     };
     assert!(grace("caudata-actor") > FLUSH_S + 5.0);
     // 60 s: the deadline after which a process ends itself (crates/telemetry/src/stop.rs).
@@ -393,10 +340,8 @@ fn the_run_has_one_name_everywhere() {
             .split_whitespace()
             .map(str::to_owned),
     );
-    let ids: Vec<&str> = arguments
-        .iter()
-        .filter_map(|argument| argument.strip_prefix("--run-id="))
-        .collect();
+    let ids: Vec<&str> =
+        arguments.iter().filter_map(|argument| argument.strip_prefix("--run-id=")).collect();
     assert!(ids.len() >= 5, "{ids:?}");
     assert!(ids.iter().all(|id| *id == run_id), "{ids:?}");
 }
@@ -411,22 +356,13 @@ fn compose_runs_our_programs_with_flags_that_they_have() {
         let arguments: Vec<String> = strings(&body["command"])
             .into_iter()
             // What Compose puts in where the variable is not set.
-            .map(|word| {
-                word.replace("${ACTORS_CONNECT:-", "")
-                    .replace("7447\"]}", "7447\"]")
-            })
+            .map(|word| word.replace("${ACTORS_CONNECT:-", "").replace("7447\"]}", "7447\"]"))
             .collect();
         check_arguments(&program, &[], &arguments, service);
-        assert_eq!(
-            strings(&body["cap_drop"]),
-            ["ALL"],
-            "the shared part reaches {service}"
-        );
+        assert_eq!(strings(&body["cap_drop"]), ["ALL"], "the shared part reaches {service}");
         let mounts = strings(&body["volumes"]);
         assert!(
-            mounts
-                .iter()
-                .any(|mount| mount.contains(":/etc/caudata/tls/")),
+            mounts.iter().any(|mount| mount.contains(":/etc/caudata/tls/")),
             "{service} has no certificates"
         );
     }
@@ -449,24 +385,13 @@ fn units_run_our_programs_with_flags_that_they_have() {
         for section in &sections[..if timed { 2 } else { 3 }] {
             assert!(text.contains(section), "{unit}: {section}");
         }
-        let command = text
-            .lines()
-            .find_map(|line| line.strip_prefix("ExecStart="))
-            .unwrap();
-        let mut words = command
-            .split_whitespace()
-            .map(|word| word.replace("=\"/", "=/"));
+        let command = text.lines().find_map(|line| line.strip_prefix("ExecStart=")).unwrap();
+        let mut words = command.split_whitespace().map(|word| word.replace("=\"/", "=/"));
         let program = words.next().unwrap();
-        let program = program
-            .strip_prefix("/opt/caudata/bin/")
-            .unwrap()
-            .to_owned();
+        let program = program.strip_prefix("/opt/caudata/bin/").unwrap().to_owned();
         let mut arguments: Vec<String> = words.map(|word| word.replace('"', "")).collect();
-        let subcommand: Vec<String> = arguments
-            .iter()
-            .take_while(|word| !word.starts_with("--"))
-            .cloned()
-            .collect();
+        let subcommand: Vec<String> =
+            arguments.iter().take_while(|word| !word.starts_with("--")).cloned().collect();
         arguments.drain(..subcommand.len());
         let subcommand: Vec<&str> = subcommand.iter().map(String::as_str).collect();
         check_arguments(&program, &subcommand, &arguments, unit);
@@ -480,10 +405,7 @@ fn the_readme_s_commands_have_flags_that_exist() {
     let readme = read("docker/README.md").unwrap();
     for (subcommand, at_least) in [(["pki", "init"], 1), (["pki", "issue"], 5)] {
         let start = format!("caudata {} {} ", subcommand[0], subcommand[1]);
-        let lines: Vec<&str> = readme
-            .lines()
-            .filter(|line| line.starts_with(&start))
-            .collect();
+        let lines: Vec<&str> = readme.lines().filter(|line| line.starts_with(&start)).collect();
         assert!(lines.len() >= at_least, "{start}");
         for line in lines {
             let arguments: Vec<String> =
@@ -501,11 +423,7 @@ fn overlays_build() {
     for (overlay, actors, kinds) in [("cpu", 8, 14), ("gpu", 128, 18)] {
         let output = std::process::Command::new("kubectl")
             .args(["kustomize", "--load-restrictor", "LoadRestrictionsNone"])
-            .arg(
-                repository()
-                    .join("docker/kubernetes/overlays")
-                    .join(overlay),
-            )
+            .arg(repository().join("docker/kubernetes/overlays").join(overlay))
             .output()
             .unwrap();
         let errors = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -513,27 +431,17 @@ fn overlays_build() {
         let built = yaml(&String::from_utf8(output.stdout).unwrap()).unwrap();
         assert_eq!(built.len(), kinds, "{overlay}");
         let find = |kind: &str, wanted: &str| {
-            let mut found = built
-                .iter()
-                .filter(|d| d["kind"] == kind && name(d) == wanted);
-            found
-                .next()
-                .unwrap_or_else(|| panic!("{overlay}: {kind} {wanted}"))
+            let mut found = built.iter().filter(|d| d["kind"] == kind && name(d) == wanted);
+            found.next().unwrap_or_else(|| panic!("{overlay}: {kind} {wanted}"))
         };
-        assert_eq!(
-            find("Deployment", "caudata-actor")["spec"]["replicas"],
-            actors
-        );
+        assert_eq!(find("Deployment", "caudata-actor")["spec"]["replicas"], actors);
         let learner = find("StatefulSet", "caudata-learner");
         let container = &pod(learner)["containers"][0];
         let arguments = strings(&container["args"]);
         check_arguments("caudata-learner", &[], &arguments, overlay);
         let routed = arguments.iter().any(|a| a.contains("caudata-router"));
         let gpu = &container["resources"]["limits"]["nvidia.com/gpu"];
-        assert_eq!(
-            (routed, gpu.is_null()),
-            (overlay == "gpu", overlay == "cpu")
-        );
+        assert_eq!((routed, gpu.is_null()), (overlay == "gpu", overlay == "cpu"));
         // The configuration is in the cluster as it is in the repository.
         let map = built
             .iter()
@@ -554,19 +462,13 @@ fn dashboards_and_alerts_ask_for_metrics_that_exist() {
     let mut expressions = Vec::new();
     for panel in list(&dashboard["panels"]) {
         for target in list(&panel["targets"]) {
-            expressions.push((
-                text(&panel["title"]).to_owned(),
-                text(&target["expr"]).to_owned(),
-            ));
+            expressions.push((text(&panel["title"]).to_owned(), text(&target["expr"]).to_owned()));
         }
     }
     for group in list(&alerts[0]["groups"]) {
         for rule in list(&group["rules"]) {
             let place = text(&rule["alert"]).to_owned();
-            assert!(
-                !text(&rule["annotations"]["action"]).is_empty(),
-                "{place}: what to do?"
-            );
+            assert!(!text(&rule["annotations"]["action"]).is_empty(), "{place}: what to do?");
             expressions.push((place, text(&rule["expr"]).to_owned()));
         }
     }
@@ -576,9 +478,8 @@ fn dashboards_and_alerts_ask_for_metrics_that_exist() {
             .split(|c: char| !(c.is_ascii_alphanumeric() || c == '_'))
             .filter(|word| word.starts_with("caudata_"));
         for name in names {
-            let histogram = ["_sum", "_count", "_bucket"]
-                .iter()
-                .find_map(|suffix| name.strip_suffix(suffix));
+            let histogram =
+                ["_sum", "_count", "_bucket"].iter().find_map(|suffix| name.strip_suffix(suffix));
             let known = registered.contains(name)
                 || histogram.is_some_and(|base| registered.contains(base));
             assert!(known, "{place}: no program registers {name}");

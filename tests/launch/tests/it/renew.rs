@@ -28,10 +28,7 @@ esac
 "#;
 
 fn caudata(arguments: &[&str]) {
-    let output = Command::new(program("caudata").unwrap())
-        .args(arguments)
-        .output()
-        .unwrap();
+    let output = Command::new(program("caudata").unwrap()).args(arguments).output().unwrap();
     let errors = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(output.status.success(), "{arguments:?}: {errors}");
 }
@@ -43,11 +40,7 @@ fn path_with_kubectl(folder: &Path) -> String {
     std::fs::set_permissions(&kubectl, PermissionsExt::from_mode(0o755)).unwrap();
     let built = program("caudata").unwrap();
     let built = built.parent().unwrap().display();
-    format!(
-        "{}:{built}:{}",
-        folder.display(),
-        std::env::var("PATH").unwrap()
-    )
+    format!("{}:{built}:{}", folder.display(), std::env::var("PATH").unwrap())
 }
 
 #[test]

@@ -50,10 +50,7 @@ impl Slurm {
             .unwrap();
         let text = String::from_utf8_lossy(&output.stdout).into_owned();
         let errors = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(
-            output.status.success(),
-            "{program} {arguments:?}: {text}{errors}"
-        );
+        assert!(output.status.success(), "{program} {arguments:?}: {text}{errors}");
         log(&format!("$ {program} {}\n{text}", arguments.join(" ")));
         text
     }
@@ -72,10 +69,7 @@ impl Slurm {
     /// Tasks of actors that run.
     fn running_actors(&self) -> usize {
         let queue = self.queue();
-        queue
-            .lines()
-            .filter(|line| line.contains("caudata-actor R"))
-            .count()
+        queue.lines().filter(|line| line.contains("caudata-actor R")).count()
     }
 
     fn queue(&self) -> String {
@@ -91,19 +85,12 @@ impl Slurm {
     /// many events there were.
     fn restart_learner(&self, run: &Path, before: usize) {
         let learner = std::fs::read_to_string(run.join("slurm-jobs")).unwrap();
-        let learner = learner
-            .lines()
-            .find_map(|line| line.strip_prefix("learner "))
-            .unwrap()
-            .to_owned();
+        let learner =
+            learner.lines().find_map(|line| line.strip_prefix("learner ")).unwrap().to_owned();
         self.run("scancel", &["--batch", "--signal=TERM", &learner]);
-        wait_until("the learner has saved and said goodbye", || {
-            has(run, "finished", before)
-        });
+        wait_until("the learner has saved and said goodbye", || has(run, "finished", before));
         wait_until("its job waits in the queue", || {
-            self.queue()
-                .lines()
-                .any(|line| line.starts_with(&learner) && line.ends_with(" PD"))
+            self.queue().lines().any(|line| line.starts_with(&learner) && line.ends_with(" PD"))
         });
         // Slurm waits two minutes before a job that was requeued starts; a test does not. But slurmd refuses a
         // launch whose credential is not younger, in whole seconds, than the end of the job's last start
@@ -142,39 +129,24 @@ fn log(text: &str) {
 fn wait_until(what: &str, mut done: impl FnMut() -> bool) {
     let began = Instant::now();
     while !done() {
-        assert!(
-            began.elapsed() < PATIENCE,
-            "{what}: not within {PATIENCE:?}"
-        );
+        assert!(began.elapsed() < PATIENCE, "{what}: not within {PATIENCE:?}");
         std::thread::sleep(Duration::from_millis(200));
     }
-    log(&format!(
-        "# {what}: after {:.1} s",
-        began.elapsed().as_secs_f64()
-    ));
+    log(&format!("# {what}: after {:.1} s", began.elapsed().as_secs_f64()));
 }
 
 fn events(run: &Path) -> Vec<Value> {
     let text = std::fs::read_to_string(run.join("progress.jsonl")).unwrap_or_default();
-    text.lines()
-        .filter_map(|line| serde_json::from_str(line).ok())
-        .collect()
+    text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
 }
 
 fn iteration(run: &Path) -> u64 {
-    let last = events(run)
-        .into_iter()
-        .rev()
-        .find(|event| event["event"] == "iteration");
-    last.and_then(|event| event["iteration"].as_u64())
-        .unwrap_or(0)
+    let last = events(run).into_iter().rev().find(|event| event["event"] == "iteration");
+    last.and_then(|event| event["iteration"].as_u64()).unwrap_or(0)
 }
 
 fn has(run: &Path, kind: &str, from: usize) -> bool {
-    events(run)
-        .iter()
-        .skip(from)
-        .any(|event| event["event"] == kind)
+    events(run).iter().skip(from).any(|event| event["event"] == kind)
 }
 
 const CONFIG: &str = r#"
@@ -203,9 +175,7 @@ metrics = false
 fn can_run_slurm(more: &[&str]) -> bool {
     let needed = [&["munged", "slurmctld", "slurmd", "sbatch"], more].concat();
     if let Some(absent) = needed.into_iter().find(|tool| !has_tool(tool)) {
-        skipped(&format!(
-            "{absent} is not installed (Debian: slurm-wlm munge)"
-        ));
+        skipped(&format!("{absent} is not installed (Debian: slurm-wlm munge)"));
         return false;
     }
     let is_root = std::fs::metadata("/proc/self").is_ok_and(|own| {
@@ -216,10 +186,7 @@ fn can_run_slurm(more: &[&str]) -> bool {
         skipped("only root can start Slurm's daemons");
         return false;
     }
-    if ["caudata", "caudata-learner", "caudata-actor"]
-        .iter()
-        .any(|name| program(name).is_none())
-    {
+    if ["caudata", "caudata-learner", "caudata-actor"].iter().any(|name| program(name).is_none()) {
         skipped("the programs are not built");
         return false;
     }
@@ -257,20 +224,13 @@ fn a_training_is_submitted_grown_hurt_requeued_and_stopped() {
     let ledgers = |actor: u32| {
         let prefix = format!("actor-{actor}-");
         let entries = std::fs::read_dir(run.join("ledgers")).unwrap().flatten();
-        entries
-            .filter(|e| e.file_name().to_string_lossy().starts_with(&prefix))
-            .count()
+        entries.filter(|e| e.file_name().to_string_lossy().starts_with(&prefix)).count()
     };
     assert_eq!(ledgers(0), 1);
     let victim = pid_of_actor(run_word, 0);
     log(&format!("$ kill -9 {victim}    # actor 0"));
-    Command::new("kill")
-        .args(["-9", &victim.to_string()])
-        .status()
-        .unwrap();
-    wait_until("actor 0 is back as its next incarnation", || {
-        ledgers(0) == 2
-    });
+    Command::new("kill").args(["-9", &victim.to_string()]).status().unwrap();
+    wait_until("actor 0 is back as its next incarnation", || ledgers(0) == 2);
     let then = iteration(&run);
     wait_until("learning goes on", || iteration(&run) > then + 20);
 
@@ -278,19 +238,10 @@ fn a_training_is_submitted_grown_hurt_requeued_and_stopped() {
     // again.
     let before = events(&run).len();
     slurm.restart_learner(&run, before);
-    let started = events(&run)
-        .into_iter()
-        .skip(before)
-        .find(|e| e["event"] == "started")
-        .unwrap();
-    assert!(
-        started["iteration"].as_u64().unwrap() >= 20,
-        "from its checkpoint: {started}"
-    );
+    let started = events(&run).into_iter().skip(before).find(|e| e["event"] == "started").unwrap();
+    assert!(started["iteration"].as_u64().unwrap() >= 20, "from its checkpoint: {started}");
     let then = started["iteration"].as_u64().unwrap();
-    wait_until("learning goes on after the learner's return", || {
-        iteration(&run) > then + 20
-    });
+    wait_until("learning goes on after the learner's return", || iteration(&run) > then + 20);
 
     slurm.submit(&["shrink", "--run", run_word, "--from", "2"]);
     wait_until("two actors are left", || slurm.running_actors() == 2);
@@ -298,9 +249,7 @@ fn a_training_is_submitted_grown_hurt_requeued_and_stopped() {
     wait_until("learning goes on with two", || iteration(&run) > then + 20);
 
     slurm.submit(&["stop", "--run", run_word]);
-    wait_until("nothing is left in the queue", || {
-        slurm.queue().trim().is_empty()
-    });
+    wait_until("nothing is left in the queue", || slurm.queue().trim().is_empty());
     accounts_for_everything(&run);
 }
 
@@ -327,10 +276,7 @@ fn accounts_for_everything(run: &Path) {
 
 /// The process of actor `id` of this run.
 fn pid_of_actor(run: &str, id: u32) -> u32 {
-    let wanted = [
-        format!("--actor-id\0{id}\0"),
-        format!("{run}/ledgers/actor-{id}-"),
-    ];
+    let wanted = [format!("--actor-id\0{id}\0"), format!("{run}/ledgers/actor-{id}-")];
     let processes = std::fs::read_dir("/proc").unwrap().flatten();
     let mut found = processes.filter_map(|entry| {
         let pid: u32 = entry.file_name().to_str()?.parse().ok()?;
@@ -353,15 +299,10 @@ fn over_several_hosts_certificates_are_issued_where_the_job_starts() {
     let config = slurm.dir.path().join("cluster.toml");
     std::fs::write(&config, CONFIG).unwrap();
     slurm.begin(&run, &config);
-    wait_until("learning over QUIC with two actors", || {
-        iteration(&run) >= 20
-    });
+    wait_until("learning over QUIC with two actors", || iteration(&run) >= 20);
     let address = || std::fs::read_to_string(run.join("address")).unwrap();
     let first = address();
-    assert!(
-        first.starts_with("quic/n") && first.contains(".lab:"),
-        "{first}"
-    );
+    assert!(first.starts_with("quic/n") && first.contains(".lab:"), "{first}");
     assert_eq!(slurm.running_actors(), 2);
     slurm.run(
         program("caudata").unwrap().to_str().unwrap(),
@@ -377,13 +318,9 @@ fn over_several_hosts_certificates_are_issued_where_the_job_starts() {
     let second = address();
     assert_ne!(first, second);
     let then = iteration(&run);
-    wait_until("learning goes on with the learner elsewhere", || {
-        iteration(&run) > then + 20
-    });
+    wait_until("learning goes on with the learner elsewhere", || iteration(&run) > then + 20);
 
     slurm.submit(&["stop", "--run", run.to_str().unwrap()]);
-    wait_until("nothing is left in the queue", || {
-        slurm.queue().trim().is_empty()
-    });
+    wait_until("nothing is left in the queue", || slurm.queue().trim().is_empty());
     accounts_for_everything(&run);
 }

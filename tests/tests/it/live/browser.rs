@@ -7,12 +7,8 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 
 /// Names of the program.
-const NAMES: [&str; 4] = [
-    "chromium-headless-shell",
-    "chromium",
-    "chromium-browser",
-    "google-chrome",
-];
+const NAMES: [&str; 4] =
+    ["chromium-headless-shell", "chromium", "chromium-browser", "google-chrome"];
 /// How long something may take to come true on the page.
 const PATIENCE: Duration = Duration::from_secs(120);
 
@@ -38,12 +34,7 @@ impl Browser {
         // Its pipe is descriptors 3 and 4.
         let mut child = Command::new("sh")
             .args(["-c", r#"exec "$@" 3<&0 4>&1 1>/dev/null 2>/dev/null"#, "sh"])
-            .args([
-                name,
-                "--headless",
-                "--no-sandbox",
-                "--disable-dev-shm-usage",
-            ])
+            .args([name, "--headless", "--no-sandbox", "--disable-dev-shm-usage"])
             .args(["--use-gl=angle", "--use-angle=swiftshader"])
             .args(["--enable-unsafe-swiftshader", "--remote-debugging-pipe"])
             .arg(format!("--user-data-dir={}", home.path().display()))
@@ -73,9 +64,7 @@ impl Browser {
         if let Some(session) = &self.session {
             call["sessionId"] = json!(session);
         }
-        self.input
-            .write_all(format!("{call}\0").as_bytes())
-            .unwrap();
+        self.input.write_all(format!("{call}\0").as_bytes()).unwrap();
         loop {
             let mut answer = Vec::new();
             self.output.read_until(0, &mut answer).unwrap();

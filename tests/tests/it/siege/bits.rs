@@ -26,12 +26,7 @@ const KINDS: &[Kind] = &[
         name: "policy file",
         make: |lab, into| one(&lab.at("run/policy.onnx"), into),
         file: "policy.onnx",
-        read: |_, at| {
-            command(
-                "caudata",
-                &["policy", "show", &text(&at.join("policy.onnx"))],
-            )
-        },
+        read: |_, at| command("caudata", &["policy", "show", &text(&at.join("policy.onnx"))]),
         codes: SAID,
     },
     Kind {
@@ -39,15 +34,7 @@ const KINDS: &[Kind] = &[
         make: |lab, into| one(&lab.at("run/config.toml"), into),
         file: "config.toml",
         read: |_, at| {
-            command(
-                "caudata",
-                &[
-                    "config",
-                    "check",
-                    "--config",
-                    &text(&at.join("config.toml")),
-                ],
-            )
+            command("caudata", &["config", "check", "--config", &text(&at.join("config.toml"))])
         },
         codes: SAID,
     },
@@ -56,10 +43,7 @@ const KINDS: &[Kind] = &[
         make: robot_files,
         file: "polymander.robot.toml",
         read: |_, at| {
-            command(
-                "caudata",
-                &["robot", "check", &text(&at.join("polymander.robot.toml"))],
-            )
+            command("caudata", &["robot", "check", &text(&at.join("polymander.robot.toml"))])
         },
         codes: SAID,
     },
@@ -68,10 +52,7 @@ const KINDS: &[Kind] = &[
         make: robot_files,
         file: "polymander.xml",
         read: |_, at| {
-            command(
-                "caudata",
-                &["robot", "check", &text(&at.join("polymander.robot.toml"))],
-            )
+            command("caudata", &["robot", "check", &text(&at.join("polymander.robot.toml"))])
         },
         codes: SAID,
     },
@@ -82,10 +63,7 @@ const KINDS: &[Kind] = &[
         read: |_, at| {
             let wiring = text(&at.join("polymander.wiring.toml"));
             let port = text(&at.join("no port"));
-            command(
-                "caudata-robot",
-                &["limp", "--wiring", &wiring, "--servo-port", &port],
-            )
+            command("caudata-robot", &["limp", "--wiring", &wiring, "--servo-port", &port])
         },
         // A good one leads to a port that is not there.
         codes: &[65, 66, 69, 71, 86],
@@ -153,23 +131,14 @@ pub fn every_kind(lab: &Lab, times: usize) -> Result<String> {
         }
     }
     let mut set_aside = 0;
-    for part in [
-        "blobs/",
-        "streams/",
-        "labels/",
-        "quarantine/",
-        "used_up/",
-        "audit.jsonl",
-    ] {
+    for part in ["blobs/", "streams/", "labels/", "quarantine/", "used_up/", "audit.jsonl"] {
         for _ in 0..times {
             set_aside +=
                 usize::from(served(lab, part, &mut dice).with_context(|| part.to_owned())?);
         }
     }
     let kinds = KINDS.len() + 6;
-    Ok(format!(
-        "{kinds} kinds: {noticed} noticed, of a server's {set_aside} set aside or refused"
-    ))
+    Ok(format!("{kinds} kinds: {noticed} noticed, of a server's {set_aside} set aside or refused"))
 }
 
 /// A server whose folder has one flipped bit: it says no, or what it hands out is what was published.
@@ -181,14 +150,7 @@ fn served(lab: &Lab, part: &str, dice: &mut Dice) -> Result<bool> {
         let at = ["--server", &address, "--stream", "lab"];
         let label = ["policy", "label", "--label", "canary", "--version", "6"];
         lab.caudata(&[&label[..], &at].concat())?;
-        let out = [
-            "policy",
-            "quarantine",
-            "--version",
-            "1",
-            "--reason",
-            "siege",
-        ];
+        let out = ["policy", "quarantine", "--version", "1", "--reason", "siege"];
         lab.caudata(&[&out[..], &at].concat())?;
     }
     if part == "used_up/" && !data.join("used_up").read_dir()?.any(|e| e.is_ok()) {
@@ -207,10 +169,7 @@ fn served(lab: &Lab, part: &str, dice: &mut Dice) -> Result<bool> {
         for blob in kept.filter(|path| path.extension().is_some_and(|x| x == "onnx")) {
             let name = blob.file_name().context("a file has a name")?;
             let there = std::fs::read(want.join(name))?;
-            ensure!(
-                std::fs::read(&blob)? == there,
-                "other bytes were handed out"
-            );
+            ensure!(std::fs::read(&blob)? == there, "other bytes were handed out");
         }
     }
     let address = server.address.to_string();
@@ -229,14 +188,9 @@ fn served(lab: &Lab, part: &str, dice: &mut Dice) -> Result<bool> {
         "--override",
         "siege",
     ];
-    ended_with(
-        &[65, 66, 69, 76, 77],
-        &finish(command("caudata", &quarantined)?)?,
-    )
-    .context("what is out of use came back")?;
-    let archived = [
-        "policy", "pull", "--server", &address, "--stream", ARCHIVED, "--out", &out,
-    ];
+    ended_with(&[65, 66, 69, 76, 77], &finish(command("caudata", &quarantined)?)?)
+        .context("what is out of use came back")?;
+    let archived = ["policy", "pull", "--server", &address, "--stream", ARCHIVED, "--out", &out];
     let other = finish(command("caudata", &archived)?)?;
     Ok(pulled.code != Some(0) || other.code != Some(0))
 }
@@ -245,10 +199,7 @@ fn served(lab: &Lab, part: &str, dice: &mut Dice) -> Result<bool> {
 fn flip(folder: &Path, part: &str, dice: &mut Dice) -> Result<String> {
     let found: Vec<PathBuf> = files(folder)?
         .into_iter()
-        .filter(|path| {
-            path.strip_prefix(folder)
-                .is_ok_and(|p| text(p).contains(part))
-        })
+        .filter(|path| path.strip_prefix(folder).is_ok_and(|p| text(p).contains(part)))
         .filter(|path| std::fs::metadata(path).is_ok_and(|m| m.len() > 0))
         .collect();
     ensure!(!found.is_empty(), "nothing with {part} in its path");
@@ -271,11 +222,7 @@ fn one(file: &Path, into: &Path) -> Result<()> {
 }
 
 fn robot_files(_: &Lab, into: &Path) -> Result<()> {
-    for name in [
-        "polymander.robot.toml",
-        "polymander.xml",
-        "polymander.wiring.toml",
-    ] {
+    for name in ["polymander.robot.toml", "polymander.xml", "polymander.wiring.toml"] {
         one(&repository_root().join("robots").join(name), into)?;
     }
     Ok(())

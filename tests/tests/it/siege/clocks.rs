@@ -24,14 +24,10 @@ pub fn swinging(lab: &Lab, times: usize) -> Result<String> {
         let out = lab.fresh()?.join("run");
         let flags = ["--transport", transport, "--iterations", "150"];
         let mut run = train(&out, &flags)?;
-        run.env("LD_PRELOAD", &library)
-            .env("CAUDATA_TEST_CLOCK_SWING", SWING_S);
+        run.env("LD_PRELOAD", &library).env("CAUDATA_TEST_CLOCK_SWING", SWING_S);
         ended_with(&[0], &finish(run)?)?;
         let books = json_file(&out.join("accounting.json"))?;
-        ensure!(
-            books["holds"] == true && books["sent"] == books["accepted"],
-            "{books}"
-        );
+        ensure!(books["holds"] == true && books["sent"] == books["accepted"], "{books}");
     }
     Ok("trainings of 150 iterations end, books hold, no chunk lost".to_owned())
 }

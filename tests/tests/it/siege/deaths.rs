@@ -19,9 +19,7 @@ pub fn server(lab: &Lab, times: usize) -> Result<String> {
         let mut server = lab.serve(&data, &[])?;
         let (address, key) = (server.address.to_string(), lab.text("release.key"));
         let publisher = std::thread::spawn({
-            let to: Vec<String> = (0..20)
-                .map(|n| format!("release/death-{number}-{n}"))
-                .collect();
+            let to: Vec<String> = (0..20).map(|n| format!("release/death-{number}-{n}")).collect();
             move || -> Result<()> {
                 for to in to {
                     let args = [
@@ -54,9 +52,8 @@ pub fn server(lab: &Lab, times: usize) -> Result<String> {
         let server = lab.serve(&data, &[])?;
         let address = server.address.to_string();
         lab.caudata(&["policy", "audit", "--server", &address])?;
-        let listed = lab
-            .caudata(&["policy", "list", "--server", &address, "--json"])?
-            .last_json()?;
+        let listed =
+            lab.caudata(&["policy", "list", "--server", &address, "--json"])?.last_json()?;
         let listed = listed.as_array().or_else(|| listed["policies"].as_array());
         let listed = listed.context("`policy list --json` lists")?;
         versions = listed.len();
@@ -79,9 +76,7 @@ pub fn server(lab: &Lab, times: usize) -> Result<String> {
             lab.caudata(&pull)?;
         }
     }
-    Ok(format!(
-        "{versions} versions listed in the end, all whole; the record unbroken"
-    ))
+    Ok(format!("{versions} versions listed in the end, all whole; the record unbroken"))
 }
 
 /// Killed while it fetches and stores; the next try finds a state that it can go on from.
@@ -102,8 +97,5 @@ pub fn robot(lab: &Lab, times: usize) -> Result<String> {
         let status = finish(command("caudata-robot", &status)?)?.last_json()?;
         ensure!(status["active"]["stream"] == RELEASED, "{status}");
     }
-    Ok(format!(
-        "{killed} of {} killed in time; each next one complete",
-        5 * times
-    ))
+    Ok(format!("{killed} of {} killed in time; each next one complete", 5 * times))
 }

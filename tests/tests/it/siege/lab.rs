@@ -14,12 +14,8 @@ pub const RELEASED: &str = "release/flat";
 pub const ARCHIVED: &str = "archive/flat";
 
 /// Flags of the training whose policies are released.
-pub const TRAINED: &[&str] = &[
-    "--set",
-    "learner.publish_every=1",
-    "--set",
-    "policy_server.stream=lab",
-];
+pub const TRAINED: &[&str] =
+    &["--set", "learner.publish_every=1", "--set", "policy_server.stream=lab"];
 
 /// Folders of one siege.
 pub struct Lab {
@@ -42,20 +38,15 @@ impl Drop for Running {
 impl Lab {
     /// A short training, whose first and last versions are released: one to robots, one into the archive.
     pub fn open() -> Result<Self> {
-        let lab = Self {
-            folder: tempfile::tempdir()?,
-        };
+        let lab = Self { folder: tempfile::tempdir()? };
         let flags = [TRAINED, &["--iterations", "6"]].concat();
         let trained = finish(train(&lab.at("run"), &flags)?)?;
         ensure!(trained.code == Some(0), "{}", trained.stderr);
-        for (id, file, flags) in [
-            ("lab-1", "release.key", &[][..]),
-            ("fresh-1", "fresh.key", &["--fresh"][..]),
-        ] {
+        for (id, file, flags) in
+            [("lab-1", "release.key", &[][..]), ("fresh-1", "fresh.key", &["--fresh"][..])]
+        {
             let (out, trust) = (lab.text(file), lab.text("trust.toml"));
-            let key = [
-                "policy", "keygen", "--key-id", id, "--out", &out, "--trust", &trust,
-            ];
+            let key = ["policy", "keygen", "--key-id", id, "--out", &out, "--trust", &trust];
             lab.caudata(&[&key[..], flags].concat())?;
         }
         let server = lab.serve(&lab.at("run/registry"), &[])?;
@@ -87,12 +78,7 @@ impl Lab {
     /// Runs `caudata` to its end, which must be a good one.
     pub fn caudata(&self, args: &[&str]) -> Result<Finished> {
         let done = finish(command("caudata", args)?)?;
-        ensure!(
-            done.code == Some(0),
-            "caudata {}: {}",
-            args.join(" "),
-            done.stderr
-        );
+        ensure!(done.code == Some(0), "caudata {}: {}", args.join(" "), done.stderr);
         Ok(done)
     }
 
@@ -109,16 +95,7 @@ impl Lab {
     pub fn release(&self, server: &Running, version: &str, to: &str) -> Result<Finished> {
         let (address, key) = (server.address.to_string(), self.text("release.key"));
         let from = ["policy", "release", "--server", &address, "--stream", "lab"];
-        let what = [
-            "--version",
-            version,
-            "--to",
-            to,
-            "--key",
-            &key,
-            "--key-id",
-            "lab-1",
-        ];
+        let what = ["--version", version, "--to", to, "--key", &key, "--key-id", "lab-1"];
         self.caudata(&[&from[..], &what].concat())
     }
 
@@ -132,8 +109,7 @@ impl Lab {
 pub fn pull(server: SocketAddr, state: &Path, trust: &Path) -> Result<Command> {
     let args = ["pull", "--robot", ROBOT, "--stream", RELEASED, "--json"];
     let mut pull = command("caudata-robot", &args)?;
-    pull.args(["--policy-server", &server.to_string(), "--state"])
-        .arg(state);
+    pull.args(["--policy-server", &server.to_string(), "--state"]).arg(state);
     pull.arg("--trust").arg(trust);
     Ok(pull)
 }
@@ -146,10 +122,7 @@ pub fn started(name: &str, service: &str, args: &[&str]) -> Result<Running> {
 
 /// As [`started`], of a command.
 pub fn listening(mut command: Command, service: &str) -> Result<Running> {
-    let mut child = command
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()?;
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn()?;
     let out = child.stdout.take().context("it has a standard output")?;
     let mut out = BufReader::new(out);
     let Some(address) = caudata_telemetry::read_announcement(service, &mut out) else {

@@ -19,28 +19,17 @@ pub fn another_stream(lab: &Lab, times: usize) -> Result<String> {
         wire.put_for(RELEASED.as_bytes(), ARCHIVED.as_bytes());
         let robot = finish(lab.pull(wire.address, &state)?)?;
         ended_with(&[76], &robot)?;
-        ensure!(
-            robot.stderr.contains("another question"),
-            "{}",
-            robot.stderr
-        );
+        ensure!(robot.stderr.contains("another question"), "{}", robot.stderr);
         let after = std::fs::read(state.join("state.json")).unwrap_or_default();
         ensure!(before == after, "the robot's state changed");
         let address = wire.address.to_string();
         let out = lab.fresh()?.join("p.onnx").display().to_string();
-        let asked = [
-            "policy", "pull", "--server", &address, "--stream", RELEASED, "--out", &out,
-        ];
+        let asked = ["policy", "pull", "--server", &address, "--stream", RELEASED, "--out", &out];
         ended_with(&[76], &finish(command("caudata", &asked)?)?)?;
         let key = lab.text("release.key");
         let sign = ["--to", "release/copy", "--key", &key, "--key-id", "lab-1"];
-        let asked = [
-            "policy", "release", "--server", &address, "--stream", RELEASED,
-        ];
-        ended_with(
-            &[76],
-            &finish(command("caudata", &[&asked[..], &sign].concat())?)?,
-        )?;
+        let asked = ["policy", "release", "--server", &address, "--stream", RELEASED];
+        ended_with(&[76], &finish(command("caudata", &[&asked[..], &sign].concat())?)?)?;
     }
     Ok("refused by robot, `policy pull` and `policy release` (76); nothing was signed".to_owned())
 }
@@ -57,10 +46,7 @@ pub fn other_bytes(lab: &Lab, times: usize) -> Result<String> {
             std::fs::write(&blob, bytes)?;
         }
         let state = lab.fresh()?.join("state");
-        ended_with(
-            &[65, 66, 69, 74, 76, 77],
-            &finish(lab.pull(server.address, &state)?)?,
-        )?;
+        ended_with(&[65, 66, 69, 74, 76, 77], &finish(lab.pull(server.address, &state)?)?)?;
         ensure!(!state.join("blobs").exists() || files(&state.join("blobs"))?.is_empty());
     }
     Ok("not handed out, nothing kept".to_owned())
@@ -80,18 +66,13 @@ pub fn endless_inputs(lab: &Lab, _: usize) -> Result<String> {
     let named: Vec<(&str, Vec<&str>)> = vec![
         ("caudata", vec!["config", "check", "--config", zero]),
         ("caudata", vec!["robot", "check", zero]),
-        (
-            "caudata",
-            vec!["gap", "check", "--robot", zero, "--log", "."],
-        ),
+        ("caudata", vec!["gap", "check", "--robot", zero, "--log", "."]),
         ("caudata", vec!["eval", "--policy", zero]),
         ("caudata", vec!["policy", "show", zero]),
         (
             "caudata",
             [
-                &[
-                    "policy", "keygen", "--fresh", "--key-id", "k", "--out", &key,
-                ],
+                &["policy", "keygen", "--fresh", "--key-id", "k", "--out", &key],
                 &["--trust", zero][..],
             ]
             .concat(),
@@ -106,11 +87,7 @@ pub fn endless_inputs(lab: &Lab, _: usize) -> Result<String> {
         // What is wrong with the input, never with the machine.
         let done = finish(shell("ulimit -v 3145728", program, &args)?)?;
         ended_with(&[64, 65, 66], &done)?;
-        ensure!(
-            !done.stderr.contains("out of memory"),
-            "{args:?}: {}",
-            done.stderr
-        );
+        ensure!(!done.stderr.contains("out of memory"), "{args:?}: {}", done.stderr);
     }
     Ok(format!("{count} flags: refused as too large"))
 }

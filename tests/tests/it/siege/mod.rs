@@ -30,40 +30,22 @@ const fn row(what: &'static str, attack: Attack) -> Row {
 }
 
 const ROWS: &[Row] = &[
-    row(
-        "a server that answers with another signed stream",
-        lies::another_stream,
-    ),
-    row(
-        "a server whose stored policy has other bytes",
-        lies::other_bytes,
-    ),
-    row(
-        "an input without an end, wherever a file is named",
-        lies::endless_inputs,
-    ),
+    row("a server that answers with another signed stream", lies::another_stream),
+    row("a server whose stored policy has other bytes", lies::other_bytes),
+    row("an input without an end, wherever a file is named", lies::endless_inputs),
     row("silent connections on every listener", peers::silent),
     row("requests that drip in", peers::dripping),
-    row(
-        "connections beyond the limit of open files",
-        peers::few_files,
-    ),
+    row("connections beyond the limit of open files", peers::few_files),
     row("a robot that never stops reporting", peers::chatty_robot),
     row("two policy servers on one folder", owners::two_servers),
     row("two trainings in one folder", owners::two_trainings),
     row("two robots on one state", owners::two_robots),
-    row(
-        "links and folders of others where a program writes",
-        owners::links,
-    ),
+    row("links and folders of others where a program writes", owners::links),
     row("secrets that others may read", owners::open_secrets),
     row("a flipped bit in every kind of file", bits::every_kind),
     row("a policy server killed under publications", deaths::server),
     row("a robot killed while it fetches", deaths::robot),
-    row(
-        "a wall clock that swings by hours in mid-run",
-        clocks::swinging,
-    ),
+    row("a wall clock that swings by hours in mid-run", clocks::swinging),
 ];
 
 #[test]

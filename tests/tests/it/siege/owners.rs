@@ -20,10 +20,7 @@ pub fn two_servers(lab: &Lab, times: usize) -> Result<String> {
         let second = finish(command("caudata-policy-server", &args)?)?;
         ended_with(&[65, 71, 73, 74, 87], &second)?;
         ensure!(second.stderr.contains("lock"), "{}", second.stderr);
-        ended_with(
-            &[0],
-            &finish(lab.pull(first.address, &lab.fresh()?.join("state"))?)?,
-        )?;
+        ended_with(&[0], &finish(lab.pull(first.address, &lab.fresh()?.join("state"))?)?)?;
     }
     Ok("the second is refused, the first serves on".to_owned())
 }
@@ -43,11 +40,7 @@ pub fn two_trainings(lab: &Lab, times: usize) -> Result<String> {
         let learner = || std::fs::read_to_string(out.join("learner.lock")).unwrap_or_default();
         let saved = || {
             let newest = std::fs::read_to_string(out.join("checkpoints/latest")).ok()?;
-            newest
-                .trim()
-                .trim_start_matches("iter_")
-                .parse::<u64>()
-                .ok()
+            newest.trim().trim_start_matches("iter_").parse::<u64>().ok()
         };
         let wait = |run: &mut Child, come: &dyn Fn() -> bool| -> Result<()> {
             while !come() {
@@ -58,25 +51,17 @@ pub fn two_trainings(lab: &Lab, times: usize) -> Result<String> {
         };
         let mut first = start(&[])?;
         wait(&mut first, &|| saved().is_some())?;
-        ended_with(
-            &[87],
-            &finish(train(&out, &[&flags[..], &["--resume"]].concat())?)?,
-        )?;
+        ended_with(&[87], &finish(train(&out, &[&flags[..], &["--resume"]].concat())?)?)?;
         let orphan = learner();
         first.kill()?;
         first.wait()?;
         // It waits until the first learner has saved, and goes on from there.
         let mut second = start(&["--resume"])?;
-        wait(&mut second, &|| {
-            learner() != orphan && !learner().is_empty()
-        })?;
+        wait(&mut second, &|| learner() != orphan && !learner().is_empty())?;
         let then = saved();
         wait(&mut second, &|| saved() > then)?;
         caudata_tests::signal(&second, Signal::SIGTERM)?;
-        ensure!(
-            second.wait()?.success(),
-            "{transport}: the second training failed"
-        );
+        ensure!(second.wait()?.success(), "{transport}: the second training failed");
         let books = caudata_tests::json_file(&out.join("accounting.json"))?;
         ensure!(books["holds"] == true, "{transport}: {books}");
     }
@@ -85,30 +70,14 @@ pub fn two_trainings(lab: &Lab, times: usize) -> Result<String> {
 
 pub fn two_robots(lab: &Lab, times: usize) -> Result<String> {
     let server = lab.serve(&lab.data()?, &[])?;
-    let simulated = started(
-        "caudata",
-        "robot_link",
-        &["sim", "robot", "--addr", "127.0.0.1:0"],
-    )?;
+    let simulated = started("caudata", "robot_link", &["sim", "robot", "--addr", "127.0.0.1:0"])?;
     for _ in 0..times {
         let state = lab.fresh()?.join("state");
         let run = || -> Result<_> {
-            let (server, bus) = (
-                server.address.to_string(),
-                format!("sim:{}", simulated.address),
-            );
-            let mut run = command(
-                "caudata-robot",
-                &["run", "--robot", ROBOT, "--stream", RELEASED],
-            )?;
-            run.args([
-                "--policy-server",
-                &server,
-                "--bus",
-                &bus,
-                "--hang-ms",
-                "60000",
-            ]);
+            let (server, bus) = (server.address.to_string(), format!("sim:{}", simulated.address));
+            let mut run =
+                command("caudata-robot", &["run", "--robot", ROBOT, "--stream", RELEASED])?;
+            run.args(["--policy-server", &server, "--bus", &bus, "--hang-ms", "60000"]);
             run.args(["--seconds", "600", "--state"]).arg(&state);
             Ok(run)
         };
@@ -135,15 +104,7 @@ pub fn links(lab: &Lab, times: usize) -> Result<String> {
         let victim = lab.fresh()?;
         let run = format!("siege-{}-{number}", std::process::id());
         let place = std::env::temp_dir().join(format!("caudata-actors-{run}"));
-        let args = [
-            "actors",
-            "--connect",
-            "tcp/127.0.0.1:1",
-            "--count",
-            "1",
-            "--run-id",
-            &run,
-        ];
+        let args = ["actors", "--connect", "tcp/127.0.0.1:1", "--count", "1", "--run-id", &run];
         symlink(&victim, &place)?;
         lchown(&place, Some(12_345), Some(12_345))?;
         let through_link = finish(command("caudata", &args)?);
@@ -154,10 +115,7 @@ pub fn links(lab: &Lab, times: usize) -> Result<String> {
         let into_foreign = finish(command("caudata", &args)?);
         std::fs::remove_dir_all(&place)?;
         ended_with(&[73], &into_foreign?)?;
-        ensure!(
-            std::fs::read_dir(&victim)?.next().is_none(),
-            "it wrote through a link"
-        );
+        ensure!(std::fs::read_dir(&victim)?.next().is_none(), "it wrote through a link");
 
         // The folder in which the robot's two processes meet.
         let place = lab.fresh()?.join("run");
@@ -218,10 +176,7 @@ pub fn open_secrets(lab: &Lab, _: usize) -> Result<String> {
                 "a",
             ],
         ),
-        (
-            "caudata-robot",
-            vec!["drive", "127.0.0.1:1", "--link-key", &link],
-        ),
+        ("caudata-robot", vec!["drive", "127.0.0.1:1", "--link-key", &link]),
         (
             "caudata-robot",
             vec![
@@ -242,11 +197,7 @@ pub fn open_secrets(lab: &Lab, _: usize) -> Result<String> {
     for (program, args) in &tries {
         let done = finish(command(program, args)?)?;
         ended_with(&[65, 66], &done)?;
-        ensure!(
-            done.stderr.contains("others may use"),
-            "{args:?}: {}",
-            done.stderr
-        );
+        ensure!(done.stderr.contains("others may use"), "{args:?}: {}", done.stderr);
     }
     Ok(format!("{} kinds, refused", tries.len()))
 }

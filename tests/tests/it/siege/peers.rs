@@ -17,23 +17,16 @@ const ANSWER_MAX: Duration = Duration::from_secs(60);
 
 fn hold(address: SocketAddr, count: usize) -> Vec<TcpStream> {
     // One that is refused at once is not held, and no worse for that.
-    (0..count)
-        .filter_map(|_| TcpStream::connect_timeout(&address, ANSWER_MAX).ok())
-        .collect()
+    (0..count).filter_map(|_| TcpStream::connect_timeout(&address, ANSWER_MAX).ok()).collect()
 }
 
 /// The status line and body of a page.
 fn get(address: SocketAddr, path: &str) -> Result<String> {
     let mut stream = TcpStream::connect_timeout(&address, ANSWER_MAX)?;
     stream.set_read_timeout(Some(ANSWER_MAX))?;
-    write!(
-        stream,
-        "GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n"
-    )?;
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n")?;
     let mut answer = String::new();
-    stream
-        .read_to_string(&mut answer)
-        .context(path.to_owned())?;
+    stream.read_to_string(&mut answer).context(path.to_owned())?;
     Ok(answer)
 }
 
@@ -47,11 +40,7 @@ fn doors(lab: &Lab) -> Result<Doors> {
     let (metrics, page) = (own_address(), own_address());
     let (m, p) = (metrics.to_string(), page.to_string());
     let server = lab.serve(&lab.data()?, &["--metrics-addr", &m, "--page-addr", &p])?;
-    Ok(Doors {
-        server,
-        metrics,
-        page,
-    })
+    Ok(Doors { server, metrics, page })
 }
 
 fn answers(lab: &Lab, doors: &Doors) -> Result<()> {
@@ -66,11 +55,7 @@ fn answers(lab: &Lab, doors: &Doors) -> Result<()> {
 /// Every listener of a policy server, and that of a simulated robot.
 pub fn silent(lab: &Lab, times: usize) -> Result<String> {
     let doors = doors(lab)?;
-    let robot = started(
-        "caudata",
-        "robot_link",
-        &["sim", "robot", "--addr", "127.0.0.1:0"],
-    )?;
+    let robot = started("caudata", "robot_link", &["sim", "robot", "--addr", "127.0.0.1:0"])?;
     let each = 60 * times;
     let held = [doors.server.address, doors.metrics, doors.page].map(|door| hold(door, each));
     answers(lab, &doors)?;
@@ -80,15 +65,11 @@ pub fn silent(lab: &Lab, times: usize) -> Result<String> {
     let run = ["--bus".to_owned(), format!("sim:{}", robot.address)];
     let (server, state) = (doors.server.address.to_string(), lab.fresh()?.join("state"));
     let mut walk = command("caudata-robot", &["run", "--robot", super::lab::ROBOT])?;
-    walk.args(run)
-        .args(["--policy-server", &server, "--stream", RELEASED]);
-    walk.args(["--seconds", "0.2", "--hang-ms", "60000", "--state"])
-        .arg(state);
+    walk.args(run).args(["--policy-server", &server, "--stream", RELEASED]);
+    walk.args(["--seconds", "0.2", "--hang-ms", "60000", "--state"]).arg(state);
     ended_with(&[0], &finish(walk)?)?;
     let held: usize = held.iter().map(Vec::len).sum();
-    Ok(format!(
-        "{held} held on three doors, {queued} came and went at the robot; all answered"
-    ))
+    Ok(format!("{held} held on three doors, {queued} came and went at the robot; all answered"))
 }
 
 /// Headers of which a byte comes now and then.
@@ -110,14 +91,7 @@ pub fn few_files(lab: &Lab, times: usize) -> Result<String> {
     let (data, metrics) = (lab.data()?, own_address());
     let (folder, m) = (data.display().to_string(), metrics.to_string());
     let key = lab.text("fresh.key");
-    let args = [
-        "--data",
-        &folder,
-        "--addr",
-        "127.0.0.1:0",
-        "--metrics-addr",
-        &m,
-    ];
+    let args = ["--data", &folder, "--addr", "127.0.0.1:0", "--metrics-addr", &m];
     let fresh = ["--fresh-key", &key, "--fresh-key-id", "fresh-1"];
     let args = [&args[..], &fresh].concat();
     let limited = shell("ulimit -n 128", "caudata-policy-server", &args)?;
@@ -176,7 +150,5 @@ pub fn chatty_robot(lab: &Lab, times: usize) -> Result<String> {
     let grown = std::fs::metadata(data.join("audit.jsonl"))?.len() - before;
     ensure!(taken < count, "all {count} reports were taken");
     ensure!(grown < 100_000, "the record grew by {grown} bytes");
-    Ok(format!(
-        "{taken} of {count} reports taken, the record grew by {grown} bytes"
-    ))
+    Ok(format!("{taken} of {count} reports taken, the record grew by {grown} bytes"))
 }

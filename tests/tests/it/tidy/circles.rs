@@ -37,17 +37,11 @@ fn modules_do_not_import_in_circles() {
     let packages: BTreeSet<&String> = sources.iter().map(|s| &s.package).collect();
     for package in packages {
         for root in ["lib", "main"] {
-            let folder = if package == "." {
-                "src/".to_owned()
-            } else {
-                format!("{package}/src/")
-            };
+            let folder = if package == "." { "src/".to_owned() } else { format!("{package}/src/") };
             let files: BTreeMap<&str, &Source> = (sources.iter())
                 .filter_map(|s| Some((s.path.strip_prefix(&folder)?.strip_suffix(".rs")?, s)))
                 .collect();
-            let mut whole = Crate {
-                modules: BTreeMap::new(),
-            };
+            let mut whole = Crate { modules: BTreeMap::new() };
             whole.add(&files, root, vec!["crate".into()]);
             for circle in whole.circles() {
                 let what = format!("{}{}", circle.join(" "), whole.story(&circle));
@@ -113,10 +107,7 @@ impl Crate {
             for glob in &module.globs {
                 let from =
                     self.resolve(at, &[glob.clone(), vec![name.clone()]].concat(), depth + 1);
-                if from
-                    .as_ref()
-                    .is_some_and(|m| self.modules[m].defined.contains(name))
-                {
+                if from.as_ref().is_some_and(|m| self.modules[m].defined.contains(name)) {
                     return from;
                 }
             }
@@ -144,11 +135,7 @@ impl Crate {
                     && from.is_some_and(|m| self.modules[&m].defined.contains(name))
             });
             let paths = module.named.iter().filter(|path| path.len() > 1).cloned();
-            for path in imported
-                .map(|(_, path)| path.clone())
-                .chain(paths)
-                .chain(through_globs)
-            {
+            for path in imported.map(|(_, path)| path.clone()).chain(paths).chain(through_globs) {
                 if let Some(from) = self.resolve(here, &path, 0).filter(|from| from != here) {
                     used.entry(from).or_insert_with(|| path.join("::"));
                 }
@@ -219,9 +206,7 @@ impl Module {
                 "{" => depth += 1,
                 "}" => depth -= 1,
                 "use" if next != "<" => {
-                    let end = (i..t.len())
-                        .find(|&k| t[k].text == ";")
-                        .unwrap_or(t.len() - 1);
+                    let end = (i..t.len()).find(|&k| t[k].text == ";").unwrap_or(t.len() - 1);
                     module.import(&t[i + 1..end], &[]);
                     i = end;
                 }
@@ -300,37 +285,23 @@ fn a_circle_is_found_by_whatever_way_it_goes() {
     let files = |list: &[(&str, &str)]| -> Vec<(String, Source)> {
         let source = |(name, text): &(&str, &str)| {
             let tokens = tokens::read(text);
-            let source = Source {
-                package: ".".into(),
-                path: (*name).into(),
-                tokens,
-                lines: 1,
-            };
+            let source = Source { package: ".".into(), path: (*name).into(), tokens, lines: 1 };
             ((*name).to_owned(), source)
         };
         list.iter().map(source).collect()
     };
     let circles = |list: &[(&str, &str)]| {
         let held = files(list);
-        let by_name = held
-            .iter()
-            .map(|(name, source)| (name.as_str(), source))
-            .collect();
-        let mut whole = Crate {
-            modules: BTreeMap::new(),
-        };
+        let by_name = held.iter().map(|(name, source)| (name.as_str(), source)).collect();
+        let mut whole = Crate { modules: BTreeMap::new() };
         whole.add(&by_name, "lib", vec!["crate".into()]);
         whole.circles()
     };
     let root = ("lib", "mod a; mod b; pub use a::A; pub use b::B;");
     // One way only, over the root's other name for it.
     assert!(
-        circles(&[
-            root,
-            ("a", "pub struct A;"),
-            ("b", "use crate::A; pub struct B(A);")
-        ])
-        .is_empty()
+        circles(&[root, ("a", "pub struct A;"), ("b", "use crate::A; pub struct B(A);")])
+            .is_empty()
     );
     let round = circles(&[
         root,

@@ -31,11 +31,8 @@ fn metadata() -> Metadata {
 fn linked_by(metadata: &Metadata, package: &str) -> BTreeSet<String> {
     let resolve = metadata.resolve.as_ref().expect("resolved graph");
     let nodes: BTreeMap<_, _> = resolve.nodes.iter().map(|node| (&node.id, node)).collect();
-    let name_of: BTreeMap<_, _> = metadata
-        .packages
-        .iter()
-        .map(|p| (&p.id, p.name.to_string()))
-        .collect();
+    let name_of: BTreeMap<_, _> =
+        metadata.packages.iter().map(|p| (&p.id, p.name.to_string())).collect();
     let start = metadata
         .packages
         .iter()
@@ -45,10 +42,7 @@ fn linked_by(metadata: &Metadata, package: &str) -> BTreeSet<String> {
     let mut seen = BTreeSet::new();
     while let Some(id) = open.pop() {
         for dep in &nodes[id].deps {
-            let normal = dep
-                .dep_kinds
-                .iter()
-                .any(|kind| kind.kind == DependencyKind::Normal);
+            let normal = dep.dep_kinds.iter().any(|kind| kind.kind == DependencyKind::Normal);
             if normal && seen.insert(name_of[&dep.pkg].clone()) {
                 open.push(&dep.pkg);
             }
@@ -82,50 +76,23 @@ fn what_may_depend_on_what() {
             &["caudata-sim", "tokio", "caudata-task"],
             "servos and sensors know neither physics nor the task",
         ),
-        (
-            "caudata-task",
-            &["caudata-sim", "tokio", "tonic", "zenoh"],
-            "the task is pure",
-        ),
+        ("caudata-task", &["caudata-sim", "tokio", "tonic", "zenoh"], "the task is pure"),
         (
             "caudata-sim",
             &["tokio", "tonic", "zenoh", "caudata-task"],
             "physics knows no network and no task",
         ),
-        (
-            "caudata-env",
-            &["tokio", "tonic", "zenoh"],
-            "environments know no network",
-        ),
-        (
-            "caudata-transport",
-            &["caudata-proto", "caudata-task"],
-            "transport moves opaque frames",
-        ),
+        ("caudata-env", &["tokio", "tonic", "zenoh"], "environments know no network"),
+        ("caudata-transport", &["caudata-proto", "caudata-task"], "transport moves opaque frames"),
         ("caudata-model", &["tokio", "rapier3d"], "the model is data"),
-        (
-            "caudata-policy",
-            &["caudata-sim", "tokio"],
-            "the policy file needs no simulator",
-        ),
-        (
-            "caudata-policy-server",
-            &["caudata-sim", "zenoh"],
-            "the server stores and serves",
-        ),
-        (
-            "caudata-config",
-            &["zenoh", "iceoryx2", "tokio"],
-            "configuration is data",
-        ),
+        ("caudata-policy", &["caudata-sim", "tokio"], "the policy file needs no simulator"),
+        ("caudata-policy-server", &["caudata-sim", "zenoh"], "the server stores and serves"),
+        ("caudata-config", &["zenoh", "iceoryx2", "tokio"], "configuration is data"),
     ];
     for (package, forbidden, why) in rules {
         let linked = linked_by(&metadata, package);
         for name in forbidden {
-            assert!(
-                !linked.contains(*name),
-                "{package} must not link {name}: {why}"
-            );
+            assert!(!linked.contains(*name), "{package} must not link {name}: {why}");
         }
     }
 }
@@ -176,10 +143,7 @@ fn every_crate_inherits_the_workspace_lints() {
         assert!(
             text.contains("[lints]\nworkspace = true"),
             "{} does not inherit the workspace lints",
-            package
-                .manifest_path
-                .strip_prefix(&root)
-                .unwrap_or(&package.manifest_path)
+            package.manifest_path.strip_prefix(&root).unwrap_or(&package.manifest_path)
         );
     }
 }
@@ -193,15 +157,9 @@ fn nothing_is_declared_that_nobody_uses() {
         let manifest = read_manifest(&folder);
         let mut words = BTreeSet::new();
         for part in ["src", "tests", "benches", "examples"].map(|part| folder.join(part)) {
-            let files = if part.is_dir() {
-                product::files(&part, ".rs")
-            } else {
-                Vec::new()
-            };
+            let files = if part.is_dir() { product::files(&part, ".rs") } else { Vec::new() };
             // Packages below this one's folder count for themselves.
-            let own = files
-                .iter()
-                .filter(|file| folder_of_package(file) == folder);
+            let own = files.iter().filter(|file| folder_of_package(file) == folder);
             words.extend(own.flat_map(|file| words_of(file)));
         }
         if folder.join("build.rs").is_file() {
@@ -238,9 +196,7 @@ fn read_manifest(folder: &std::path::Path) -> String {
 
 fn folder_of_package(file: &std::path::Path) -> &std::path::Path {
     let mut above = file.ancestors().skip(1);
-    above
-        .find(|folder| folder.join("Cargo.toml").is_file())
-        .expect("a package")
+    above.find(|folder| folder.join("Cargo.toml").is_file()).expect("a package")
 }
 
 fn words_of(file: &std::path::Path) -> Vec<String> {
@@ -256,11 +212,6 @@ fn names_in(manifest: &str, section: &str) -> Vec<String> {
     lines
         .take_while(|line| !line.starts_with('['))
         .filter(|line| line.starts_with(|c: char| c.is_ascii_alphabetic()))
-        .map(|line| {
-            line.split(['.', ' ', '='])
-                .next()
-                .unwrap_or_default()
-                .to_owned()
-        })
+        .map(|line| line.split(['.', ' ', '=']).next().unwrap_or_default().to_owned())
         .collect()
 }

@@ -17,20 +17,14 @@ pub struct Offence {
 impl Offence {
     /// At `place`, as exceptions name it; `what` is for people.
     pub fn new(place: impl Into<String>, what: impl Into<String>) -> Self {
-        Self {
-            place: place.into(),
-            what: what.into(),
-        }
+        Self { place: place.into(), what: what.into() }
     }
 }
 
 /// Fails where `rule` is broken and nothing excepts it, and where an exception is not needed.
 pub fn hold(rule: &str, offences: Vec<Offence>) {
-    let excepted: Vec<&str> = EXCEPTIONS
-        .iter()
-        .filter(|(r, _, _)| *r == rule)
-        .map(|(_, place, _)| *place)
-        .collect();
+    let excepted: Vec<&str> =
+        EXCEPTIONS.iter().filter(|(r, _, _)| *r == rule).map(|(_, place, _)| *place).collect();
     let mut faults: Vec<String> = offences
         .iter()
         .filter(|o| !excepted.contains(&o.place.as_str()))
@@ -40,10 +34,5 @@ pub fn hold(rule: &str, offences: Vec<Offence>) {
     let idle = excepted.iter().filter(|place| !needed(place));
     faults
         .extend(idle.map(|place| format!("{place}: an exception that nothing needs; take it out")));
-    assert!(
-        faults.is_empty(),
-        "{rule}: {} faults\n{}",
-        faults.len(),
-        faults.join("\n")
-    );
+    assert!(faults.is_empty(), "{rule}: {} faults\n{}", faults.len(), faults.join("\n"));
 }

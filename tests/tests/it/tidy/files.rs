@@ -9,9 +9,7 @@ fn every_module_says_what_it_is_for() {
     assert!(files.len() > 50);
     for file in files {
         let text = std::fs::read_to_string(&file).expect("utf-8");
-        let first = text
-            .lines()
-            .find(|line| !line.trim().is_empty() && !line.starts_with("#!["));
+        let first = text.lines().find(|line| !line.trim().is_empty() && !line.starts_with("#!["));
         assert!(
             first.is_some_and(|line| line.starts_with("//!")),
             "{} does not begin with a `//!` line",
@@ -22,11 +20,7 @@ fn every_module_says_what_it_is_for() {
 
 #[test]
 fn nothing_is_left_to_do_in_the_code() {
-    let marks = [
-        concat!("TO", "DO"),
-        concat!("FIX", "ME"),
-        concat!("XX", "X:"),
-    ];
+    let marks = [concat!("TO", "DO"), concat!("FIX", "ME"), concat!("XX", "X:")];
     for file in product::files(&root(), ".rs") {
         let text = std::fs::read_to_string(&file).expect("utf-8");
         for (number, line) in text.lines().enumerate() {
@@ -51,10 +45,8 @@ fn documentation_makes_sense_in_a_hover() {
             // "Of …" hangs in the air where nobody sees the name it belongs to.
             let begins = !before.starts_with("///") && line.starts_with("/// Of ");
             if begins || line.starts_with("//! Of ") {
-                offences.push(Offence::new(
-                    below_root(&file),
-                    format!("line {}: {line}", number + 1),
-                ));
+                offences
+                    .push(Offence::new(below_root(&file), format!("line {}: {line}", number + 1)));
             }
             before = line;
         }

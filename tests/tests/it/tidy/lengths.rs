@@ -30,10 +30,7 @@ fn functions_are_at_most_80_lines_long() {
             let lines = t[tokens::closing(t, k)].line - t[i].line + 1;
             if lines > MOST_LINES_OF_A_FUNCTION {
                 let place = format!("{}::{}", source.path, t[i + 1].text);
-                offences.push(Offence::new(
-                    place,
-                    format!("line {}: {lines} lines", t[i].line),
-                ));
+                offences.push(Offence::new(place, format!("line {}: {lines} lines", t[i].line)));
             }
         }
     }
@@ -42,9 +39,7 @@ fn functions_are_at_most_80_lines_long() {
 
 #[test]
 fn files_are_at_most_500_lines_long() {
-    let long = product::sources()
-        .into_iter()
-        .filter(|s| s.lines > MOST_LINES_OF_A_FILE);
+    let long = product::sources().into_iter().filter(|s| s.lines > MOST_LINES_OF_A_FILE);
     let offences = long.map(|s| Offence::new(s.path, format!("{} lines without tests", s.lines)));
     hold("file length", offences.collect());
 }

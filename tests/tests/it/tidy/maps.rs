@@ -11,9 +11,7 @@ const MAPS: [&str; 3] = ["ARCHITECTURE.md", "CONTRIBUTING.md", "README.md"];
 /// A back-quoted word counts as a path when it begins with one of the repository's folders or names a root
 /// file; one that begins with `/` is part of a web address.
 fn looks_like_a_path(word: &str, root: &Path) -> bool {
-    let plain = word
-        .chars()
-        .all(|c| c.is_ascii_alphanumeric() || "._-/".contains(c));
+    let plain = word.chars().all(|c| c.is_ascii_alphanumeric() || "._-/".contains(c));
     let first = word.split('/').next().unwrap_or_default();
     let known_top = root.join(first).exists() || word.ends_with(".md") || word.ends_with('/');
     plain && !first.is_empty() && known_top && (word.contains('/') || word.ends_with(".md"))
@@ -30,18 +28,12 @@ fn every_path_that_the_maps_name_exists() {
                 && !word.starts_with("target/")
                 && !word.starts_with("runs/")
             {
-                assert!(
-                    root.join(word).exists(),
-                    "{map} names `{word}`, which does not exist"
-                );
+                assert!(root.join(word).exists(), "{map} names `{word}`, which does not exist");
                 checked += 1;
             }
         }
     }
-    assert!(
-        checked > 20,
-        "the maps should name many paths, found {checked}"
-    );
+    assert!(checked > 20, "the maps should name many paths, found {checked}");
 }
 
 #[test]
@@ -50,9 +42,8 @@ fn what_the_map_says_to_be_in_a_file_is_there() {
     let map = std::fs::read_to_string(root.join("ARCHITECTURE.md")).expect("map");
     let mut checked = 0;
     // `path` (`Name`…
-    for (before, after) in map
-        .match_indices("` (`")
-        .map(|(at, sign)| (&map[..at], &map[at + sign.len()..]))
+    for (before, after) in
+        map.match_indices("` (`").map(|(at, sign)| (&map[..at], &map[at + sign.len()..]))
     {
         let path = before.rsplit('`').next().unwrap_or_default();
         let name = after.split('`').next().unwrap_or_default();
@@ -64,20 +55,14 @@ fn what_the_map_says_to_be_in_a_file_is_there() {
         assert!(there, "ARCHITECTURE.md says that `{name}` is in `{path}`");
         checked += 1;
     }
-    assert!(
-        checked > 3,
-        "the map should name what is in files, found {checked}"
-    );
+    assert!(checked > 3, "the map should name what is in files, found {checked}");
 }
 
 #[test]
 fn every_top_level_folder_is_on_the_map() {
     let root = root();
     let map = std::fs::read_to_string(root.join("ARCHITECTURE.md")).expect("map");
-    let listed = std::process::Command::new("git")
-        .args(["ls-files"])
-        .current_dir(&root)
-        .output();
+    let listed = std::process::Command::new("git").args(["ls-files"]).current_dir(&root).output();
     let Ok(output) = listed else {
         println!("skipped: git is not installed");
         return;

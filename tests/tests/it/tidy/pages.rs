@@ -27,26 +27,13 @@ fn lines() -> Vec<Line> {
     let mut out = Vec::new();
     for file in files(&root(), ".md") {
         let mut block: Option<String> = None;
-        for (i, text) in std::fs::read_to_string(&file)
-            .expect("UTF-8")
-            .lines()
-            .enumerate()
-        {
+        for (i, text) in std::fs::read_to_string(&file).expect("UTF-8").lines().enumerate() {
             if let Some(kind) = text.strip_prefix("```") {
-                block = if block.is_some() {
-                    None
-                } else {
-                    Some(kind.to_owned())
-                };
+                block = if block.is_some() { None } else { Some(kind.to_owned()) };
                 continue;
             }
             let (page, block) = (below_root(&file), block.clone());
-            out.push(Line {
-                page,
-                number: i + 1,
-                text: text.to_owned(),
-                block,
-            });
+            out.push(Line { page, number: i + 1, text: text.to_owned(), block });
         }
     }
     out
@@ -70,11 +57,7 @@ fn every_block_says_what_it_is() {
     let known = ["sh", "sh run", "toml", "text", "python"];
     for line in lines() {
         let kind = line.block.as_deref().unwrap_or("text");
-        assert!(
-            known.contains(&kind),
-            "{}: a block of the kind `{kind}`",
-            line.place()
-        );
+        assert!(known.contains(&kind), "{}: a block of the kind `{kind}`", line.place());
     }
 }
 
@@ -83,50 +66,32 @@ fn links_lead_somewhere() {
     let all = lines();
     let mut wrong = Vec::new();
     for line in all.iter().filter(|line| line.block.is_none()) {
-        for link in line
-            .text
-            .split("](")
-            .skip(1)
-            .filter_map(|rest| rest.split(')').next())
-        {
+        for link in line.text.split("](").skip(1).filter_map(|rest| rest.split(')').next()) {
             if link.contains("://") {
                 continue;
             }
             let (path, anchor) = link.split_once('#').unwrap_or((link, ""));
             let folder = Path::new(&line.page).parent().expect("folder");
-            let target = if path.is_empty() {
-                line.page.clone()
-            } else {
-                plain(&folder.join(path))
-            };
+            let target =
+                if path.is_empty() { line.page.clone() } else { plain(&folder.join(path)) };
             let page = all.iter().filter(|other| other.page == target);
-            let mut headings = page
-                .filter(|l| l.block.is_none())
-                .filter_map(|l| anchor_of(&l.text));
+            let mut headings =
+                page.filter(|l| l.block.is_none()).filter_map(|l| anchor_of(&l.text));
             let there = root().join(&target).exists();
             if !there || (!anchor.is_empty() && !headings.any(|heading| heading == anchor)) {
                 wrong.push(format!("{}: {link}", line.place()));
             }
         }
     }
-    assert!(
-        wrong.is_empty(),
-        "links that lead nowhere:\n{}",
-        wrong.join("\n")
-    );
+    assert!(wrong.is_empty(), "links that lead nowhere:\n{}", wrong.join("\n"));
 }
 
 /// Tables of faults say which test shows what: each is there, under that name or, with `…`, that beginning.
 #[test]
 fn tests_that_tables_name_are_there() {
     let sources = files(&root(), ".rs").into_iter();
-    let text: String = sources
-        .map(|file| std::fs::read_to_string(file).expect("UTF-8"))
-        .collect();
-    let pages = [
-        "docs/reference/faults.md",
-        "docs/reference/faults-actors.md",
-    ];
+    let text: String = sources.map(|file| std::fs::read_to_string(file).expect("UTF-8")).collect();
+    let pages = ["docs/reference/faults.md", "docs/reference/faults-actors.md"];
     let mut wrong = Vec::new();
     for line in lines().iter().filter(|l| pages.contains(&&*l.page)) {
         for name in line.text.split('`').skip(1).step_by(2) {
@@ -159,9 +124,7 @@ fn plain(path: &Path) -> String {
 /// The anchor that readers of markdown give a heading.
 fn anchor_of(line: &str) -> Option<String> {
     let heading = line.strip_prefix('#')?.trim_start_matches('#').trim();
-    let kept = heading
-        .chars()
-        .filter(|c| c.is_alphanumeric() || " -_".contains(*c));
+    let kept = heading.chars().filter(|c| c.is_alphanumeric() || " -_".contains(*c));
     Some(kept.collect::<String>().to_lowercase().replace(' ', "-"))
 }
 
@@ -200,15 +163,8 @@ fn examples() -> Vec<Example> {
         for text in found {
             let (place, words) = (line.place(), words_of(&text));
             let whole = in_block.is_some() && !text.contains('…');
-            if words
-                .first()
-                .is_some_and(|program| PROGRAMS.contains(&program.as_str()))
-            {
-                out.push(Example {
-                    place,
-                    words,
-                    whole,
-                });
+            if words.first().is_some_and(|program| PROGRAMS.contains(&program.as_str())) {
+                out.push(Example { place, words, whole });
             }
         }
     }
@@ -242,10 +198,7 @@ fn words_of(text: &str) -> Vec<String> {
         }
     }
     // An assignment before a command is the shell's.
-    words
-        .into_iter()
-        .skip_while(|word| word.starts_with("CAUDATA_"))
-        .collect()
+    words.into_iter().skip_while(|word| word.starts_with("CAUDATA_")).collect()
 }
 
 fn run(words: &[String], folder: &Path) -> Output {
@@ -262,11 +215,7 @@ fn commands_in_pages_are_understood() {
     for example in examples() {
         // With `--help` at its end a program reads all flags and their values, and does nothing.
         let number = |word: &String| {
-            if word.len() == 1 && word == "N" {
-                "1".to_owned()
-            } else {
-                word.clone()
-            }
+            if word.len() == 1 && word == "N" { "1".to_owned() } else { word.clone() }
         };
         let mut words: Vec<String> = example.words.iter().map(number).collect();
         words.push("--help".to_owned());
@@ -284,10 +233,7 @@ fn commands_in_pages_are_understood() {
             wrong.push(Offence::new(place, format!("{} {why}", example.place)));
         }
     }
-    assert!(
-        checked > 50,
-        "pages should have many examples, found {checked}"
-    );
+    assert!(checked > 50, "pages should have many examples, found {checked}");
     hold("example", wrong);
 }
 
@@ -315,16 +261,8 @@ fn small_size(words: &[String]) -> Vec<String> {
         }
     }
     if words.get(1).is_some_and(|command| command == "train") {
-        let small = [
-            "evaluation.episodes=1",
-            "actors.lanes=8",
-            "actors.chunk_steps=8",
-        ];
-        words.extend(
-            small
-                .iter()
-                .flat_map(|set| ["--set".to_owned(), (*set).to_owned()]),
-        );
+        let small = ["evaluation.episodes=1", "actors.lanes=8", "actors.chunk_steps=8"];
+        words.extend(small.iter().flat_map(|set| ["--set".to_owned(), (*set).to_owned()]));
     }
     words
 }
@@ -341,9 +279,7 @@ fn small_examples_run() {
         .filter(|line| line.block.as_deref() == Some("sh run"))
         .map(|line| line.place())
         .collect();
-    let small = examples()
-        .into_iter()
-        .filter(|example| places.contains(&example.place));
+    let small = examples().into_iter().filter(|example| places.contains(&example.place));
     let mut ran = 0;
     for example in small {
         let output = run(&small_size(&example.words), scratch.path());
@@ -352,10 +288,7 @@ fn small_examples_run() {
         assert!(output.status.success(), "{}: {line}: {why}", example.place);
         ran += 1;
     }
-    assert!(
-        ran > 3,
-        "pages should have blocks that run (```sh run), found {ran}"
-    );
+    assert!(ran > 3, "pages should have blocks that run (```sh run), found {ran}");
 }
 
 #[test]
@@ -363,10 +296,7 @@ fn settings_in_pages_are_settings() {
     let scratch = tempfile::tempdir().expect("a folder");
     let mut blocks: Vec<(String, String)> = Vec::new();
     let mut last = (String::new(), 0);
-    for line in lines()
-        .into_iter()
-        .filter(|line| line.block.as_deref() == Some("toml"))
-    {
+    for line in lines().into_iter().filter(|line| line.block.as_deref() == Some("toml")) {
         if last != (line.page.clone(), line.number - 1) {
             blocks.push((line.place(), String::new()));
         }
@@ -378,14 +308,7 @@ fn settings_in_pages_are_settings() {
         let file = scratch.path().join("page.toml");
         std::fs::write(&file, text).expect("written");
         let words = ["caudata", "config", "show", "--config"].map(str::to_owned);
-        let output = run(
-            &[&words[..], &[file.display().to_string()]].concat(),
-            &root(),
-        );
-        assert!(
-            output.status.success(),
-            "{place}: {}",
-            String::from_utf8_lossy(&output.stderr)
-        );
+        let output = run(&[&words[..], &[file.display().to_string()]].concat(), &root());
+        assert!(output.status.success(), "{place}: {}", String::from_utf8_lossy(&output.stderr));
     }
 }

@@ -31,11 +31,7 @@ pub fn files(folder: &Path, end: &str) -> Vec<PathBuf> {
     while let Some(folder) = open.pop() {
         for entry in std::fs::read_dir(&folder).expect("readable folder") {
             let path = entry.expect("entry").path();
-            let name = path
-                .file_name()
-                .expect("name")
-                .to_string_lossy()
-                .into_owned();
+            let name = path.file_name().expect("name").to_string_lossy().into_owned();
             if path.is_dir() && name != "target" && !name.starts_with('.') {
                 open.push(path);
             } else if name.ends_with(end) {
@@ -64,9 +60,7 @@ pub fn packages() -> Vec<String> {
 /// Every source file of the product.
 pub fn sources() -> Vec<Source> {
     let packages = packages();
-    let shipped = packages
-        .iter()
-        .filter(|p| !TEST_PACKAGES.contains(&p.as_str()));
+    let shipped = packages.iter().filter(|p| !TEST_PACKAGES.contains(&p.as_str()));
     shipped.flat_map(|package| of_package(package)).collect()
 }
 
@@ -78,10 +72,7 @@ fn of_package(package: &str) -> Vec<Source> {
         let text = std::fs::read_to_string(&path).expect("UTF-8");
         let all = tokens::read(&text);
         let (kept, parts) = tokens::without_tests(&all);
-        for pair in all
-            .windows(3)
-            .filter(|w| w[0].text == "mod" && w[2].text == ";")
-        {
+        for pair in all.windows(3).filter(|w| w[0].text == "mod" && w[2].text == ";") {
             let is_test = parts.iter().any(|p| (p.0..=p.1).contains(&pair[0].line));
             if is_test || pair[1].text == "tests" {
                 tests.insert(children(&path).join(&pair[1].text));
@@ -90,12 +81,7 @@ fn of_package(package: &str) -> Vec<Source> {
         let lines = text.lines().count() - parts.iter().map(|p| p.1 - p.0 + 1).sum::<usize>();
         let below = below_root(&path);
         let path = below.strip_prefix("./").unwrap_or(&below).to_owned();
-        out.push(Source {
-            package: package.to_owned(),
-            path,
-            tokens: kept,
-            lines,
-        });
+        out.push(Source { package: package.to_owned(), path, tokens: kept, lines });
     }
     let is_test = |s: &Source| {
         let path = root().join(&s.path).with_extension("");

@@ -24,21 +24,10 @@ fn programs_are_small() {
     for (name, on_a_robot) in PROGRAMS {
         let stripped = folder.path().join(name);
         let program = caudata_tests::binary(name).expect("built");
-        let done = Command::new("strip")
-            .arg("-o")
-            .arg(&stripped)
-            .arg(program)
-            .status();
-        assert!(
-            done.expect("strip comes with the compiler").success(),
-            "{name}"
-        );
+        let done = Command::new("strip").arg("-o").arg(&stripped).arg(program).status();
+        assert!(done.expect("strip comes with the compiler").success(), "{name}");
         let bytes = std::fs::metadata(&stripped).expect("stripped").len();
-        let most = if on_a_robot {
-            MOST_BYTES_ON_A_ROBOT
-        } else {
-            MOST_BYTES
-        };
+        let most = if on_a_robot { MOST_BYTES_ON_A_ROBOT } else { MOST_BYTES };
         if bytes > most {
             offences.push(Offence::new(name, format!("{bytes} bytes, at most {most}")));
         }

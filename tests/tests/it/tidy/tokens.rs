@@ -12,8 +12,7 @@ pub struct Token {
 impl Token {
     /// Whether it is an identifier or a keyword.
     pub fn is_word(&self) -> bool {
-        self.text
-            .starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
+        self.text.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
     }
 }
 
@@ -28,9 +27,7 @@ pub fn read(text: &str) -> Vec<Token> {
         if c.is_whitespace() {
             i += 1;
         } else if c == '/' && at(i + 1) == '/' {
-            i = (i..chars.len())
-                .find(|&k| chars[k] == '\n')
-                .unwrap_or(chars.len());
+            i = (i..chars.len()).find(|&k| chars[k] == '\n').unwrap_or(chars.len());
         } else if c == '/' && at(i + 1) == '*' {
             i = end_of_comment(&chars, i);
         } else if let Some(end) = end_of_string(&chars, i) {
@@ -40,9 +37,7 @@ pub fn read(text: &str) -> Vec<Token> {
             let escaped = at(i + 1) == '\\';
             if escaped || at(i + 2) == '\'' {
                 let from = i + 2 + usize::from(escaped);
-                i = (from..chars.len())
-                    .find(|&k| chars[k] == '\'')
-                    .map_or(chars.len(), |k| k + 1);
+                i = (from..chars.len()).find(|&k| chars[k] == '\'').map_or(chars.len(), |k| k + 1);
             } else {
                 i += 1;
                 while word_char(at(i)) {
@@ -61,10 +56,7 @@ pub fn read(text: &str) -> Vec<Token> {
         }
         let written: String = chars[start..i].iter().collect();
         if !c.is_whitespace() && !written.starts_with("//") && !written.starts_with("/*") {
-            out.push(Token {
-                text: written.clone(),
-                line,
-            });
+            out.push(Token { text: written.clone(), line });
         }
         line += written.matches('\n').count();
     }
@@ -97,11 +89,7 @@ fn end_of_string(chars: &[char], from: usize) -> Option<usize> {
         i += 1;
     }
     let raw = i > from && chars[i - 1] == 'r';
-    let hashes = if raw {
-        chars[i..].iter().take_while(|&&c| c == '#').count()
-    } else {
-        0
-    };
+    let hashes = if raw { chars[i..].iter().take_while(|&&c| c == '#').count() } else { 0 };
     i += hashes;
     if chars.get(i) != Some(&'"') {
         return None;
@@ -109,12 +97,7 @@ fn end_of_string(chars: &[char], from: usize) -> Option<usize> {
     i += 1;
     while i < chars.len() {
         let closes = chars[i] == '"'
-            && chars[i + 1..]
-                .iter()
-                .take(hashes)
-                .filter(|&&c| c == '#')
-                .count()
-                == hashes;
+            && chars[i + 1..].iter().take(hashes).filter(|&&c| c == '#').count() == hashes;
         if closes {
             return Some(i + 1 + hashes);
         }
@@ -129,10 +112,7 @@ pub fn without_tests(tokens: &[Token]) -> (Vec<Token>, Vec<(usize, usize)>) {
     let (mut kept, mut tests, mut i) = (Vec::new(), Vec::new(), 0);
     while i < tokens.len() {
         let marked = tokens.len() - i >= MARK.len()
-            && MARK
-                .iter()
-                .zip(&tokens[i..])
-                .all(|(mark, token)| *mark == token.text);
+            && MARK.iter().zip(&tokens[i..]).all(|(mark, token)| *mark == token.text);
         if marked {
             let end = end_of_item(tokens, i + MARK.len());
             tests.push((tokens[i].line, tokens[end - 1].line));
@@ -167,12 +147,8 @@ fn end_of_item(tokens: &[Token], from: usize) -> usize {
     while tokens.get(i).is_some_and(|t| t.text == "#") {
         i = closing(tokens, i + 1) + 1;
     }
-    let item = tokens
-        .get(i)
-        .is_some_and(|t| ITEMS.contains(&t.text.as_str()));
-    let through_semicolon = tokens
-        .get(i)
-        .is_some_and(|t| t.text == "use" || t.text == "const");
+    let item = tokens.get(i).is_some_and(|t| ITEMS.contains(&t.text.as_str()));
+    let through_semicolon = tokens.get(i).is_some_and(|t| t.text == "use" || t.text == "const");
     while i < tokens.len() {
         match tokens[i].text.as_str() {
             ";" => return i + 1,

@@ -28,11 +28,8 @@ pub fn model() -> Arc<RobotModel> {
 
 /// The default task without anything random but commands and starts.
 pub fn calm_task() -> TaskConfig {
-    let mut task = TaskConfig {
-        episode_steps: 20,
-        stagger_first_episode: false,
-        ..TaskConfig::default()
-    };
+    let mut task =
+        TaskConfig { episode_steps: 20, stagger_first_episode: false, ..TaskConfig::default() };
     task.randomisation.enabled = false;
     task.push.enabled = false;
     task.noise.enabled = false;
@@ -78,11 +75,7 @@ impl FakeEngine {
             state,
             params: vec![nominal; lanes],
             steps: vec![0; lanes],
-            config: EngineConfig {
-                dt_s: 0.004,
-                substeps: 5,
-                ..EngineConfig::default()
-            },
+            config: EngineConfig { dt_s: 0.004, substeps: 5, ..EngineConfig::default() },
             breakdown: None,
             model,
         }
@@ -202,11 +195,9 @@ impl Engine for FakeEngine {
     }
 
     fn restore(&mut self, bytes: &[u8]) -> Result<(), SimError> {
-        let Saved(state, params, steps) =
-            postcard::from_bytes(bytes).map_err(|error| SimError::Snapshot {
-                action: "restored",
-                reason: error.to_string(),
-            })?;
+        let Saved(state, params, steps) = postcard::from_bytes(bytes).map_err(|error| {
+            SimError::Snapshot { action: "restored", reason: error.to_string() }
+        })?;
         (self.state, self.params, self.steps) = (state, params, steps);
         Ok(())
     }
@@ -214,7 +205,5 @@ impl Engine for FakeEngine {
 
 /// Actions that differ per lane, joint and step, small enough to stay upright.
 pub fn wiggle(lanes: usize, step: usize) -> Vec<f32> {
-    (0..lanes * ACT_DIM)
-        .map(|i| 0.3 * ((i * 7 + step * 3) as f32).sin())
-        .collect()
+    (0..lanes * ACT_DIM).map(|i| 0.3 * ((i * 7 + step * 3) as f32).sin()).collect()
 }

@@ -51,12 +51,7 @@ pub fn policy(contract: &PolicyContract, layers: Vec<Dense>) -> PolicyFile {
 }
 
 pub fn layer(out: usize, input: usize) -> Dense {
-    Dense {
-        out,
-        input,
-        weight: vec![0.0; out * input],
-        bias: vec![0.0; out],
-    }
+    Dense { out, input, weight: vec![0.0; out * input], bias: vec![0.0; out] }
 }
 
 /// Every leg joint swings at `frequency_hz`: aₜ = tanh(g·(2·cos ω·aₜ₋₁ − aₜ₋₂)), an oscillator fed by the

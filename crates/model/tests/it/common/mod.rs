@@ -18,8 +18,5 @@ pub fn polymander() -> RobotModel {
 
 /// Fails with a message unless `a` and `b` agree within `tolerance`.
 pub fn near(what: &str, a: f64, b: f64, tolerance: f64) {
-    assert!(
-        (a - b).abs() <= tolerance,
-        "{what}: {a} is not {b} (tolerance {tolerance})"
-    );
+    assert!((a - b).abs() <= tolerance, "{what}: {a} is not {b} (tolerance {tolerance})");
 }
