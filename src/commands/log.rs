@@ -156,6 +156,9 @@ fn bam(log: &Path, meta: Option<&LogMeta>, table: &Table) -> Result<String, Fail
     })
 }
 
+/// What the folder of a training has.
+const RUN_ID: &str = "run_id.txt";
+
 fn extension(path: &Path) -> &str {
     path.extension().and_then(|x| x.to_str()).unwrap_or("")
 }
@@ -163,7 +166,7 @@ fn extension(path: &Path) -> &str {
 /// The rows of whatever is given, and its circumstances where they are known.
 fn read(path: &Path) -> Result<(Option<LogMeta>, Table), Failure> {
     if path.is_dir() {
-        if path.join("run_id.txt").is_file() {
+        if path.join(RUN_ID).is_file() {
             let message = format!("{} is the folder of a training", path.display());
             let hint = format!("its robot's log is {}", path.join("robot").display());
             return Err(Failure::message(ExitCode::NoInput, message).hint(hint));
@@ -208,6 +211,10 @@ fn folder(out: &Path, log: &Path, meta: Option<&LogMeta>, table: &Table) -> Resu
         );
         return Err(Failure::message(ExitCode::BadInput, message).hint(hint));
     };
+    if out.join(RUN_ID).is_file() {
+        let message = format!("{} is the folder of a training", out.display());
+        return Err(Failure::message(ExitCode::CannotCreate, message).hint("give another --out"));
+    }
     let cannot = |error: LogError| Failure::new(ExitCode::CannotCreate, error);
     let mut writer = LogWriter::create(out, table.signals(), meta).map_err(cannot)?;
     for (k, t_s) in table.time_s().iter().enumerate() {

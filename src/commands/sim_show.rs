@@ -377,7 +377,11 @@ fn draw(
         let com = model.centre_of_mass_m(&places);
         let forward = moment.base.rotate([1.0, 0.0, 0.0]);
         let extra = if turn { TAU * k as f64 / count as f64 } else { 0.0 };
-        let yaw = heading.follow(forward[1].atan2(forward[0]));
+        let yaw = match heading.yaw_rad {
+            // From above a turn of the robot is to be seen: the picture does not turn with it.
+            Some(first_rad) if args.view == View::Top => first_rad,
+            _ => heading.follow(forward[1].atan2(forward[0])),
+        };
         let camera = Camera::of_view(args.view, com, yaw + extra, args.distance)
             .or_exit(ExitCode::BadConfig)?;
         let items = robot_items(model, &moment.base, &moment.joint_pos_rad, &moment.contacts)

@@ -61,9 +61,12 @@ impl Remarks {
         self.notes.push(at.remark_of(message));
     }
 
-    /// A refusal, likewise.
+    /// A refusal, likewise; once for a value of a default class, whoever takes it over.
     pub fn refuse_of(&mut self, at: &Element, message: impl Display) {
-        self.refusals.push(at.remark_of(message));
+        let remark = at.remark_of(message);
+        if !self.refusals.contains(&remark) {
+            self.refusals.push(remark);
+        }
     }
 
     /// A refusal of what is let pass in a file of another tool.
@@ -93,15 +96,18 @@ impl Element {
         Remark { file: self.file.clone(), line: self.line, message: message.into() }
     }
 
-    /// A remark of the element, which is named in front, at the line of the attribute that the message begins with.
+    /// A remark of the element, which is named in front; where the attribute that the message begins with is a
+    /// default class's, a remark of that class.
     pub fn remark_of(&self, message: impl Display) -> Remark {
-        let mut remark = self.remark(format!("{}: {message}", self.label()));
         let message = message.to_string();
         let attribute = message.strip_prefix("attribute `").and_then(|m| m.split('`').next());
-        if let Some(place) = attribute.and_then(|a| self.elsewhere.get(a)) {
-            (remark.file, remark.line) = (**place).clone();
+        match attribute.and_then(|a| self.elsewhere.get(a)) {
+            Some(place) => {
+                let (file, line) = (**place).clone();
+                Remark { file, line, message: format!("<{}> of a default: {message}", self.tag) }
+            }
+            None => self.remark(format!("{}: {message}", self.label())),
         }
-        remark
     }
 
     pub fn get(&self, attribute: &str) -> Option<&str> {

@@ -196,12 +196,16 @@ fn figures(r: &ScenarioResult) {
     if has_no_gait(r) {
         return;
     }
-    say::line(format!(
-        "  stride {:.2} Hz, duty {}, clearance {} cm, slip {:.1} cm/s, vibration {:.1} %, trunk down {:.1} %",
-        r.stride_hz.mean,
+    let of_feet = format!(
+        " duty {}, clearance {} cm, slip {:.1} cm/s,",
         each(&r.duty_factor, |d| format!("{d:.2}")),
         each(&r.clearance_m, |c| format!("{:.1}", 100.0 * c)),
         100.0 * r.slip_mps.mean,
+    );
+    say::line(format!(
+        "  stride {:.2} Hz,{} vibration {:.1} %, trunk down {:.1} %",
+        r.stride_hz.mean,
+        if r.duty_factor.is_empty() { "" } else { &of_feet },
         100.0 * r.vibration_share.mean,
         100.0 * r.trunk_contact_share.mean
     ));

@@ -196,6 +196,7 @@ fn prepare(
     wait: folder::Wait<'_>,
 ) -> Result<(Config, RunFolder, Resume), Failure> {
     let mut resume = args.resume();
+    let mut before = None;
     let mut config = Config::load(&source(args, None)).or_exit(ExitCode::BadConfig)?;
     let out = args.out.as_deref();
     let folder = if args.resume() != Resume::No {
@@ -205,10 +206,11 @@ fn prepare(
             return Err(Failure::message(ExitCode::NoInput, message)
                 .hint("a run cannot go on without its configuration"));
         }
-        let before = Config::load(&Source::file(&folder.config())).or_exit(ExitCode::BadConfig)?;
+        let old = Config::load(&Source::file(&folder.config())).or_exit(ExitCode::BadConfig)?;
         config =
             Config::load(&source(args, Some(&folder.config()))).or_exit(ExitCode::BadConfig)?;
-        same_training(&before, &config)?;
+        same_training(&old, &config)?;
+        before = Some(old);
         folder
     } else if let Some(origin) = &args.from {
         let fork = Fork::read(origin, &source(args, None).overrides)?;
@@ -231,7 +233,10 @@ fn prepare(
     if !config.terrain.map.as_os_str().is_empty() {
         config.terrain.map = std::path::absolute(&config.terrain.map).or_exit(ExitCode::NoInput)?;
     }
-    folder.write("config.toml", config.to_toml().or_exit(ExitCode::BadConfig)?.as_bytes())?;
+    // What says the same stays as it is: the version that wrote it may be the only one that can go on.
+    if before.as_ref() != Some(&config) {
+        folder.write("config.toml", config.to_toml().or_exit(ExitCode::BadConfig)?.as_bytes())?;
+    }
     Ok((config, folder, resume))
 }
 

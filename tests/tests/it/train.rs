@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
-use caudata_tests::{Finished, finish, json_file, train};
+use caudata_tests::{Finished, command, finish, json_file, train};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
@@ -71,7 +71,27 @@ fn trains_end_to_end(transport: &str) {
     };
     assert_eq!(events.iter().filter(tells_falls).count(), 1);
     assert!(!files_like(&out.join("curves"), ".svg").is_empty());
+    samples(&out);
     assert_eq!(json_file(&out.join("report.json")).unwrap()["policy"], *policy);
+}
+
+/// Writes what an environment of the training does as rows, the same again, and none into its folder.
+fn samples(run: &Path) {
+    let at = |out: &Path| {
+        let (run, out) = (run.to_str().unwrap(), out.to_str().unwrap());
+        finish(command("caudata", &["log", "sample", run, "--seconds", "1", "--out", out]).unwrap())
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let files = ["one.csv", "two.csv"].map(|name| folder.path().join(name));
+    let rows = files.map(|file| {
+        let done = at(&file).unwrap();
+        assert_eq!(done.code, Some(0), "{}", done.stderr);
+        std::fs::read_to_string(file).unwrap()
+    });
+    assert_eq!(rows[0].lines().count(), 1 + 51); // names, then 1 s at 50 Hz and its end
+    assert_eq!(rows[0], rows[1]);
+    let refused = at(run).unwrap();
+    assert!(refused.code == Some(73) && !run.join("log.csv").exists(), "{}", refused.stderr);
 }
 
 fn files_like(folder: &Path, part: &str) -> Vec<PathBuf> {

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use super::context::{Context, FromGeoms};
-use super::{actuators, joint};
+use super::{actuators, joint, subset};
 use crate::geometry::{Inertial, check_inertia, diagonal};
 use crate::parts::{Body, Robot};
 use crate::pose::Pose;
@@ -30,6 +30,9 @@ const PASSED_OVER: &[(&str, &str)] = &[
 
 /// Reads `<mujoco>`.
 pub(crate) fn read(root: &Element, file: &Path, remarks: &mut Remarks) -> Option<Robot> {
+    if !remarks.strict {
+        subset::misspelt(root, remarks);
+    }
     let mut context = Context::new(root, file, remarks);
     let mut robot = Robot {
         name: root.get("model").map(str::to_owned),

@@ -29,8 +29,8 @@ impl Context<'_> {
             return (None, None);
         };
         let at = within(frame, at);
-        let mass = e.number("mass", self.remarks);
-        let density = e.number("density", self.remarks).unwrap_or(DENSITY_KG_PER_M3);
+        let mass = self.not_negative(e, "mass");
+        let density = self.not_negative(e, "density").unwrap_or(DENSITY_KG_PER_M3);
         let inertial = solid.and_then(|solid: Solid| {
             let mass = mass.unwrap_or(density * solid.volume_m3);
             (mass > 0.0).then(|| solid.with_mass(mass, &at))
@@ -56,6 +56,17 @@ impl Context<'_> {
         };
         let rgba = e.get("rgba").map(str::to_owned);
         (Some(Painted { geom, rgba }), inertial)
+    }
+
+    /// A number that is refused below zero.
+    fn not_negative(&mut self, e: &Element, key: &str) -> Option<f64> {
+        let number = e.number(key, self.remarks)?;
+        if number < 0.0 {
+            let message = format!("attribute `{key}`: is {number}; it must not be negative");
+            self.remarks.refuse_of(e, message);
+            return None;
+        }
+        Some(number)
     }
 
     /// The shape of a geom, its place, and its volume. A mesh that collides becomes the box that it fills.

@@ -105,6 +105,20 @@ pub(super) fn check(root: &Element, remarks: &mut Remarks) {
     }
 }
 
+/// Refuses in a file of another tool what is one letter off an attribute that is read: MuJoCo has no such one.
+pub(super) fn misspelt(e: &Element, remarks: &mut Remarks) {
+    let known = ELEMENTS.iter().find(|row| row.0 == e.tag).map_or(&[][..], |row| row.1);
+    for key in e.attributes.keys().filter(|key| key.len() > 4 && !known.contains(&key.as_str())) {
+        if let Some(meant) = known.iter().find(|k| strsim::osa_distance(k, key) == 1) {
+            let message = format!("attribute `{key}`: is not known; did you mean `{meant}`?");
+            remarks.refuse_of(e, message);
+        }
+    }
+    for child in &e.children {
+        misspelt(child, remarks);
+    }
+}
+
 /// Names that were met, by the kind of what is called so.
 #[derive(Default)]
 struct Names<'a> {

@@ -235,6 +235,29 @@ fn a_negative_mass_is_called_so() {
 }
 
 #[test]
+fn slips_in_an_mjcf_are_refused_once_each_where_they_stand() {
+    let text = r#"<mujoco>
+  <default><joint damping="soft" armatur="0.01"/></default>
+  <worldbody><body name="base">
+    <freejoint/>
+    <geom type="box" size="0.1 0.05 0.02" mass="-1"/>
+    <body name="left"><joint name="l" axis="0 1 0" frictionlos="0.1"/><geom size="0.02"/></body>
+    <body name="right"><joint name="r" axis="0 1 0"/><geom size="0.02" density="-3"/></body>
+  </body></worldbody>
+</mujoco>"#;
+    let said = refused("slips.xml", text).join("\n");
+    for wanted in [
+        "2 <joint>: attribute `armatur`: is not known; did you mean `armature`?",
+        "2 <joint> of a default: attribute `damping`: `soft` is not a usable number",
+        "5 <geom>: attribute `mass`: is -1; it must not be negative",
+        "6 <joint name=\"l\">: attribute `frictionlos`: is not known; did you mean `frictionloss`?",
+        "7 <geom>: attribute `density`: is -3; it must not be negative",
+    ] {
+        assert_eq!(said.matches(wanted).count(), 1, "{wanted} in\n{said}");
+    }
+}
+
+#[test]
 fn what_is_expanded_is_not_written_onto_itself_and_other_namespaces_are_no_xacro() {
     let text =
         "<robot xmlns:xacro=\"http://www.ros.org/wiki/xacro\" name=\"x\"><xacro:leg/></robot>";

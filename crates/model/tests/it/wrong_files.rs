@@ -318,14 +318,14 @@ fn mjcf_outside_the_subset() {
         &["<general name=\"spine_1\">", "position, motor"],
     );
     check("mjcf", "<site group=\"4\"/>", "<tendon/>", &["<tendon>", "inside <default>"]);
-    // a value of a default class is refused where that says it, for each that has it
+    // a value of a default class is refused where that says it
     check(
         "mjcf",
         "<joint damping=\"0.0064\"",
         "<joint damping=\"soft\"",
         &[
             &line_of(&mjcf, "damping=\"0.0064\""),
-            "<joint name=\"spine_1\">: attribute `damping`: `soft` is not",
+            "<joint> of a default: attribute `damping`: `soft` is not",
         ],
     );
     check(
