@@ -163,8 +163,9 @@ impl PolicyRunner {
         if !action.iter().all(|a| a.is_finite()) {
             return None;
         }
-        self.actions.rotate_right(1);
-        self.actions[0] = self.action_config.clipped(&action);
-        Some(self.filter.apply(&self.action_config, &action, &self.joints))
+        self.action_config.remember(&action, &mut self.actions);
+        let mut targets_rad = action;
+        self.filter.apply(&self.action_config, &self.actions[0], &self.joints, &mut targets_rad);
+        Some(targets_rad)
     }
 }

@@ -79,8 +79,9 @@ pub fn run(
     let path = path.unwrap_or_else(|| beside(&config.robot_path()));
     if args.wiring.is_none() && !path.exists() {
         let message = format!("there is no wiring file {}", path.display());
-        return Err(Failure::message(ExitCode::NoInput, message)
-            .hint("give one with --wiring; robots/polymander.wiring.toml says what belongs in it"));
+        return Err(Failure::message(ExitCode::NoInput, message).hint(
+            "give one with --wiring; robots/polymander.wiring.toml says what belongs in it",
+        ));
     }
     let wiring = Wiring::read(&path).or_exit(ExitCode::BadInput)?;
     let engine_config = EngineConfig { substeps: SUBSTEPS, ..config.engine.clone() };

@@ -4,7 +4,7 @@ use caudata_declare::settings;
 use serde::{Deserialize, Serialize};
 
 use crate::error::checks;
-use crate::{JointTable, PerJoint, TaskError};
+use crate::{ACTION_HISTORY, JointTable, PerJoint, TaskError};
 
 settings! {
     /// Table `[task.action]`: `q_des = q_nominal + scale · filter(clip(a))`.
@@ -38,13 +38,16 @@ impl ActionConfig {
         }
     }
 
-    /// The action cut off at ± `clip`; what the policy will see as its past action. Not a number becomes 0.
-    pub fn clipped(&self, action: &[f32]) -> PerJoint {
-        let mut clipped = PerJoint::of(action);
-        for a in clipped.iter_mut() {
-            *a = if a.is_nan() { 0.0 } else { a.max(-self.clip).min(self.clip) };
+    /// Puts an action in front of the past ones, of as many joints, as the policy will see it: cut off at
+    /// ± `clip`. Not a number becomes 0.
+    pub fn remember(&self, action: &[f32], actions: &mut [PerJoint; ACTION_HISTORY]) {
+        for past in (1..ACTION_HISTORY).rev() {
+            let (newer, older) = actions.split_at_mut(past);
+            older[0].set(&newer[past - 1]);
         }
-        clipped
+        for (newest, a) in actions[0].iter_mut().zip(action) {
+            *newest = if a.is_nan() { 0.0 } else { a.max(-self.clip).min(self.clip) };
+        }
     }
 }
 
@@ -65,8 +68,8 @@ impl ActionFilter {
         out.refill(joints.len(), |i| self.target_rad(config, joints, i));
     }
 
-    /// Takes one action, [clipped](ActionConfig::clipped), and writes the position targets, rad, within the
-    /// joint limits. Both of the robot's length.
+    /// Takes one action, as it is [remembered](ActionConfig::remember), and writes the position targets, rad,
+    /// within the joint limits. Both of the robot's length.
     pub fn apply(
         &mut self,
         config: &ActionConfig,
@@ -97,8 +100,10 @@ mod tests {
     const ACT_DIM: usize = 16;
 
     fn applied(filter: &mut ActionFilter, config: &ActionConfig, action: f32) -> [f32; ACT_DIM] {
-        let (action, mut targets) = (config.clipped(&[action; ACT_DIM]), [0.0; ACT_DIM]);
-        filter.apply(config, &action, &joints(), &mut targets);
+        let mut actions = [PerJoint::filled(ACT_DIM, 0.0); ACTION_HISTORY];
+        config.remember(&[action; ACT_DIM], &mut actions);
+        let mut targets = [0.0; ACT_DIM];
+        filter.apply(config, &actions[0], &joints(), &mut targets);
         targets
     }
 
@@ -136,6 +141,15 @@ mod tests {
         assert_eq!(applied(&mut filter, &config, f32::NEG_INFINITY), [-0.5; ACT_DIM]);
         // Not a number counts as no offset.
         assert_eq!(applied(&mut filter, &config, f32::NAN), [0.1; ACT_DIM]);
+    }
+
+    #[test]
+    fn past_actions_are_the_clipped_ones_newest_first() {
+        let mut actions = [PerJoint::filled(2, 0.0); ACTION_HISTORY];
+        for action in [[1.0, -7.0], [2.0, f32::NAN], [3.0, 0.5]] {
+            ActionConfig::default().remember(&action, &mut actions);
+        }
+        assert_eq!(actions, [[3.0, 0.5], [2.0, 0.0], [1.0, -5.0]]);
     }
 
     #[test]

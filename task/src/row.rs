@@ -43,6 +43,15 @@ impl<T: Copy + Default, const MAX: usize> Row<T, MAX> {
         }
     }
 
+    /// Becomes these values, the first `MAX` of them; writes no more.
+    #[inline]
+    pub fn set(&mut self, values: &[T]) {
+        self.len = values.len().min(MAX);
+        for (to, from) in self.iter_mut().zip(values) {
+            *to = *from;
+        }
+    }
+
     /// `len` times the same value; at most `MAX` times.
     #[inline]
     pub const fn filled(len: usize, value: T) -> Self {
@@ -175,6 +184,8 @@ mod tests {
         let mut row = row;
         row.refill(2, |i| 5.0 - i as f32);
         assert_eq!(row, [5.0, 4.0]);
+        row.set(&[9.0]);
+        assert_eq!(row, [9.0]);
         row.refill(100, |i| i as f32);
         assert_eq!(row[..], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
     }

@@ -112,12 +112,6 @@ impl Lane {
         }
     }
 
-    /// Puts a clipped action in front of the past ones.
-    pub fn remember(&mut self, action: PerJoint) {
-        self.actions.copy_within(..ACTION_HISTORY - 1, 1);
-        self.actions[0] = action;
-    }
-
     /// What the ended episode reports, except for its reward terms; `feet` is how many the robot has.
     pub fn stats(
         &self,

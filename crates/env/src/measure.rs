@@ -4,7 +4,6 @@ use caudata_model::{ImuParams, ModelError, Pose, RobotModel, ServoParams, Site, 
 use caudata_random::Stream;
 use caudata_sim::{Engine, State, sensors};
 use caudata_task::noise::Readings;
-use caudata_task::row::Row;
 use caudata_task::{PerFoot, PerJoint, TaskConfig};
 
 /// The true state of one lane after a control step, in the task's order and frames. World frame where nothing
@@ -202,20 +201,20 @@ impl Reader {
         pick(pos, &self.actuated, &mut truth.joint_pos_rad);
         pick(vel, &self.actuated, &mut truth.joint_vel_radps);
         let torque_nm = values(&state.motor_torque_nm, lane, state.actuated);
-        fill(torque_nm, &mut truth.motor_torque_nm);
+        truth.motor_torque_nm.set(torque_nm);
         let power_w = values(&state.mech_power_w, lane, state.actuated);
-        fill(power_w, &mut truth.mech_power_w);
+        truth.mech_power_w.set(power_w);
         truth.heading_rad = state.heading_rad[lane];
         truth.com_vel_mps = into_heading(row(&state.com_vel_mps, lane), truth.heading_rad);
         truth.yaw_rate_radps = state.com_angvel_radps[3 * lane + 2];
         truth.com_height_m = com[2] - mean_ground_m;
         truth.gyro_radps = row(&state.imu_gyro_radps, lane);
         truth.gravity = gravity;
-        fill(foot_height_m, &mut truth.foot_height_m);
+        truth.foot_height_m.set(foot_height_m);
         let foot_vel_mps = vectors(&state.foot_vel_mps, lane, feet);
-        fill(foot_vel_mps, &mut truth.foot_vel_mps);
+        truth.foot_vel_mps.set(foot_vel_mps);
         let foot_force_n = vectors(&state.foot_force_n, lane, feet);
-        fill(foot_force_n, &mut truth.foot_force_n);
+        truth.foot_force_n.set(foot_force_n);
         truth.trunk_force_n = state.trunk_force_n[lane];
         truth.submerged = f32::from(submerged);
         truth.afloat = f32::from(afloat);
@@ -264,13 +263,10 @@ impl Truth {
     }
 
     /// What perfect sensors would read.
-    pub fn readings(&self) -> Readings {
-        Readings {
-            joint_vel_radps: self.joint_vel_radps,
-            joint_pos_rad: self.joint_pos_rad,
-            gyro_radps: self.gyro_radps,
-            gravity: self.gravity,
-        }
+    pub fn readings(&self, readings: &mut Readings) {
+        readings.joint_vel_radps.set(&self.joint_vel_radps);
+        readings.joint_pos_rad.set(&self.joint_pos_rad);
+        (readings.gyro_radps, readings.gravity) = (self.gyro_radps, self.gravity);
     }
 }
 
@@ -321,11 +317,6 @@ fn into_heading(v: [f32; 3], heading_rad: f32) -> [f32; 3] {
 /// Makes `out` the values at the given places.
 fn pick(values: &[f32], places: &PerJoint<usize>, out: &mut PerJoint) {
     out.refill(places.len(), |i| values[places[i]]);
-}
-
-/// Makes `out` the given values.
-fn fill<T: Copy + Default, const MAX: usize>(values: &[T], out: &mut Row<T, MAX>) {
-    out.refill(values.len(), |i| values[i]);
 }
 
 /// Row `lane` of a `[N, count]` array.
@@ -400,7 +391,9 @@ mod tests {
         let truth = read_lane(&reader(), &state, None, 1);
         assert_eq!(truth.joint_pos_rad[5], 6.0);
         assert_eq!(truth.joint_vel_radps[15], -17.0);
-        assert_eq!(truth.readings().joint_pos_rad, truth.joint_pos_rad);
+        let mut readings = Readings::default();
+        truth.readings(&mut readings);
+        assert_eq!(readings.joint_pos_rad, truth.joint_pos_rad);
     }
 
     #[test]

@@ -21,14 +21,15 @@ impl VecEnv {
         fresh: bool,
     ) -> Result<(), EnvError> {
         let now = &mut self.lanes[lane];
-        let mut readings = truth.readings();
+        let readings = &mut self.readings;
+        truth.readings(readings);
         for (pos, offset) in readings.joint_pos_rad.iter_mut().zip(&now.joint_offset_rad) {
             *pos += offset;
         }
         if let Some(sensors) = &self.sensors {
-            sensors.measure(&mut readings, &now.imu_bias, &mut now.sensor_stream);
+            sensors.measure(readings, &now.imu_bias, &mut now.sensor_stream);
         }
-        self.task.noise.add(&mut readings, &mut now.sensor_stream);
+        self.task.noise.add(readings, &mut now.sensor_stream);
         let dim = self.layout.dim();
         let input = ObservationInput {
             joint_vel_radps: &readings.joint_vel_radps,

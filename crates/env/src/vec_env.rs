@@ -6,9 +6,10 @@ use std::time::{Duration, Instant};
 use caudata_model::RobotModel;
 use caudata_random::{Key, Purpose, Stream};
 use caudata_sim::{Engine, State};
+use caudata_task::noise::Readings;
 use caudata_task::observation::Observer;
 use caudata_task::reward::own::{Programs, StateSignals};
-use caudata_task::reward::{self, PerTerm, TERM_COUNT};
+use caudata_task::reward::{self, PerTerm};
 use caudata_task::termination::{self, TerminationInput, TerminationReason};
 use caudata_task::{
     BodyPlan, Critic, JointTable, Mirror, ObservationLayout, PerFoot, PerJoint, PolicyContract,
@@ -60,6 +61,10 @@ pub struct VecEnv {
     targets_rad: Vec<f32>,
     /// Where the lane that is looked at would have its joints, whatever their limits. `[A]`
     pub(crate) target_rad: PerJoint,
+    /// What its sensors read.
+    pub(crate) readings: Readings,
+    /// Its reward terms.
+    terms: PerTerm,
     /// `[N, 6]`, force (N) and torque (N·m).
     wrenches: Vec<f32>,
     /// Lanes whose episode ended in this step.
@@ -132,6 +137,8 @@ impl VecEnv {
             buffers: OutputBuffers::new(lanes),
             targets_rad: vec![0.0; lanes * joints.len()],
             target_rad: PerJoint::default(),
+            readings: Readings::default(),
+            terms: PerTerm::default(),
             wrenches: vec![0.0; lanes * 6],
             ended: Vec::with_capacity(lanes),
             held_commands: Vec::new(),
@@ -312,7 +319,7 @@ impl VecEnv {
         for (i, lane) in self.lanes.iter_mut().enumerate() {
             let row = i * width..(i + 1) * width;
             let action = &actions[row.clone()];
-            lane.remember(self.task.action.clipped(action));
+            self.task.action.remember(action, &mut lane.actions);
             let (action, targets_rad) = (&lane.actions[0], &mut self.targets_rad[row]);
             let filter = &mut lane.filter;
             filter.apply(&self.task.action, action, &self.joints, targets_rad);
@@ -335,7 +342,7 @@ impl VecEnv {
         now.step += 1;
         now.clock.advance(control_period_s);
 
-        let mut terms = PerTerm::filled(TERM_COUNT + self.own_rewards.len(), 0.0);
+        let terms = &mut self.terms;
         let (mut reward, mut own_end) = (0.0, false);
         if !diverged {
             let (task, joints, body) = (&self.task, &self.joints, &self.body);
@@ -345,14 +352,13 @@ impl VecEnv {
             let cost_scale = self.task.reward.cost_scale(self.progress);
             let config = &self.task.reward;
             let own = &mut self.own_rewards;
-            reward =
-                reward::evaluate(config, own, &input, control_period_s, cost_scale, &mut terms);
+            reward = reward::evaluate(config, own, &input, control_period_s, cost_scale, terms);
             if !self.own_ends.is_empty() {
                 let signals = StateSignals::new(&input, config.contact_force_n);
                 own_end = self.own_ends.first(&signals).is_some();
             }
             let (command, least_n) = (now.command, config.contact_force_n);
-            now.tally.add(reward, &terms, truth, &command, least_n);
+            now.tally.add(reward, terms, truth, &command, least_n);
         }
         self.buffers.output.rewards[lane] = reward;
 

@@ -87,11 +87,16 @@ impl Stream {
     pub fn add_bell_noise(&mut self, values: &mut [f32], std: f32) {
         // A byte, uniform over 0 to 255, has variance (256² − 1)/12 = 5461.25; four of them 21,845.
         let scale = std / 21_845.0f32.sqrt();
-        for value in values {
-            let word = self.rng.next_u32();
-            let pairs = (word & 0x00ff_00ff) + ((word >> 8) & 0x00ff_00ff);
-            let sum = (pairs & 0xffff) + (pairs >> 16);
-            *value += scale * (sum as f32 - 510.0);
+        let mut words = [0; 4 * 16];
+        for values in values.chunks_mut(16) {
+            let words = &mut words[..4 * values.len()];
+            self.rng.fill_bytes(words);
+            for (value, bytes) in values.iter_mut().zip(words.as_chunks::<4>().0) {
+                let word = u32::from_le_bytes(*bytes);
+                let pairs = (word & 0x00ff_00ff) + ((word >> 8) & 0x00ff_00ff);
+                let sum = (pairs & 0xffff) + (pairs >> 16);
+                *value += scale * (sum as f32 - 510.0);
+            }
         }
     }
 

@@ -278,10 +278,19 @@ fn put_feet<R: Lanes>(
 /// Height of the lowest point of a foot's balls, m.
 #[inline(always)]
 fn lowest<R: Lanes>(balls: &[([R::Elem; 3], R::Elem)], frame: &Frame<R>, base: R) -> R {
-    let mut heights =
-        balls.iter().map(|&(at, radius)| base + frame.point(at)[2] - R::uniform(radius));
-    let first = heights.next().unwrap_or(base);
-    heights.fold(first, |lowest, z| lowest.min(z))
+    // No closures: they would not be compiled for the lanes' instructions.
+    let mut lowest = None;
+    for &(at, radius) in balls {
+        let z = base + frame.point(at)[2] - R::uniform(radius);
+        lowest = Some(match lowest {
+            Some(so_far) => R::min(so_far, z),
+            None => z,
+        });
+    }
+    match lowest {
+        Some(z) => z,
+        None => base,
+    }
 }
 
 #[inline(always)]

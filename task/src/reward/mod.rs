@@ -207,9 +207,10 @@ pub fn evaluate(
     contributions: &mut PerTerm,
 ) -> f32 {
     let built_in = built_in(config, input, dt_s, cost_scale);
-    *contributions = PerTerm::filled(TERM_COUNT + own.len(), 0.0);
-    contributions[..TERM_COUNT].copy_from_slice(&built_in);
+    contributions.set(&built_in);
     if !own.is_empty() {
+        let all = TERM_COUNT + own.len();
+        contributions.refill(all, |i| built_in.get(i).copied().unwrap_or(0.0));
         let signals = StateSignals::new(input, config.contact_force_n);
         for (which, term) in config.term.iter().enumerate() {
             let sense = if term.weight < 0.0 { Sense::Cost } else { Sense::Reward };
