@@ -18,9 +18,7 @@ fn links_with_lld() -> bool {
     let (target, flags) = (var("TARGET"), var("CARGO_ENCODED_RUSTFLAGS"));
     let sysroot =
         Command::new(var("RUSTC").unwrap_or_default()).args(["--print", "sysroot"]).output();
-    let (Ok(target), Ok(sysroot)) = (target, sysroot) else {
-        return false;
-    };
+    let (Ok(target), Ok(sysroot)) = (target, sysroot) else { return false };
     let sysroot = String::from_utf8_lossy(&sysroot.stdout).trim().to_owned();
     let lld = format!("lib/rustlib/{target}/bin/gcc-ld/ld.lld");
     target == "x86_64-unknown-linux-gnu"

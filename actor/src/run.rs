@@ -158,9 +158,7 @@ impl Actor<'_> {
                 self.wait_for_policy()?;
                 continue;
             }
-            let Some(policy) = &mut self.policy else {
-                continue;
-            };
+            let Some(policy) = &mut self.policy else { continue };
             let (link, stop) = (&self.link, self.stop);
             let collected = chunk::collect(
                 self.settings,
@@ -171,9 +169,7 @@ impl Actor<'_> {
                 self.metrics,
                 &|| stop.is_set() || link.stop_requested(),
             )?;
-            let Some((chunk, trace)) = collected else {
-                continue;
-            };
+            let Some((chunk, trace)) = collected else { continue };
             self.quota.chunk_collected();
             let (sequence, policy_version) = (chunk.sequence, chunk.policy_version);
             let bytes = self.send_chunk(chunk)?;
@@ -201,9 +197,7 @@ impl Actor<'_> {
 
     /// Takes the newest policy if one comes within `timeout`.
     fn take_policy(&mut self, timeout: Duration) -> Result<bool, ActorError> {
-        let Some(update) = self.link.next_policy(timeout)? else {
-            return Ok(false);
-        };
+        let Some(update) = self.link.next_policy(timeout)? else { return Ok(false) };
         if update.control == Control::Stop {
             return Ok(true);
         }

@@ -384,9 +384,7 @@ impl CommandLink for LocalLink {
     fn view(&mut self) -> LinkView {
         let mut buffer = [0; COMMAND_BYTES + 1];
         for _ in 0..COMMANDS_AT_ONCE {
-            let Ok(length) = self.socket.recv(&mut buffer) else {
-                break;
-            };
+            let Ok(length) = self.socket.recv(&mut buffer) else { break };
             if let Some((view, came)) = decode(&buffer[..length]) {
                 // A kill stays in force, also where the agent that heard it is gone.
                 let killed = view.killed || self.newest.killed;

@@ -255,9 +255,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
     }
 
     fn tick(&mut self, stop: &StopFlag) -> Result<(), DeployError> {
-        let Some(sensed) = self.sense()? else {
-            return Ok(());
-        };
+        let Some(sensed) = self.sense()? else { return Ok(()) };
         self.counts.ticks += 1;
         self.metrics.ticks.inc();
         let dt_s = sensed.servos.time_s - self.last_time_s;
@@ -303,9 +301,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
     }
 
     fn show(&self, row: &LogRow) {
-        let Some(tap) = &self.tap else {
-            return;
-        };
+        let Some(tap) = &self.tap else { return };
         let _ = tap.try_send(Tick {
             time_s: row.servos.time_s,
             pos_rad: row.servos.pos_rad,
@@ -391,10 +387,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         {
             self.runner.forget();
         }
-        match view.age <= LINK_STOP && !view.released {
-            true => view.command,
-            false => [0.0; COMMAND_DIM],
-        }
+        if view.age <= LINK_STOP && !view.released { view.command } else { [0.0; COMMAND_DIM] }
     }
 
     /// What the hardware says goes before what the policy wants.
@@ -409,10 +402,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         }
         self.ended.get_or_insert(Ended::Fault(fault));
         self.fault.get_or_insert((fault, sensed.health));
-        match damp {
-            true => self.motion.damp(),
-            false => self.motion.finish(),
-        }
+        if damp { self.motion.damp() } else { self.motion.finish() }
     }
 
     /// What the hardware stopped the run for, and what it said about itself then.

@@ -146,9 +146,7 @@ impl Following {
                 event = events.next() => event?,
                 () = tokio::time::sleep_until(asked + PROOF_EVERY) => return Ok(true),
             };
-            let Some(event) = event else {
-                return Ok(false);
-            };
+            let Some(event) = event else { return Ok(false) };
             match event.change {
                 WatchChange::Progress => {}
                 WatchChange::Quarantined(state) => {

@@ -80,10 +80,7 @@ impl Gamepad {
 /// −1 to 1; 0 within the dead zone.
 fn deflection(value: i16) -> f32 {
     let way = (f32::from(value) / FULL).max(-1.0);
-    match way.abs() < DEAD_ZONE {
-        true => 0.0,
-        false => way,
-    }
+    if way.abs() < DEAD_ZONE { 0.0 } else { way }
 }
 
 #[cfg(test)]

@@ -80,10 +80,7 @@ impl OutputGate {
         let joints = policy_rad.len();
         let at_limits = joints - (0..joints).filter(inside).count();
         self.saturated += at_limits as u64;
-        self.pinned_ticks = match at_limits >= joints.div_ceil(4) {
-            true => self.pinned_ticks + 1,
-            false => 0,
-        };
+        self.pinned_ticks = if at_limits >= joints.div_ceil(4) { self.pinned_ticks + 1 } else { 0 };
         self.pinned_ticks
     }
 

@@ -92,9 +92,7 @@ impl Guard {
     }
 
     fn judge_limits(&mut self, health: &Health, servos: &ServoReadings) -> Verdict {
-        let Some(limits) = &self.limits else {
-            return Verdict::Fine;
-        };
+        let Some(limits) = &self.limits else { return Verdict::Fine };
         let supply = limits.supply_min_v..=limits.supply_max_v;
         let count = |ticks: &mut u32, out: bool| {
             *ticks = if out { *ticks + 1 } else { 0 };

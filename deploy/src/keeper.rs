@@ -344,9 +344,7 @@ impl Keeper {
         bytes: Arc<[u8]>,
         policy: &PolicyRef,
     ) -> Result<Verified, DeployError> {
-        let Some(probe) = &self.probe else {
-            return self.checked(bytes, policy);
-        };
+        let Some(probe) = &self.probe else { return self.checked(bytes, policy) };
         let probed = probe.run(policy, &bytes);
         if let Probed::Unable(reason) = &probed {
             tracing::warn!(reason, "the candidate was not tried");

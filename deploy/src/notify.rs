@@ -83,9 +83,7 @@ impl Notifier {
     }
 
     fn named(name: Option<OsString>) -> Result<Self, DeployError> {
-        let Some(name) = name else {
-            return Ok(Self::default());
-        };
+        let Some(name) = name else { return Ok(Self::default()) };
         Self::to(&name.to_string_lossy())
             .map_err(DeployError::system("a word to the supervisor (NOTIFY_SOCKET)"))
     }
@@ -125,9 +123,7 @@ impl Notifier {
     }
 
     fn send(&self, word: Word) -> io::Result<()> {
-        let Some(socket) = &self.socket else {
-            return Ok(());
-        };
+        let Some(socket) = &self.socket else { return Ok(()) };
         if word != Word::Alive {
             self.said.fetch_or(word.bit(), Ordering::Relaxed);
         }
@@ -176,9 +172,7 @@ impl Ear {
         let mut heard = Heard::default();
         let mut buffer = [0; 256];
         for _ in 0..WORDS_AT_ONCE {
-            let Ok(length) = self.0.recv(&mut buffer) else {
-                break;
-            };
+            let Ok(length) = self.0.recv(&mut buffer) else { break };
             let text = String::from_utf8_lossy(&buffer[..length]);
             for line in text.lines() {
                 let is = |word: Word| line == word.line().trim_end();

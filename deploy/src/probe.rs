@@ -219,9 +219,7 @@ mod tests {
     /// one it has nothing to do.
     #[test]
     fn greedy_child() {
-        let Ok(wants) = std::env::var(GREEDY) else {
-            return;
-        };
+        let Ok(wants) = std::env::var(GREEDY) else { return };
         limit_this_process().unwrap();
         let mut kept: Vec<Vec<u8>> = Vec::new();
         loop {

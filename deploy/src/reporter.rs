@@ -81,9 +81,7 @@ impl Reporter {
 
     /// Tells what became of `policy`. Never waits.
     pub fn tell(&self, policy: &PolicyRef, state: RobotState, news: News) {
-        let Ok(stream) = StreamName::new(&policy.stream) else {
-            return;
-        };
+        let Ok(stream) = StreamName::new(&policy.stream) else { return };
         let mut reason: String = news.reason.chars().filter(|c| !c.is_control()).collect();
         while reason.len() > caudata_proto::registry::MAX_REASON {
             reason.pop();

@@ -185,9 +185,7 @@ impl Imu for SimLink {
 
 impl Robot for SimLink {
     fn ground_truth(&self) -> GroundTruth {
-        let Ok(newest) = self.newest() else {
-            return GroundTruth::default();
-        };
+        let Ok(newest) = self.newest() else { return GroundTruth::default() };
         GroundTruth {
             base_pos_m: newest.base_pose.as_ref().map(|p| p.pos_m),
             base_quat_wxyz: newest.base_pose.as_ref().map(|p| p.quat_wxyz),

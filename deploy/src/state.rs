@@ -199,10 +199,7 @@ pub const OFFER: &[Check<OfferCheck>] = &[
     // A robot whose state is lost takes nothing before a server proved what is newest.
     Check {
         name: "lost state",
-        refuse: |offer| match offer.lost {
-            true => Err(Decision::StateLost),
-            false => Ok(()),
-        },
+        refuse: |offer| if offer.lost { Err(Decision::StateLost) } else { Ok(()) },
     },
     // It was not refused before.
     Check {

@@ -257,9 +257,7 @@ impl PolicyStore {
         let on_disk = self.state.on_disk();
         let announced: Vec<PathBuf> =
             on_disk.iter().map(|policy| manifest_file(&self.folder, policy)).collect();
-        let Ok(entries) = fs::read_dir(self.folder.join("blobs")) else {
-            return;
-        };
+        let Ok(entries) = fs::read_dir(self.folder.join("blobs")) else { return };
         for entry in entries.flatten() {
             let name = entry.file_name();
             let digest = name.to_str().and_then(|n| n.split('.').next());
@@ -307,18 +305,13 @@ pub const STORED: &[Check<StoredCheck>] = &[
     Check {
         name: "stored signature",
         refuse: |stored| {
-            let Some(trust) = stored.trust else {
-                return Ok(());
-            };
+            let Some(trust) = stored.trust else { return Ok(()) };
             let path = manifest_file(stored.folder, stored.policy);
             let manifest = Manifest::from_bytes(&read_bounded(&path, MANIFEST_BYTES_MAX)?);
             let signed = manifest.is_ok_and(|manifest| {
                 PolicyRef::from(&manifest) == *stored.policy && trust.check(&manifest).is_ok()
             });
-            match signed {
-                true => Ok(()),
-                false => Err(DeployError::NotSigned { path }),
-            }
+            if signed { Ok(()) } else { Err(DeployError::NotSigned { path }) }
         },
     },
 ];

@@ -32,9 +32,7 @@ impl Moments {
     /// The two-pass moments of `rows`, row-major `[n, dim]`: what merging must add up to.
     pub fn of(rows: &[f32], dim: usize) -> Self {
         let mut moments = Self::new(dim);
-        let Some(n) = rows.len().checked_div(dim).filter(|&n| n > 0) else {
-            return moments;
-        };
+        let Some(n) = rows.len().checked_div(dim).filter(|&n| n > 0) else { return moments };
         moments.count = n as u64;
         for row in rows.chunks_exact(dim) {
             (0..dim).for_each(|d| moments.mean[d] += f64::from(row[d]));

@@ -34,9 +34,7 @@ const RELEASES: &str = "release/";
 /// Whether `role` may make the call with this path. Health and reflection are open to every certificate of
 /// the lab.
 fn allowed(path: &str, role: Role) -> bool {
-    let Some(call) = path.strip_prefix(REGISTRY) else {
-        return path.starts_with("/grpc.");
-    };
+    let Some(call) = path.strip_prefix(REGISTRY) else { return path.starts_with("/grpc.") };
     let write = WRITES.iter().find(|(name, _)| *name == call);
     write.map_or(READERS, |(_, roles)| roles).contains(&role)
 }

@@ -172,9 +172,7 @@ impl AuditLog {
         let bytes = fs::read(path).map_err(|error| unusable(path, &error.to_string()))?;
         let mut whole = 0;
         for line in bytes.split_inclusive(|b| *b == b'\n') {
-            let Some(text) = line.strip_suffix(b"\n") else {
-                break;
-            };
+            let Some(text) = line.strip_suffix(b"\n") else { break };
             whole += line.len() as u64;
             match serde_json::from_slice::<Line>(text) {
                 Ok(line) => self.take(line, text, path),
@@ -249,10 +247,7 @@ impl AuditLog {
         }
         let begins = self.length == 0;
         // Opened before anything is written: a name that cannot be synced is no line.
-        let root = match begins {
-            true => Some(self.disk.open_folder(&self.root)),
-            false => None,
-        };
+        let root = if begins { Some(self.disk.open_folder(&self.root)) } else { None };
         let root = root.transpose().map_err(|e| DurableError::from_io("open", &self.root, e))?;
         if let Err(fault) = self.disk.append_synced(&path, &text) {
             // Half a line would end up in front of the next one.
@@ -320,9 +315,7 @@ impl AuditLog {
     }
 
     fn append_undone(&mut self, why: &str) -> Result<(), StoreError> {
-        let Some(line) = self.last.clone() else {
-            return Ok(());
-        };
+        let Some(line) = self.last.clone() else { return Ok(()) };
         let deed = Deed {
             what: UNDONE,
             stream: &line.stream,

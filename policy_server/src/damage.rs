@@ -45,10 +45,7 @@ impl Store {
         let name: Vec<_> = last.map(|part| part.as_os_str().to_string_lossy()).collect();
         let damaged = self.root.join("damaged").join(name.join("_"));
         let mut names = (1..1000).map(|number| damaged.with_extension(format!("{number}.json")));
-        let to = match damaged.exists() {
-            false => Some(damaged),
-            true => names.find(|name| !name.exists()),
-        };
+        let to = if damaged.exists() { names.find(|name| !name.exists()) } else { Some(damaged) };
         if let Some(Err(error)) = to.map(|to| self.disk.rename(path, &to)) {
             tracing::error!(path = %path.display(), %error, "cannot be set aside");
         }

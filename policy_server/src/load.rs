@@ -124,9 +124,7 @@ impl Store {
 
     /// The last line of the record may announce what a crash prevented.
     fn take_back_what_did_not_happen(&mut self, damaged: &[Damage]) -> Result<(), StoreError> {
-        let Some((stream, generation)) = self.audit.announced() else {
-            return Ok(());
-        };
+        let Some((stream, generation)) = self.audit.announced() else { return Ok(()) };
         if self.changes().any(|c| c.generation() == generation) {
             return Ok(());
         }
@@ -220,9 +218,7 @@ impl Store {
             Err(error) => {
                 // To forget it would let the version loose: the file's name says enough.
                 tracing::error!(path = %path.display(), %error, "unreadable; its version stays out of use");
-                let Some((stream, version)) = version_of(path) else {
-                    return Ok(());
-                };
+                let Some((stream, version)) = version_of(path) else { return Ok(()) };
                 let state = QuarantineState {
                     stream,
                     version,

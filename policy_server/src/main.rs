@@ -130,14 +130,9 @@ fn run(args: &Args, stop: &StopFlag) -> Result<(), Failure> {
 
 /// The key for freshness, where one is given.
 fn fresh_key(args: &Args) -> Result<Option<Arc<ReleaseKey>>, Failure> {
-    let (Some(path), Some(id)) = (&args.fresh_key, &args.fresh_key_id) else {
-        return Ok(None);
-    };
+    let (Some(path), Some(id)) = (&args.fresh_key, &args.fresh_key_id) else { return Ok(None) };
     let key = ReleaseKey::read(path, id).map_err(|error| {
-        let code = match error.is_of_reading() {
-            true => ExitCode::NoInput,
-            false => ExitCode::BadInput,
-        };
+        let code = if error.is_of_reading() { ExitCode::NoInput } else { ExitCode::BadInput };
         Failure::new(code, error)
     })?;
     Ok(Some(Arc::new(key)))

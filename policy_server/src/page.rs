@@ -136,10 +136,7 @@ fn stream(page: &mut String, store: &Store, name: &StreamName, all: &Overview, n
             evaluation(manifest),
             reports.join("<br>"),
             thousands(manifest.env_steps),
-            match keys.is_empty() {
-                true => span("quiet", "nobody"),
-                false => keys.join(", "),
-            },
+            if keys.is_empty() { span("quiet", "nobody") } else { keys.join(", ") },
             format!("<code>{}</code>", &hex(&manifest.sha256)[..12]),
             age(manifest.created_unix_ms, now),
         ]
@@ -165,10 +162,7 @@ fn table(
     for row in rows {
         page.push_str("<tr>");
         for (column, cell) in row.iter().enumerate() {
-            let class = match figures.contains(&column) {
-                true => " class=\"n\"",
-                false => "",
-            };
+            let class = if figures.contains(&column) { " class=\"n\"" } else { "" };
             let _ = write!(page, "<td{class}>{cell}</td>");
         }
         page.push_str("</tr>");
@@ -222,12 +216,8 @@ fn tags(all: &Overview, name: &StreamName, version: u64) -> String {
 /// One line per scenario of the summary that travels with the version.
 fn evaluation(manifest: &Manifest) -> String {
     let none = || span("quiet", "none");
-    let Some(text) = &manifest.evaluation_json else {
-        return none();
-    };
-    let Ok(value) = serde_json::from_str::<serde_json::Value>(text) else {
-        return none();
-    };
+    let Some(text) = &manifest.evaluation_json else { return none() };
+    let Ok(value) = serde_json::from_str::<serde_json::Value>(text) else { return none() };
     let Some(scenarios) = value.get("scenarios").and_then(|s| s.as_array()) else {
         let short: String = text.chars().take(120).collect();
         return format!("<code>{}</code>", escape(&short));
@@ -262,10 +252,7 @@ fn evaluation(manifest: &Manifest) -> String {
 }
 
 fn state(report: &RobotReport) -> String {
-    let class = match report.state.went_well() {
-        true => "good",
-        false => "bad",
-    };
+    let class = if report.state.went_well() { "good" } else { "bad" };
     let reason = match report.reason.as_str() {
         "" => String::new(),
         reason => format!(": {}", escape(reason)),

@@ -394,17 +394,13 @@ impl Store {
             .filter(|label| label.stream == *stream)
             .map(|label| label.version)
             .collect();
-        let Some(versions) = self.streams.get(stream) else {
-            return;
-        };
+        let Some(versions) = self.streams.get(stream) else { return };
         let kept = self.limits.versions_kept.max(1);
         let beyond = versions.len().saturating_sub(kept);
         // What a label leads to stays, however old.
         let old = versions.keys().copied().take(beyond);
         let old: Vec<u64> = old.filter(|version| !held.contains(version)).collect();
-        let Some(last) = old.last().copied() else {
-            return;
-        };
+        let Some(last) = old.last().copied() else { return };
         // Where that fails, they retire another time.
         if let Err(error) = self.use_up(stream, |used| used.retire(last)) {
             tracing::warn!(%error, %stream, "old versions stay for now");

@@ -24,9 +24,7 @@ pub async fn receive_upload(
 ) -> Result<(Manifest, Vec<u8>), Status> {
     let header = match next_part(&mut upload, idle).await? {
         Some(wire::publish_request::Part::Header(header)) => header,
-        _ => {
-            return Err(Status::invalid_argument("the first message must be the header"));
-        }
+        _ => return Err(Status::invalid_argument("the first message must be the header")),
     };
     let manifest = Manifest::try_from(header).map_err(|error| refusal(&error))?;
     may(&manifest)?;

@@ -114,9 +114,7 @@ impl FrameReader {
         while self.filled < end {
             match stream.read(&mut self.buffer[self.filled..end]) {
                 Ok(0) if self.filled == 0 => return Ok(false),
-                Ok(0) => {
-                    return Err(FrameError::Truncated { got: self.filled, expected: end });
-                }
+                Ok(0) => return Err(FrameError::Truncated { got: self.filled, expected: end }),
                 Ok(n) => self.filled += n,
                 Err(e) if e.kind() == ErrorKind::Interrupted => {}
                 Err(e) => return Err(e.into()),
@@ -136,9 +134,7 @@ mod tests {
 
     impl Read for Script {
         fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
-            let Some(piece) = self.0.pop_front() else {
-                return Ok(0);
-            };
+            let Some(piece) = self.0.pop_front() else { return Ok(0) };
             let mut piece = piece?;
             let n = piece.len().min(out.len());
             out[..n].copy_from_slice(&piece[..n]);

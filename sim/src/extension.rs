@@ -87,9 +87,7 @@ impl LaneParams {
     /// Takes over what the robot file's `[extension]` has; paths that do not exist are in
     /// [`check_extension`].
     pub(crate) fn extend(&mut self, model: &RobotModel) {
-        let Some(extension) = model.extension() else {
-            return;
-        };
+        let Some(extension) = model.extension() else { return };
         if extension.lane.is_empty() {
             return;
         }
@@ -106,9 +104,7 @@ impl LaneParams {
 /// # Errors
 /// [`SimError::Extension`] with the path; as [`LaneParams::validate`].
 pub fn check_extension(model: &RobotModel) -> Result<(), SimError> {
-    let Some(extension) = model.extension() else {
-        return Ok(());
-    };
+    let Some(extension) = model.extension() else { return Ok(()) };
     let mut unknown: Vec<&String> = extension.lane.keys().collect();
     let mut params = LaneParams::bare(model);
     params.visit(model, &mut |path, _| unknown.retain(|u| *u != path));

@@ -97,10 +97,7 @@ fn row(run: &RunCheck) -> Vec<String> {
         format!("{:?}", e.base).to_lowercase(),
         e.joints.len().to_string(),
         format!("{:.2}", most(&|j| j.speed_max_radps)),
-        match high > 0.0 {
-            true => format!("{low:.1} to {high:.1}"),
-            false => "rests".to_owned(),
-        },
+        if high > 0.0 { format!("{low:.1} to {high:.1}") } else { "rests".to_owned() },
         kinds.join(" "),
     ]
 }

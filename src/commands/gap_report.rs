@@ -169,20 +169,14 @@ fn cause(number: usize, cause: &Cause) {
         cause.effect,
         place(&cause.location),
         100.0 * cause.confidence,
-        match cause.alternatives.is_empty() {
-            true => "",
-            false => ", its name open",
-        }
+        if cause.alternatives.is_empty() { "" } else { ", its name open" }
     ));
     if !cause.assumed.is_empty() {
         let figures = cause.assumed.join(", ");
         say::line(format!("   the robot file assumes {figures}: look it up first"));
     }
     for (name, p) in &cause.parameters {
-        let bound = match p.at_bound {
-            true => ", at its bound: no result",
-            false => "",
-        };
+        let bound = if p.at_bound { ", at its bound: no result" } else { "" };
         say::line(format!(
             "   {name} = {} {} ({} to {}{bound})",
             short(p.value),

@@ -261,9 +261,7 @@ fn mcap(to: &Destination, table: &Table, robot: Option<&RobotModel>) -> Result<V
     let write = |scene: Option<&Scene<'_>>| {
         write_mcap(table, start_ns, compression, scene).or_exit(ExitCode::BadInput)
     };
-    let Some(robot) = robot else {
-        return write(None);
-    };
+    let Some(robot) = robot else { return write(None) };
     let frames = RefCell::new(Frames::new(robot, table)?);
     let description = robot.to_urdf();
     write(Some(&Scene {

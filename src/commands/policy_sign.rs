@@ -86,10 +86,7 @@ pub struct ReleaseArgs {
 
 /// What a key or trust file that cannot be used ends with.
 pub fn unusable(error: SigningError) -> Failure {
-    let code = match error.is_of_reading() {
-        true => ExitCode::NoInput,
-        false => ExitCode::BadInput,
-    };
+    let code = if error.is_of_reading() { ExitCode::NoInput } else { ExitCode::BadInput };
     Failure::new(code, error)
 }
 

@@ -314,9 +314,7 @@ fn import(args: &ImportArgs) -> Result<(), Failure> {
 
 /// Refuses to overwrite a file; the one that is imported even with `--force`.
 fn not_there(path: &Path, args: &ImportArgs) -> Result<(), Failure> {
-    let Ok(there) = path.canonicalize() else {
-        return Ok(());
-    };
+    let Ok(there) = path.canonicalize() else { return Ok(()) };
     let (what, hint) = if args.file.canonicalize().is_ok_and(|source| source == there) {
         ("is the file to import", "--out takes another folder")
     } else if args.force {

@@ -238,9 +238,7 @@ pub fn beside(run: &Path, other: Option<&str>) -> Result<Value, Failure> {
     let dirs = dirs(run.parent().unwrap_or(&run))?;
     let others = dirs.iter().rev().filter(|dir| **dir != run).take(100);
     let mut others = others.filter_map(|dir| Some((dir.file_name()?.to_str()?, dir)));
-    let Some(other) = other else {
-        return Ok(others.map(|(name, _)| name).collect());
-    };
+    let Some(other) = other else { return Ok(others.map(|(name, _)| name).collect()) };
     let found = others.find(|(name, _)| *name == other);
     let (_, dir) = found.ok_or_else(|| {
         Failure::message(ExitCode::NoInput, format!("there is no run {other} here"))

@@ -205,10 +205,7 @@ fn summary(points: &[Point], rows: &[Value]) -> Vec<Value> {
         };
         let met = own.iter().filter(|row| row["gates_missed"] == 0).count();
         json!({
-            "setting": match set.is_empty() {
-                true => "as configured".to_owned(),
-                false => set.join(", "),
-            },
+            "setting": if set.is_empty() { "as configured".to_owned() } else { set.join(", ") },
             "runs": own.len(),
             "gates_met": met,
             "episode_return": median("episode_return"),

@@ -172,10 +172,7 @@ fn joints(model: &RobotModel, at_nominal: &Kinematics) -> Result<SignedPermutati
         };
         (out.source[i], out.sign[i]) = (source, sign);
     }
-    match out.is_its_own_inverse() {
-        true => Ok(out),
-        false => Err(no_counterpart(model, "a joint")),
-    }
+    if out.is_its_own_inverse() { Ok(out) } else { Err(no_counterpart(model, "a joint")) }
 }
 
 /// How far `other` is from the mirror image of `joint`, m, and 1 where it turns as that does, −1 where it

@@ -81,10 +81,7 @@ pub fn draw(
     stream: &mut Stream,
 ) -> ResetDraw {
     let folded = config.swimming_pose_share > 0.0 && stream.chance(config.swimming_pose_share);
-    let pose_rad = match folded {
-        true => swimming_rad,
-        false => &joints.nominal_rad,
-    };
+    let pose_rad = if folded { swimming_rad } else { &joints.nominal_rad };
     let fallen = config.fallen_share > 0.0 && stream.chance(config.fallen_share);
     let mut around_zero = |half: f32| stream.uniform(-half, half);
     let mut start = ResetDraw {

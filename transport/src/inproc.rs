@@ -171,10 +171,7 @@ impl InprocActor {
     }
 
     fn count(&mut self, taken: bool) {
-        match taken {
-            true => self.stats.frames += 1,
-            false => self.stats.refused += 1,
-        }
+        if taken { self.stats.frames += 1 } else { self.stats.refused += 1 }
     }
 }
 
@@ -256,9 +253,7 @@ impl LearnerLink for InprocLearner {
             .arrived
             .wait_timeout_while(self.shared.lock(), timeout, |state| state.queue.is_empty())
             .unwrap_or_else(PoisonError::into_inner);
-        let Some(frame) = state.pop() else {
-            return Ok(None);
-        };
+        let Some(frame) = state.pop() else { return Ok(None) };
         drop(state);
         self.shared.room.notify_all();
         self.stats.frames += 1;

@@ -93,10 +93,7 @@ impl Size {
     /// vibration; but what balances must act several times as fast as it falls, at √(g/height).
     fn filter_hz(&self) -> f64 {
         let falls_hz = (GRAVITY_MPS2 / self.com_m).sqrt() / std::f64::consts::TAU;
-        match self.balances() {
-            true => 3.5 * falls_hz,
-            false => 0.8 * self.stride_hz(),
-        }
+        if self.balances() { 3.5 * falls_hz } else { 0.8 * self.stride_hz() }
     }
 }
 

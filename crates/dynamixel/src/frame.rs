@@ -201,9 +201,7 @@ impl Framer {
         loop {
             let start = header_or_its_beginning(&self.bytes);
             self.skip(start);
-            let [_, _, _, _, _, low, high, ..] = self.bytes[..] else {
-                return None;
-            };
+            let [_, _, _, _, _, low, high, ..] = self.bytes[..] else { return None };
             let whole = PREFIX + usize::from(u16::from_le_bytes([low, high]));
             // Shorter than instruction and CRC, or longer than anything that is ever sent: not a frame.
             if !(PREFIX + 3..=FRAME_MAX).contains(&whole) {

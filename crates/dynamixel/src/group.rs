@@ -29,10 +29,7 @@ pub struct GroupRead {
 impl GroupRead {
     /// Sync Read, or Fast Sync Read with one common answer, of `length` bytes from `address`.
     pub fn new(ids: &[u8], address: u16, length: u16, fast: bool) -> Self {
-        let instruction = match fast {
-            true => Instruction::FastSyncRead,
-            false => Instruction::SyncRead,
-        };
+        let instruction = if fast { Instruction::FastSyncRead } else { Instruction::SyncRead };
         let [a0, a1] = address.to_le_bytes();
         let [l0, l1] = length.to_le_bytes();
         let mut parameters = vec![a0, a1, l0, l1];
@@ -81,9 +78,7 @@ impl GroupRead {
     /// Takes a servo's answer; false where it does not belong here.
     pub(crate) fn take(&mut self, id: u8, error: StatusError, data: &[u8]) -> bool {
         let waits = |i: &usize| self.ids[*i] == id && self.answers[*i] == Answer::Silent;
-        let Some(index) = (0..self.ids.len()).find(waits) else {
-            return false;
-        };
+        let Some(index) = (0..self.ids.len()).find(waits) else { return false };
         if error.number().is_some() {
             self.answers[index] = Answer::Refused(error);
             return true;

@@ -135,9 +135,7 @@ fn fastest(result: &SuiteResult) -> Found {
         .collect();
     tracked.sort_by(|a, b| a.0.total_cmp(&b.0));
     let walked = tracked.iter().rev().find(|(_, against)| against.is_empty());
-    let Some((best, _)) = walked.or(tracked.last()) else {
-        return Found::plain(None);
-    };
+    let Some((best, _)) = walked.or(tracked.last()) else { return Found::plain(None) };
     // without any that counts, the fastest one's objections stand beside it
     let against = match walked {
         Some(_) => String::new(),
@@ -194,10 +192,7 @@ fn elsewhere(result: &SuiteResult) -> Vec<Row> {
     let kept = |of: Option<&ScenarioResult>, over: Option<&ScenarioResult>| match (of, over) {
         (Some(of), Some(over)) if over.vx_mps.mean > 0.0 => Found {
             measured: Some(of.vx_mps.mean / over.vx_mps.mean),
-            against: match of.fall_share.mean > 0.05 {
-                true => objections(of),
-                false => String::new(),
-            },
+            against: if of.fall_share.mean > 0.05 { objections(of) } else { String::new() },
         },
         _ => Found::plain(None),
     };

@@ -54,9 +54,7 @@ pub(crate) fn run_blocks<T: Send>(
     let done = Mutex::new(BTreeMap::new());
     let work = || {
         while !failed.load(Ordering::Relaxed) {
-            let Some(&block) = blocks.get(next.fetch_add(1, Ordering::Relaxed)) else {
-                return;
-            };
+            let Some(&block) = blocks.get(next.fetch_add(1, Ordering::Relaxed)) else { return };
             let result = run(block);
             failed.fetch_or(result.is_err(), Ordering::Relaxed);
             let mut done = done.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
@@ -162,10 +160,7 @@ impl Round {
             .map(|(trace, &first)| {
                 let settled = trace.after(measure.settle_s);
                 Episode {
-                    command: match steered {
-                        true => mean_command(settled, first),
-                        false => first,
-                    },
+                    command: if steered { mean_command(settled, first) } else { first },
                     fell: trace.fell,
                     gait: Gait::of(trace, measure),
                     passage: shore.map(|shore| shore.passage(trace, measure)),

@@ -137,14 +137,8 @@ fn apart_m([p, p_end]: [[f64; 3]; 2], [q, q_end]: [[f64; 3]; 2]) -> f64 {
     let (c, b) = (pose::dot(d1, r), pose::dot(d1, d2));
     let unit = |x: f64| x.clamp(0.0, 1.0);
     let denominator = a * e - b * b;
-    let mut s = match denominator > POINT {
-        true => unit((b * f - c * e) / denominator),
-        false => 0.0,
-    };
-    let t = match e > POINT {
-        true => unit((b * s + f) / e),
-        false => 0.0,
-    };
+    let mut s = if denominator > POINT { unit((b * f - c * e) / denominator) } else { 0.0 };
+    let t = if e > POINT { unit((b * s + f) / e) } else { 0.0 };
     if a > POINT {
         s = unit((b * t - c) / a);
     }

@@ -89,10 +89,7 @@ fn bend_share(swing_rad: &[f64], anatomy: &Anatomy) -> f64 {
     let trunk = swing_rad.iter().zip(&anatomy.in_trunk).filter(|&(_, &is)| is);
     let bends: Vec<f64> = trunk.map(|(&bend, _)| bend).collect();
     let all: f64 = bends.iter().sum();
-    match bends.len() > 1 && all > 0.0 {
-        true => bends.iter().copied().fold(0.0, f64::max) / all,
-        false => 0.0,
-    }
+    if bends.len() > 1 && all > 0.0 { bends.iter().copied().fold(0.0, f64::max) / all } else { 0.0 }
 }
 
 /// Share of some frames in which parts of the robot overlap.

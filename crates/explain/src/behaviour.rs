@@ -87,10 +87,7 @@ fn share_of(difference: f64, commanded: f32) -> f64 {
     }
     let near = 1.0 - (difference / f64::from(commanded) - 1.0).abs();
     // an episode that is over before it can be measured gives no velocity at all
-    match near.is_finite() {
-        true => near.clamp(0.0, 1.0),
-        false => 0.0,
-    }
+    if near.is_finite() { near.clamp(0.0, 1.0) } else { 0.0 }
 }
 
 impl Behaviour {

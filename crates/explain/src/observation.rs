@@ -83,10 +83,7 @@ fn correlation(a: &[f64], b: &[f64]) -> f64 {
     let ((mean_a, std_a), (mean_b, std_b)) = (moments(a), moments(b));
     let pairs = a.iter().zip(b);
     let joint: f64 = pairs.map(|(x, y)| (x - mean_a) * (y - mean_b)).sum();
-    match std_a * std_b > 1e-12 {
-        true => (joint / (a.len() as f64 * std_a * std_b)).abs(),
-        false => 0.0,
-    }
+    if std_a * std_b > 1e-12 { (joint / (a.len() as f64 * std_a * std_b)).abs() } else { 0.0 }
 }
 
 /// The suspects in the observation; none where it is the standard one.

@@ -60,10 +60,7 @@ impl Sides<'_> {
         let near = |x: f64, y: f64| (x - y).abs() < APART_RAD;
         let (nominal, limits) = (self.model.nominal_pos_rad(), self.model.joint_limits_rad());
         let (low, high) = limits[b];
-        let (low, high) = match sign < 0.0 {
-            true => (-high, -low),
-            false => (low, high),
-        };
+        let (low, high) = if sign < 0.0 { (-high, -low) } else { (low, high) };
         near(nominal[a], sign * nominal[b]) && near(limits[a].0, low) && near(limits[a].1, high)
     }
 
@@ -107,16 +104,12 @@ impl Sides<'_> {
 pub fn suspects(model: &RobotModel) -> Vec<Suspect> {
     let zeros = vec![0.0; model.actuated().len()];
     let at_zero = model.full_pos_rad(&zeros).and_then(|q| model.kinematics(&Pose::IDENTITY, &q));
-    let Ok(at_zero) = at_zero else {
-        return Vec::new();
-    };
+    let Ok(at_zero) = at_zero else { return Vec::new() };
     let sides = Sides { model, at_zero };
     let names = model.actuated_names();
     let mut all = Vec::new();
     for joint in 0..names.len() {
-        let Some((other, sign)) = sides.counterpart(joint) else {
-            continue;
-        };
+        let Some((other, sign)) = sides.counterpart(joint) else { continue };
         if sides.agree([joint, other], sign) {
             continue;
         }

@@ -80,9 +80,7 @@ impl Search<'_> {
             times,
             from: self.from.as_deref(),
         };
-        let Some(trial) = start.trial(put_right, &folder)? else {
-            return Ok(None);
-        };
+        let Some(trial) = start.trial(put_right, &folder)? else { return Ok(None) };
         let behaviour = trial.behaviour.clone();
         (self.tell)(&format!(
             "{what}: {:.2} of {:.2} m/s after {} iterations, {:.0} s",
@@ -114,17 +112,13 @@ impl Search<'_> {
     /// Trains as it is, from another seed. Where that walks at first, once more from there with costs in full:
     /// what makes standing pay shows only when costs have grown. Whether it walks as it is.
     fn control(&mut self) -> Result<Option<bool>, Failure> {
-        let Some(first) = self.trial(&[], 1)? else {
-            return Ok(None);
-        };
+        let Some(first) = self.trial(&[], 1)? else { return Ok(None) };
         self.as_is = first.score;
         if !first.walks() {
             return Ok(Some(false));
         }
         self.from = Some(self.folder.path().join("trial 0").join("policy.onnx"));
-        let Some(later) = self.trial(&[], 1)? else {
-            return Ok(None);
-        };
+        let Some(later) = self.trial(&[], 1)? else { return Ok(None) };
         self.as_is = later.score;
         Ok(Some(later.walks()))
     }

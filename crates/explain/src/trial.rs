@@ -70,10 +70,7 @@ impl Trainer {
             if self.stop.is_set() || Instant::now() >= self.until {
                 // nothing of it is needed: it need not save
                 child.kill().and_then(|()| child.wait()).or_exit(ExitCode::Internal)?;
-                return match self.stop.is_set() {
-                    true => Err(stopped(&self.stop)),
-                    false => Ok(None),
-                };
+                return if self.stop.is_set() { Err(stopped(&self.stop)) } else { Ok(None) };
             }
             std::thread::sleep(LOOK_EVERY);
         }
@@ -109,9 +106,7 @@ impl Start<'_> {
             (reward.costs_at_start, reward.costs_full_after_env_steps) = (1.0, 0);
             config.task.push.full_after_env_steps = 0;
         }
-        let Some(policy) = self.trainer.train(&config, folder)? else {
-            return Ok(None);
-        };
+        let Some(policy) = self.trainer.train(&config, folder)? else { return Ok(None) };
         let model = Arc::new(files::robot(&config.robot_path())?);
         let policy = files::policy(&policy)?;
         Ok(Some(Trial {

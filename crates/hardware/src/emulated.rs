@@ -98,9 +98,7 @@ impl I2c for EmulatedImu {
 
     fn write_read(&mut self, chip: u8, bytes: &[u8], out: &mut [u8]) -> io::Result<()> {
         let registers = self.chip(chip)?;
-        let Some(first) = bytes.first() else {
-            return Ok(());
-        };
+        let Some(first) = bytes.first() else { return Ok(()) };
         // The LSM6DSOX counts up with IF_INC set; the LIS3MDL where the address says so.
         let counts_up = match chip {
             LSM6_ADDRESS => registers[usize::from(LSM6_CTRL3_C)] & 0b100 != 0,

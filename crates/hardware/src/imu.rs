@@ -69,9 +69,7 @@ impl<B: I2c> ImuChip<B> {
 
     /// The magnetic field in the robot's axes, T; `None` where no magnetometer is wired.
     pub fn field_t(&mut self) -> io::Result<Option<[f32; 3]>> {
-        let Some(address) = self.wiring.magnetometer else {
-            return Ok(None);
-        };
+        let Some(address) = self.wiring.magnetometer else { return Ok(None) };
         let mut block = [0; 6];
         self.bus.write_read(address, &[LIS3_OUT | LIS3_COUNT_UP], &mut block)?;
         let field = std::array::from_fn(|i| {

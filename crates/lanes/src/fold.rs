@@ -76,10 +76,7 @@ impl Side {
 
     /// Values in a folded row.
     pub fn width(&self) -> usize {
-        match self.odd.is_empty() {
-            true => self.part(),
-            false => 2 * self.part(),
-        }
+        if self.odd.is_empty() { self.part() } else { 2 * self.part() }
     }
 
     /// Folds `row` `[len]` into `out` `[width]`, whose padding is left as it is.

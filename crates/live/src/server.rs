@@ -105,10 +105,7 @@ pub fn router(title: &str, doors: Doors, hub: Arc<Hub>) -> Router {
 
 /// Turns strangers away before anything of theirs is read.
 async fn admitted(State(shared): State<Arc<Shared>>, request: Request, next: Next) -> Response {
-    match shared.admits(request.uri(), request.headers()) {
-        true => next.run(request).await,
-        false => closed(),
-    }
+    if shared.admits(request.uri(), request.headers()) { next.run(request).await } else { closed() }
 }
 
 fn closed() -> Response {
@@ -160,9 +157,7 @@ async fn order(State(shared): State<Arc<Shared>>, body: Bytes) -> Response {
 async fn change(State(shared): State<Arc<Shared>>, headers: HeaderMap, body: Bytes) -> Response {
     let given = headers.get(CHANGE_HEADER).and_then(|v| v.to_str().ok());
     let may = is_token(given.unwrap_or_default(), &shared.doors.change);
-    let Some(training) = shared.doors.training.clone().filter(|_| may) else {
-        return closed();
-    };
+    let Some(training) = shared.doors.training.clone().filter(|_| may) else { return closed() };
     let set = match serde_json::from_slice::<Vec<String>>(&body) {
         Ok(set) => set,
         Err(wrong) => return (StatusCode::BAD_REQUEST, format!("{wrong}\n")).into_response(),
@@ -177,9 +172,7 @@ async fn change(State(shared): State<Arc<Shared>>, headers: HeaderMap, body: Byt
 
 /// The name of a run, or null for those that there are.
 async fn beside(State(shared): State<Arc<Shared>>, body: Bytes) -> Response {
-    let Some(training) = shared.doors.training.clone() else {
-        return closed();
-    };
+    let Some(training) = shared.doors.training.clone() else { return closed() };
     let run = match serde_json::from_slice::<Option<String>>(&body) {
         Ok(run) => run,
         Err(wrong) => return (StatusCode::BAD_REQUEST, format!("{wrong}\n")).into_response(),

@@ -70,9 +70,7 @@ pub(crate) fn actuated_joints(
                 );
                 return Err(ModelError::Mjcf(a.element.remark_of(message)));
             }
-            None => {
-                return c.refuse(at, format!("joint `{name}` has no actuator in the MJCF"));
-            }
+            None => return c.refuse(at, format!("joint `{name}` has no actuator in the MJCF")),
         }
     }
     if let Some(extra) = mj.actuators.get(names.len()) {
@@ -86,9 +84,7 @@ pub(crate) fn backlash(
     file: &RobotFile,
     mj: &Robot,
 ) -> Result<BacklashParams, ModelError> {
-    let Some(b) = &file.backlash else {
-        return Ok(BacklashParams::default());
-    };
+    let Some(b) = &file.backlash else { return Ok(BacklashParams::default()) };
     let mut joints = Vec::new();
     for name in &b.joints {
         let j = find_joint(c, "backlash.joints", name, mj)?;
@@ -321,9 +317,7 @@ pub(crate) fn water(
     file: &RobotFile,
     links: &[Link],
 ) -> Result<Option<WaterParams>, ModelError> {
-    let Some(w) = &file.water else {
-        return Ok(None);
-    };
+    let Some(w) = &file.water else { return Ok(None) };
     for (group, g) in &w.drag {
         for name in &g.links {
             if !links.iter().any(|l| &l.name == name) {

@@ -190,9 +190,7 @@ fn frames(
     links: &[Link],
     sites: &[Site],
 ) -> Result<(usize, Option<(Site, Site)>), ModelError> {
-    let Some(f) = &file.frames else {
-        return Ok((0, None));
-    };
+    let Some(f) = &file.frames else { return Ok((0, None)) };
     let links = links.iter().map(|l| l.name.as_str());
     let torso = find(c, "frames.torso", "body", &f.torso, links)?;
     let named = |key: &str, name: &str| {

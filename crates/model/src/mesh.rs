@@ -48,9 +48,7 @@ impl Meshes {
         let folder = folder("meshdir").or_else(|| folder("assetdir")).unwrap_or("");
         let mut files = BTreeMap::new();
         for mesh in root.all("asset").flat_map(|a| a.all("mesh")) {
-            let Some(path) = mesh.get("file") else {
-                continue;
-            };
+            let Some(path) = mesh.get("file") else { continue };
             let stem = Path::new(path).file_stem().map(|s| s.to_string_lossy().into_owned());
             let name = mesh.get("name").map(str::to_owned).or(stem).unwrap_or_default();
             let mut scaled = mesh.clone();

@@ -73,9 +73,7 @@ impl Inference {
         if self.bound.as_ref().is_none_or(|bound| bound.lanes != lanes) {
             self.bound = Some(self.bind(lanes).map_err(runtime_error)?);
         }
-        let Some(bound) = &mut self.bound else {
-            return Ok(());
-        };
+        let Some(bound) = &mut self.bound else { return Ok(()) };
         bound.obs.extract_tensor_mut().1.copy_from_slice(obs);
         self.session.run_binding(&bound.binding).map_err(runtime_error)?;
         out.copy_from_slice(bound.actions.extract_tensor().1);

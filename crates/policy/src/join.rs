@@ -173,9 +173,7 @@ fn carried(a: &Dense, b: &Dense) -> Dense {
 /// The actions: the sum of both, less what the one that does not act gives all the time.
 fn summed(a: &MlpSpec, b: &MlpSpec) -> Dense {
     let (idle_a, idle_b) = (when_shut(a), when_shut(b));
-    let (Some(a), Some(b)) = (a.layers.last(), b.layers.last()) else {
-        return Rows::of(0).layer;
-    };
+    let (Some(a), Some(b)) = (a.layers.last(), b.layers.last()) else { return Rows::of(0).layer };
     let which = a.input + b.input;
     let mut rows = Rows::of(which + 1);
     for action in 0..a.out {

@@ -252,10 +252,7 @@ impl RegistryClient {
         let went_well = report.state.went_well();
         let report = wire::RobotReport::from(report);
         let call = async {
-            match went_well {
-                true => self.inner.ack(report).await,
-                false => self.inner.nack(report).await,
-            }
+            if went_well { self.inner.ack(report).await } else { self.inner.nack(report).await }
         };
         within("report", CALL_TIMEOUT, &self.address, call).await?;
         Ok(())

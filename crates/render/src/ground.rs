@@ -34,9 +34,7 @@ impl Ground {
 
 /// Where a ray first meets the ground before `far`.
 pub(crate) fn meet(ground: &Ground, ray: &Ray, far: f64) -> Option<Hit> {
-    let Some(grid) = ground.terrain.grid() else {
-        return plane(ray, 0.0, far);
-    };
+    let Some(grid) = ground.terrain.grid() else { return plane(ray, 0.0, far) };
     let field = meet_field(grid, ground.span_m, ray, far);
     let apron = plane(ray, -APRON_DROP_M, far).filter(|hit| {
         let half = grid.size_m() / 2.0;

@@ -109,9 +109,7 @@ fn water(scene: &Scene, ray: &Ray, seen: Vec3, distance: f64) -> Option<(Vec3, f
     };
     let through = SWALLOWS_PER_M.map(|k| (-k * path).exp());
     let dim = [0, 1, 2].map(|i| seen[i] * through[i] + DEEP[i] * (1.0 - through[i]));
-    let Some(t) = surface.filter(|_| !under) else {
-        return Some((dim, 0.0));
-    };
+    let Some(t) = surface.filter(|_| !under) else { return Some((dim, 0.0)) };
     let normal = ripple(ray.at(t), scene.time_s, t);
     let cos = -dot(normal, ray.along);
     let mirrored = add(ray.along, scale(normal, 2.0 * cos));

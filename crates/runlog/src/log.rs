@@ -83,10 +83,7 @@ pub fn names_a_robot(meta: &Path) -> bool {
 
 /// The file of a log's circumstances: `log.toml` of a folder; `NAME.toml` beside a file of rows, `NAME.csv`.
 pub fn meta_file(log: &Path) -> PathBuf {
-    match log.is_file() {
-        true => log.with_extension("toml"),
-        false => log.join(META_NAME),
-    }
+    if log.is_file() { log.with_extension("toml") } else { log.join(META_NAME) }
 }
 
 /// The file of a log's rows: of a folder `log.csv`, else the first MCAP by name; else the file itself.

@@ -141,9 +141,7 @@ impl Trust {
     /// The successor beside `path`; `None` where no file is there. One that is there and does not follow is
     /// an error: a robot that passed over it would go on trusting what was given up.
     fn next(&self, path: &Path) -> Result<Option<Self>, SigningError> {
-        let Some(next) = self.version.checked_add(1) else {
-            return Ok(None);
-        };
+        let Some(next) = self.version.checked_add(1) else { return Ok(None) };
         let file = successor_path(path, next);
         if !is_there(&file)? {
             self.nothing_beyond(path, next)?;

@@ -229,10 +229,7 @@ const PROOF: &[Check<ProofCheck>] = &[
                 let fits = |s: &ed25519_dalek::Signature| key.verify_strict(&bytes, s).is_ok();
                 *id == signature.key_id && form.as_ref().is_ok_and(fits)
             };
-            match proof.trust.fresh_keys.iter().any(known) {
-                true => Ok(()),
-                false => Err(Stale::Unsigned),
-            }
+            if proof.trust.fresh_keys.iter().any(known) { Ok(()) } else { Err(Stale::Unsigned) }
         },
     },
 ];

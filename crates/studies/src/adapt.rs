@@ -262,10 +262,7 @@ fn diagnosed(
 /// # Errors
 /// Where a robot or a log cannot be read.
 fn asked(plan: &Plan, config: &Config, policy: &str) -> Result<Asked, Failure> {
-    let ids = |all: &[String]| match all.is_empty() {
-        true => "none".to_owned(),
-        false => all.join(" "),
-    };
+    let ids = |all: &[String]| if all.is_empty() { "none".to_owned() } else { all.join(" ") };
     let truth = match &plan.truth {
         Some(truth) => files::robot(truth)?.hash_hex(),
         None => "none".to_owned(),

@@ -140,9 +140,7 @@ fn runs(plan: &Plan, robot: &RobotModel) -> Result<(Vec<Run>, Vec<DataFault>), F
     let mut logs = logs.into_iter().peekable();
     let mut runs: Vec<Run> = Vec::new();
     for (number, (dir, name)) in dirs.iter().zip(&names).enumerate() {
-        let Some((name, log)) = logs.next_if(|(read, _)| read == name) else {
-            continue;
-        };
+        let Some((name, log)) = logs.next_if(|(read, _)| read == name) else { continue };
         let sha256 = files::sha256(&rows_file(dir))?;
         if let Some(same) = runs.iter().find(|run| run.sha256 == sha256) {
             let message = format!(
@@ -151,10 +149,7 @@ fn runs(plan: &Plan, robot: &RobotModel) -> Result<(Vec<Run>, Vec<DataFault>), F
             );
             return Err(Failure::message(ExitCode::BadInput, message));
         }
-        let role = match number < first_held_out {
-            true => Role::Fit,
-            false => Role::Holdout,
-        };
+        let role = if number < first_held_out { Role::Fit } else { Role::Holdout };
         runs.push(Run { name, log, role, sha256 });
     }
     Ok((runs, checked.faults))

@@ -96,9 +96,7 @@ fn meant(failure: Failure, path: &Path, folder: &str, is_one: fn(&Path) -> bool)
     /// Names less alike (0 to 1, Jaro–Winkler) confuse more than they help.
     const ALIKE: f64 = 0.85;
     let stem = |name: &str| name.split('.').next().unwrap_or_default().to_lowercase();
-    let Some(asked) = path.file_name().filter(|_| !shipped(path).exists()) else {
-        return failure;
-    };
+    let Some(asked) = path.file_name().filter(|_| !shipped(path).exists()) else { return failure };
     let asked = stem(&asked.to_string_lossy());
     let near = |parent: &Path| {
         let found = std::fs::read_dir(shipped(parent)).ok()?.flatten();

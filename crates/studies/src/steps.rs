@@ -84,10 +84,7 @@ impl<'a> Steps<'a> {
     /// # Errors
     /// Exit code 75 then.
     pub fn go_on(&self) -> Result<(), Failure> {
-        match self.stop.is_set() {
-            true => Err(self.stopped()),
-            false => Ok(()),
-        }
+        if self.stop.is_set() { Err(self.stopped()) } else { Ok(()) }
     }
 
     fn stopped(&self) -> Failure {

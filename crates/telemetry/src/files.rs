@@ -9,9 +9,7 @@ const FILES_MAX: u64 = 1 << 16;
 /// with about a thousand for programs that cannot deal with more; connections alone can be twice as many
 /// here.
 pub fn raise_file_limit() -> u64 {
-    let Ok((soft, hard)) = getrlimit(Resource::RLIMIT_NOFILE) else {
-        return 1024;
-    };
+    let Ok((soft, hard)) = getrlimit(Resource::RLIMIT_NOFILE) else { return 1024 };
     let wanted = hard.min(FILES_MAX).max(soft);
     match setrlimit(Resource::RLIMIT_NOFILE, wanted, hard) {
         Ok(()) => wanted,

@@ -76,9 +76,7 @@ pub async fn serve_http(
             () = &mut ended => return Ok(()),
             connection = connections.recv() => connection,
         };
-        let Some(connection) = connection.transpose()? else {
-            return Ok(());
-        };
+        let Some(connection) = connection.transpose()? else { return Ok(()) };
         while answers.try_join_next().is_some() {}
         answers.spawn(answer(connection, router.clone()));
     }

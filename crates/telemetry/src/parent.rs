@@ -12,9 +12,7 @@ pub const PARENT_PID_VAR: &str = "CAUDATA_PARENT_PID";
 /// supervisor starts children from its main thread. A parent that died before this call is noticed
 /// by its process id. On other systems only the latter check is made.
 pub fn die_with_parent(stop: &StopFlag) {
-    let Ok(expected) = std::env::var(PARENT_PID_VAR) else {
-        return;
-    };
+    let Ok(expected) = std::env::var(PARENT_PID_VAR) else { return };
     #[cfg(target_os = "linux")]
     if let Err(error) = nix::sys::prctl::set_pdeathsig(nix::sys::signal::Signal::SIGTERM) {
         tracing::warn!(%error, "cannot tie this process to its parent's life");

@@ -144,10 +144,7 @@ fn router(metrics: Metrics, stop: StopFlag, check: Check) -> Router {
         async move { ([(CONTENT_TYPE, TEXT_FORMAT)], text) }
     };
     let health = move || {
-        let wrong = match stop.is_set() {
-            true => Some("stopping".to_owned()),
-            false => check(),
-        };
+        let wrong = if stop.is_set() { Some("stopping".to_owned()) } else { check() };
         async move {
             match wrong {
                 Some(wrong) => (StatusCode::SERVICE_UNAVAILABLE, format!("{wrong}\n")),

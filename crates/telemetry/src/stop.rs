@@ -120,10 +120,7 @@ pub fn stop_on_signals(
     let mut hangup = {
         use tokio::signal::unix::{SignalKind, signal};
         let _context = runtime.enter();
-        match hangup_is_ignored() {
-            true => None,
-            false => Some(signal(SignalKind::hangup())?),
-        }
+        if hangup_is_ignored() { None } else { Some(signal(SignalKind::hangup())?) }
     };
     let (stop, insistence) = (stop.clone(), insistence.clone());
     std::thread::Builder::new().name("signals".into()).spawn(move || {

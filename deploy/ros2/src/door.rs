@@ -281,9 +281,7 @@ impl Commands {
         while let Ok(DATAGRAM) = self.socket.recv(&mut buffer) {
             self.commander.hear(&buffer, &self.key);
         }
-        let Some(velocity) = velocity else {
-            return;
-        };
+        let Some(velocity) = velocity else { return };
         if self.sent.elapsed() >= SEND_EVERY {
             self.sent = Instant::now();
             self.commander.command = velocity;

@@ -83,10 +83,7 @@ fn name(text: &str) -> Result<String, String> {
 }
 
 fn name_or_nothing(text: &str) -> Result<String, String> {
-    match text.is_empty() {
-        true => Ok(String::new()),
-        false => name(text),
-    }
+    if text.is_empty() { Ok(String::new()) } else { name(text) }
 }
 
 fn main() -> OsExitCode {

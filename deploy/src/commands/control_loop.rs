@@ -123,9 +123,7 @@ fn open_robot(
 
 /// Refuses a robot with which something is wrong.
 pub(super) fn fit(inspection: &Inspection) -> Result<(), DeployError> {
-    let Some(first) = inspection.wrong().next() else {
-        return Ok(());
-    };
+    let Some(first) = inspection.wrong().next() else { return Ok(()) };
     Err(DeployError::Unfit {
         wrong: inspection.wrong().count(),
         checks: inspection.checks.len(),
@@ -154,9 +152,7 @@ fn walk<R: Robot>(
     let run = random_nonce().map_err(DeployError::system("random bytes"))?;
     let page = args.metrics_addr.map(|_| (registry, setting.folder.file(LOOP_PAGE)));
     let mut courier = Courier::new(setting.folder.clone(), teller, loader, run, page);
-    let Some(verified) = courier.first(&setting.process.stop)? else {
-        return Ok(());
-    };
+    let Some(verified) = courier.first(&setting.process.stop)? else { return Ok(()) };
     let slot = Slot::default();
     let (updates, events) = Updates::new(slot.clone());
     let courier = courier.start(events, slot)?;
@@ -304,9 +300,7 @@ fn record<R: Robot>(
     calm: bool,
 ) -> Result<(), DeployError> {
     let rows = control.last_moments();
-    let Some(last) = rows.iter().last().filter(|_| !calm) else {
-        return Ok(());
-    };
+    let Some(last) = rows.iter().last().filter(|_| !calm) else { return Ok(()) };
     let meta = meta(
         &setting.model,
         control.runner().policy(),
@@ -334,10 +328,7 @@ fn warn_of_untrained(plan: &RunPlan, runner: &PolicyRunner) {
 /// Prints the summary; a policy that had to be stopped is a failure.
 fn finish(args: &RunArgs, over: Over) -> Result<(), DeployError> {
     let Over { summary, fault, log } = over;
-    let text = match args.json {
-        true => json_line(&summary)?,
-        false => in_words(&summary, args),
-    };
+    let text = if args.json { json_line(&summary)? } else { in_words(&summary, args) };
     if !say_within(text, SAY_MAX) {
         tracing::warn!("nobody reads standard output: the summary is lost");
     }

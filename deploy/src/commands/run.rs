@@ -204,9 +204,7 @@ fn around_the_command(
 
 /// A simulated robot needs nobody to let it go: without a client its time stands still.
 fn limp_arguments(args: &RunArgs) -> Option<Vec<OsString>> {
-    let BusAddress::Wiring(wiring) = &args.bus else {
-        return None;
-    };
+    let BusAddress::Wiring(wiring) = &args.bus else { return None };
     let mut arguments = vec!["--wiring".into(), wiring.into()];
     if let Some(port) = args.ports.overrides().servo_port {
         arguments.extend(["--servo-port".into(), port.into()]);

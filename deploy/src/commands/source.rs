@@ -194,10 +194,7 @@ impl Source {
 fn host_name() -> String {
     let name = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
     let fits: String = name.trim().chars().filter(char::is_ascii_graphic).take(64).collect();
-    match fits.is_empty() {
-        true => "robot".to_owned(),
-        false => fits,
-    }
+    if fits.is_empty() { "robot".to_owned() } else { fits }
 }
 
 pub(super) fn load_model(path: &Path) -> Result<Arc<RobotModel>, DeployError> {

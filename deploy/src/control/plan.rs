@@ -111,10 +111,7 @@ fn follow(means: &mut [f32], now: &[f32], ticks: f32) {
 /// Whether `going` has its share of the command along the command: of the way, where one is commanded, else of the turn.
 fn goes_as_told(going: &[f32; COMMAND_DIM], command: &[f32; COMMAND_DIM]) -> bool {
     let [vx, vy, yaw] = *command;
-    let asked = match vx.hypot(vy) >= WALK_COMMAND {
-        true => [vx, vy, 0.0],
-        false => [0.0, 0.0, yaw],
-    };
+    let asked = if vx.hypot(vy) >= WALK_COMMAND { [vx, vy, 0.0] } else { [0.0, 0.0, yaw] };
     dot(going, &asked) >= GOES_SHARE * dot(&asked, &asked)
 }
 
@@ -264,10 +261,7 @@ fn mean(sum: &[f64; COMMAND_DIM], count: u64) -> Velocity {
 /// Mean over the joints of their speeds, rad/s. What is not a number is no standing still.
 pub(super) fn mean_speed(vel_radps: &PerJoint) -> f32 {
     let sum: f32 = vel_radps.iter().map(|v| v.abs()).sum();
-    match sum.is_finite() {
-        true => sum / vel_radps.len().max(1) as f32,
-        false => f32::INFINITY,
-    }
+    if sum.is_finite() { sum / vel_radps.len().max(1) as f32 } else { f32::INFINITY }
 }
 
 /// Adds the IMU and what follows from it to servo readings taken `dt_s` after the last ones.

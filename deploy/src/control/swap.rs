@@ -73,9 +73,7 @@ impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
 
     /// Takes over a newer policy, with empty history, blended in from what was sent last.
     fn swap_policy(&mut self, speed: f32, commanded: &[f32; COMMAND_DIM]) {
-        let Some(verified) = self.updates.take() else {
-            return;
-        };
+        let Some(verified) = self.updates.take() else { return };
         match PolicyRunner::new(verified, Some(self.runner.clock())) {
             Ok(runner) => {
                 let stage = self.motion.stage();

@@ -230,10 +230,7 @@ fn over(verdict: Verdict, end: End, touched: bool) -> (State, &'static [Do]) {
 
 /// Nothing is started beside it: it has the port, and nobody knows what it does next.
 fn undying(touched: bool) -> (State, &'static [Do]) {
-    let todo: &[Do] = match touched {
-        true => &[Do::LetGoAnyway],
-        false => &[],
-    };
+    let todo: &[Do] = if touched { &[Do::LetGoAnyway] } else { &[] };
     (State::Over(Verdict::Undying), todo)
 }
 
@@ -307,10 +304,7 @@ pub fn judge(signs: &Signs, limits: &Limits, state: State, touched: bool) -> Opt
 
 /// A robot that this run never touched may be somebody else's.
 fn letting_go(touched: bool) -> &'static [Do] {
-    match touched {
-        true => &[Do::LetGo],
-        false => &[],
-    }
+    if touched { &[Do::LetGo] } else { &[] }
 }
 
 #[cfg(test)]

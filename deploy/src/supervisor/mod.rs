@@ -177,10 +177,7 @@ impl<'a> Supervisor<'a> {
             self.above.say(Word::Ready);
             self.handle(Event::AgentReady)?;
         }
-        let silent_max = match self.agent.ready {
-            true => AGENT_SILENT_MAX,
-            false => AGENT_START_MAX,
-        };
+        let silent_max = if self.agent.ready { AGENT_SILENT_MAX } else { AGENT_START_MAX };
         let hangs = self.agent.child.is_some() && self.agent.heard.elapsed() > silent_max;
         if hangs && self.agent.killed_at.is_none() {
             self.agent.signal(Signal::SIGKILL);
@@ -237,10 +234,7 @@ impl<'a> Supervisor<'a> {
             });
         }
         if self.looper.child.is_none() {
-            return match self.looper.is_due() {
-                true => self.handle(Event::PauseOver),
-                false => Ok(()),
-            };
+            return if self.looper.is_due() { self.handle(Event::PauseOver) } else { Ok(()) };
         }
         let since = |at: Option<Instant>| at.map(|at| at.elapsed());
         let signs = Signs {
@@ -356,10 +350,7 @@ impl<'a> Supervisor<'a> {
         match (code, self.torque) {
             // Whatever else it came to: nobody may take a robot that holds on for one that let go.
             (_, Torque::Unproved) => {
-                let before = match line.is_empty() {
-                    true => String::new(),
-                    false => format!("{line}; "),
-                };
+                let before = if line.is_empty() { String::new() } else { format!("{line}; ") };
                 Err(Failure::message(ExitCode::TorqueOn, format!("{before}{torque}")))
             }
             (ExitCode::Ok, _) => Ok(()),
@@ -381,9 +372,7 @@ fn passed_on(end: End, who: &str, status: &str) -> (ExitCode, String) {
 /// Lets the servos go, in a process of its own: a port that hangs does not hold this one. It asks them
 /// whether they did. `anyway`: also where another program has the port.
 fn let_go(plan: &Plan, anyway: bool) -> Torque {
-    let Some(arguments) = &plan.limp else {
-        return Torque::Untouched;
-    };
+    let Some(arguments) = &plan.limp else { return Torque::Untouched };
     let begun = Instant::now();
     let child = Command::new(&plan.program)
         .args(&plan.arguments[0])

@@ -383,9 +383,7 @@ impl Collector {
         message: &str,
     ) -> Outcome {
         let identity = identity.filter(|id| id.run_id == self.settings.run_id);
-        let Some(identity) = identity else {
-            return self.reject_unattributed(reason, message);
-        };
+        let Some(identity) = identity else { return self.reject_unattributed(reason, message) };
         let actor = (identity.actor_id, identity.incarnation);
         match self.accounting.arrive(actor, identity.sequence) {
             Arrival::New => {}

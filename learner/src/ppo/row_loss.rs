@@ -82,10 +82,7 @@ impl<'a> Loss<'a> {
         let (unclipped, clipped) = (ratio * advantage, clipped_ratio * advantage);
         // The minimum lets the gradient through where the unclipped term is the smaller one (or they are equal):
         // dL/d log π = −w·A·r/M there.
-        let slope = match unclipped <= clipped {
-            true => -unclipped * weight * self.scale,
-            false => 0.0,
-        };
+        let slope = if unclipped <= clipped { -unclipped * weight * self.scale } else { 0.0 };
         for j in 0..width {
             let z = self.z[j];
             mean_gradient[j] = z * self.inverse_std[j] * slope;

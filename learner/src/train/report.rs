@@ -101,9 +101,7 @@ impl Reporter {
 
     /// Puts the settings of the run where TensorBoard shows them.
     pub fn settings(&mut self, config: &Config) {
-        let Some(file) = &mut self.tensorboard else {
-            return;
-        };
+        let Some(file) = &mut self.tensorboard else { return };
         let settings = serde_json::to_value(config).unwrap_or_default();
         let text = config.to_toml().unwrap_or_default();
         let written = file.settings(unix_time_s(), &settings, &text);
@@ -202,9 +200,7 @@ impl Reporter {
     }
 
     fn write_scalars(&mut self, report: &IterationReport, event: &progress::Iteration) {
-        let Some(file) = &mut self.tensorboard else {
-            return;
-        };
+        let Some(file) = &mut self.tensorboard else { return };
         let now = unix_time_s();
         let by_iteration = file.scalars(now, report.iteration, &scalars(report, event));
         let by_time: Vec<(String, f64)> = [

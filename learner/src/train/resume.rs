@@ -27,9 +27,7 @@ pub(super) fn load(
         },
         Resume::Named(name) => Some(store.load(name)?),
     };
-    let Some((folder, files)) = loaded else {
-        return Ok(None);
-    };
+    let Some((folder, files)) = loaded else { return Ok(None) };
     let state = CheckpointState::from_files(&files, layout)
         .map_err(|reason| store.damaged(&folder, reason))?;
     let path = folder.display().to_string();

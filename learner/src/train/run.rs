@@ -134,9 +134,7 @@ impl Run<'_> {
                 let (learner, told) = (&self.config.learner, self.reporter.told());
                 collect(&mut self.collector, link, fleet, learner, self.stop, told, &self.traces)?
             };
-            let Collected::Batch(chunks) = chunks else {
-                return Ok(self.stop_reason());
-            };
+            let Collected::Batch(chunks) = chunks else { return Ok(self.stop_reason()) };
             let collection_s = started.elapsed().as_secs_f64();
             state.actors_wait = true;
             if std::mem::take(&mut held_back) {

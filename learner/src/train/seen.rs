@@ -57,9 +57,7 @@ impl PoliciesSeen {
         let made = Made { sha256, ran: None, published: false };
         self.made.insert(version, made);
         while self.made.len() > VERSIONS_MAX {
-            let Some((version, made)) = self.made.pop_first() else {
-                return;
-            };
+            let Some((version, made)) = self.made.pop_first() else { return };
             let kept = told(version, &made).filter(|policy| policy.published);
             self.forgotten = kept.or(self.forgotten.take());
         }

@@ -70,9 +70,7 @@ impl Traces {
 
     /// A batch is complete; it was waited for since `began_ns`.
     pub fn batch(&mut self, chunks: &[RolloutChunk], began_ns: u64) {
-        let Some(current) = &mut self.current else {
-            return;
-        };
+        let Some(current) = &mut self.current else { return };
         let context = self.tracer.child_of(current.root);
         current.batch = Some(context);
         let oldest = chunks.iter().map(|chunk| chunk.policy_version).min();
@@ -126,9 +124,7 @@ impl Traces {
 
     /// Tells the root span of the version that was current.
     pub fn complete(&mut self) {
-        let Some(current) = self.current.take() else {
-            return;
-        };
+        let Some(current) = self.current.take() else { return };
         self.tracer.record(Span {
             name: "policy version",
             kind: Kind::Internal,

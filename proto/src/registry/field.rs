@@ -68,10 +68,7 @@ macro_rules! optional {
     ($($type:ty = $wire:ty),*) => {$(
         impl Field<$wire> for Option<$type> {
             fn read(name: &'static str, wire: $wire) -> Result<Self, RegistryError> {
-                match wire.is_empty() {
-                    true => Ok(None),
-                    false => Field::read(name, wire).map(Some),
-                }
+                if wire.is_empty() { Ok(None) } else { Field::read(name, wire).map(Some) }
             }
             fn write(self) -> $wire {
                 self.map(Field::write).unwrap_or_default()

@@ -82,9 +82,7 @@ fn same<T: PartialEq>(
     said: Option<T>,
     show: impl Fn(&T) -> String,
 ) -> Result<(), OtherQuestion> {
-    let Some(wanted) = asked else {
-        return Ok(());
-    };
+    let Some(wanted) = asked else { return Ok(()) };
     match said {
         Some(found) if found == wanted => Ok(()),
         found => Err(OtherQuestion {

@@ -308,9 +308,7 @@ impl<R: Lanes> Core for CoreOf<R> {
         let taken: Vec<AtomicBool> = work.iter().map(|_| AtomicBool::new(false)).collect();
         pool.run(&|k| {
             // nobody else has this thread's working memory, or a part that it took
-            let Some(Ok(mut scratch)) = scratch.get(k).map(Mutex::lock) else {
-                return;
-            };
+            let Some(Ok(mut scratch)) = scratch.get(k).map(Mutex::lock) else { return };
             let own = k * work.len() / threads;
             for at in (own..work.len()).chain(0..own) {
                 if !taken[at].swap(true, Ordering::Relaxed)

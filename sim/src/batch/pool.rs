@@ -28,9 +28,7 @@ impl Pool {
 
     /// Runs `task(0)` here and `task(1)`, … on the other threads, and waits for all of them.
     pub fn run(&self, task: &(dyn Fn(usize) + Sync)) {
-        let Some(others) = &self.others else {
-            return task(0);
-        };
+        let Some(others) = &self.others else { return task(0) };
         others.in_place_scope(|scope| {
             scope.spawn_broadcast(|_, at| task(at.index() + 1));
             task(0);

@@ -126,9 +126,7 @@ fn candidates(model: &RobotModel, shells: bool) -> Vec<Candidate> {
             if !(if shells { shown } else { geom.collides() }) {
                 continue;
             }
-            let Some((half_m, radius_m)) = rounded(geom) else {
-                continue;
-            };
+            let Some((half_m, radius_m)) = rounded(geom) else { continue };
             let other = if model.carries_feet(l) { Part::Trunk } else { Part::Tail };
             out.push(Candidate {
                 link: l,

@@ -113,9 +113,7 @@ impl Robot<'_> {
                 Some(foot) => self.params.foot_friction * self.params.foot_friction_scale[foot],
                 None => self.params.body_friction,
             };
-            let Some((kind, size)) = geom.shape.mjcf() else {
-                continue;
-            };
+            let Some((kind, size)) = geom.shape.mjcf() else { continue };
             let _ = writeln!(
                 out,
                 r#"<geom name="{part} {l} {g}" type="{kind}" size="{}" {} contype="0" conaffinity="1" priority="1" condim="3" friction="{friction}" {}/>"#,

@@ -90,9 +90,7 @@ impl MujocoEngine {
     /// Builds lanes anew whose parameters have changed.
     fn take_pending(&mut self) -> Result<(), SimError> {
         for number in 0..self.lanes.len() {
-            let Some(params) = self.pending[number].take() else {
-                continue;
-            };
+            let Some(params) = self.pending[number].take() else { continue };
             let memory = self.lanes[number].memory.clone();
             let process = &mut self.process;
             self.lanes[number] = Lane::from_memory(&self.shared, process, number, params, memory)?;

@@ -54,10 +54,7 @@ impl Robot {
 
     /// How many numbers come before positions and before velocities of joints.
     fn base(&self) -> (usize, usize) {
-        match self.free_base {
-            true => FREE_BASE,
-            false => (0, 0),
-        }
+        if self.free_base { FREE_BASE } else { (0, 0) }
     }
 
     /// Where velocities and the warm start begin in the answer.

@@ -148,9 +148,7 @@ impl Skin {
                 (None, Some(of)) => (1, of),
                 _ => continue,
             };
-            let Some(collider) = world.colliders.get(sides[side]) else {
-                continue;
-            };
+            let Some(collider) = world.colliders.get(sides[side]) else { continue };
             let centre = (collider.parent())
                 .and_then(|body| world.bodies.get(body))
                 .map_or(Vector::ZERO, RigidBody::center_of_mass);
@@ -248,9 +246,7 @@ impl PhysicsHooks for Friction<'_> {
     fn modify_solver_contacts(&self, context: &mut ContactModificationContext<'_>) {
         let pair = [context.collider1, context.collider2];
         let slides = self.slides.iter().any(|s| pair.contains(&s.collider));
-        let Some(contact) = context.rigid_mut() else {
-            return;
-        };
+        let Some(contact) = context.rigid_mut() else { return };
         let count = contact.solver_contacts.len();
         if count == 0 {
             return;

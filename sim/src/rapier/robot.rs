@@ -227,14 +227,10 @@ impl Joints for Robot {
     fn load_joint(&mut self, j: usize, torque: &ImplicitTorque<f32>, _motor_nm: f32) {
         let Self { world, handles, loads, armature_kgm2, .. } = self;
         let Some(dof) = handles.dofs[j] else { return };
-        let Some(multibody) = multibody_mut(world, handles) else {
-            return;
-        };
+        let Some(multibody) = multibody_mut(world, handles) else { return };
         multibody.damping_mut()[dof.assembly] = torque.damping_nms_per_rad;
         multibody.armature_mut()[dof.assembly] = armature_kgm2[j] + torque.inertia_kgm2;
-        let Some(link) = multibody.link_mut(dof.link) else {
-            return;
-        };
+        let Some(link) = multibody.link_mut(dof.link) else { return };
         // Relaxed where the joint is now: what the spring gives there already is in the constant part.
         let here = link.joint.coords()[dof.axis];
         link.joint.set_spring(dof.axis, torque.stiffness_nm_per_rad, here);

@@ -65,9 +65,7 @@ impl Water {
     pub fn load(&self, robot: &mut Robot, memory: &mut WaterMemory) {
         let before = std::mem::take(&mut memory.vel_mps);
         for (l, link) in self.links.iter().enumerate() {
-            let Some(at) = robot.link_motion(l, link.com_m) else {
-                continue;
-            };
+            let Some(at) = robot.link_motion(l, link.com_m) else { continue };
             let mass = &self.masses[l];
             let mut f = water::forces(link, &at, &self.surface);
             self.limit_drag(&mut f, &at, mass);

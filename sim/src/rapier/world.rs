@@ -302,9 +302,7 @@ impl Builder<'_> {
 
     fn insert_geom(&mut self, link: usize, index: usize, geom: &Geom, body: RigidBodyHandle) {
         let foot = self.model.foot_of(link, index);
-        let Some((shape, turn)) = collider_shape(geom.shape) else {
-            return;
-        };
+        let Some((shape, turn)) = collider_shape(geom.shape) else { return };
         let tag = match foot {
             Some(foot) => foot_tag(foot),
             None if self.model.carries_feet(link) => TRUNK_TAG,

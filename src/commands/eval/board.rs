@@ -37,9 +37,7 @@ fn scalars(result: &SuiteResult) -> Vec<(String, f64)> {
             1 => "Evaluation".to_owned(),
             _ => format!("Evaluation/{}", scenario.name),
         };
-        let Ok(Value::Object(figures)) = serde_json::to_value(scenario) else {
-            continue;
-        };
+        let Ok(Value::Object(figures)) = serde_json::to_value(scenario) else { continue };
         // every estimate is an object with its mean
         let means = figures.iter();
         let means = means.filter_map(|(key, value)| Some((key, value.get("mean")?.as_f64()?)));

@@ -22,9 +22,7 @@ pub fn print_on(engine: &str, r: &ScenarioResult) {
 pub fn print_end(result: &SuiteResult) {
     if let Some(referee) = &result.referee {
         for there in &referee.scenarios {
-            let Some(here) = result.scenario(&there.name) else {
-                continue;
-            };
+            let Some(here) = result.scenario(&there.name) else { continue };
             let kept = match here.vx_mps.mean.abs() > 1e-3 {
                 true => format!("{:.1} %", 100.0 * there.vx_mps.mean / here.vx_mps.mean),
                 false => "–".to_owned(),
@@ -101,10 +99,7 @@ fn pm(x: Estimate, digits: usize) -> String {
 
 fn episodes(r: &ScenarioResult) -> String {
     let list: Vec<String> = r.falls.iter().map(|(reason, n)| format!("{reason} {n}")).collect();
-    let reasons = match list.is_empty() {
-        true => String::new(),
-        false => format!(" ({})", list.join(", ")),
-    };
+    let reasons = if list.is_empty() { String::new() } else { format!(" ({})", list.join(", ")) };
     let falls = 100.0 * r.fall_share.mean;
     format!("{} episodes, falls {falls:.1} %{reasons}", r.episodes)
 }

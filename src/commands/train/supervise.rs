@@ -264,9 +264,7 @@ impl<'a> Supervisor<'a> {
     /// Starts a learner that died again, if that is the plan and may help; true when one runs.
     fn restart_learner(&mut self) -> bool {
         let ending = self.stopping_since.is_some() || self.fatal.is_some() || self.stop.is_set();
-        let Some(status) = self.learner.ended() else {
-            return true;
-        };
+        let Some(status) = self.learner.ended() else { return true };
         let code = status.code().and_then(ExitCode::from_number);
         let hopeless = status.success()
             || code.is_some_and(|code| is_permanent(code) || code == ExitCode::CheckpointDamaged);
@@ -401,9 +399,7 @@ impl<'a> Supervisor<'a> {
 
     /// A policy server that died is started again at its old address; training goes on meanwhile.
     fn watch_server(&mut self) -> Result<(), Failure> {
-        let Some(status) = self.server.ended() else {
-            return Ok(());
-        };
+        let Some(status) = self.server.ended() else { return Ok(()) };
         if self.fatal.is_some() {
             return Ok(());
         }

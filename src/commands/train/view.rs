@@ -85,9 +85,7 @@ impl View {
 
     /// Something that should not have happened; with `--json` an event.
     pub fn warn(&self, text: &str) {
-        let View::Json = self else {
-            return self.note(&format!("warning: {text}"));
-        };
+        let View::Json = self else { return self.note(&format!("warning: {text}")) };
         let warning = Event::Warning(Warning { message: text.to_owned() });
         if let Ok(line) = serde_json::to_string(&warning) {
             say::line(line);

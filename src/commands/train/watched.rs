@@ -104,9 +104,7 @@ impl Watched {
         now: Duration,
         mut tell: impl FnMut(&str),
     ) -> Result<Option<String>, Failure> {
-        let Some(process) = &mut self.process else {
-            return Ok(None);
-        };
+        let Some(process) = &mut self.process else { return Ok(None) };
         let (name, pid) = (&self.name, process.pid());
         let silent_s = self.pulse.silent_for().as_secs_f64();
         if process.ended().is_none() && silent_s > hang_timeout_s {

@@ -192,10 +192,7 @@ impl<'a> Parser<'a> {
     }
 
     fn close(&mut self) -> Result<(), String> {
-        match self.take(")") {
-            true => Ok(()),
-            false => Err("has a bracket that is not closed".to_owned()),
-        }
+        if self.take(")") { Ok(()) } else { Err("has a bracket that is not closed".to_owned()) }
     }
 
     fn number(&mut self) -> Result<Tree, String> {

@@ -162,10 +162,7 @@ pub fn body_wave(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
 /// What asks for swimming pays in full where nobody swims: a robot must not lose by leaving the water. (By
 /// entering it, it loses what its style lacks.)
 fn judged_afloat(input: &RewardInput<'_>, value: impl FnOnce() -> f32) -> f32 {
-    match input.afloat > 0.0 {
-        true => value(),
-        false => 1.0,
-    }
+    if input.afloat > 0.0 { value() } else { 1.0 }
 }
 
 /// Mean over the joints that are in a leg, or are not, each of which earns for itself (1 where there is

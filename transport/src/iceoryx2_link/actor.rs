@@ -106,12 +106,8 @@ impl ShmUplink {
 impl Uplink for ShmUplink {
     /// One copy into shared memory. Not handed on when the learner's buffer is full or there is no learner.
     fn transmit(&self, head: &UpHead, frame: &Arc<[u8]>) -> bool {
-        let Some(session) = self.session().clone() else {
-            return false;
-        };
-        let Ok(mut sample) = session.data.loan_slice_uninit(frame.len()) else {
-            return false;
-        };
+        let Some(session) = self.session().clone() else { return false };
+        let Ok(mut sample) = session.data.loan_slice_uninit(frame.len()) else { return false };
         *sample.user_header_mut() = head.encode();
         let delivered = sample.write_from_slice(frame).send();
         // A wake-up that fails costs `WAKE`.
@@ -155,9 +151,7 @@ impl Reader {
     }
 
     fn join(&self) -> Result<Option<Arc<Session>>, TransportError> {
-        let Some(Note { tag, limits, .. }) = self.paths.note()? else {
-            return Ok(None);
-        };
+        let Some(Note { tag, limits, .. }) = self.paths.note()? else { return Ok(None) };
         let ours = &self.core.limits;
         if limits != *ours {
             return Err(TransportError::Config(format!(
@@ -204,9 +198,7 @@ impl Reader {
             let head = *sample.user_header();
             let bytes = sample.payload().to_vec();
             drop(sample);
-            let Some((head, _)) = PolicyHead::decode(head.as_flattened()) else {
-                continue;
-            };
+            let Some((head, _)) = PolicyHead::decode(head.as_flattened()) else { continue };
             let id = PolicyId { epoch: head.epoch, generation: head.generation };
             if id.is_news_to(*have) && head.total == bytes.len() as u64 {
                 *have = Some(id);

@@ -138,9 +138,7 @@ impl Ports {
 
     /// Hands out the newest policy once, and to late joiners. True when something was handed out.
     fn publish(&self, core: &LearnerCore, published: &mut u64) -> bool {
-        let Some((generation, update)) = core.policy.newest() else {
-            return false;
-        };
+        let Some((generation, update)) = core.policy.newest() else { return false };
         if generation == *published {
             // Late joiners get the newest from the history when the connections are looked after.
             if let Err(error) = self.policy.update_connections() {
@@ -168,9 +166,7 @@ impl Ports {
         for status in core.answers(true) {
             table.extend_from_slice(&status.encode());
         }
-        let Ok(sample) = self.status.loan_slice_uninit(table.len()) else {
-            return;
-        };
+        let Ok(sample) = self.status.loan_slice_uninit(table.len()) else { return };
         if let Err(error) = sample.write_from_slice(&table).send() {
             tracing::debug!(?error, "answering actors");
         }

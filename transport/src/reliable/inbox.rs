@@ -66,9 +66,7 @@ impl Inbox {
         if !self.is_seated(head.link, now) && !self.admit(head, now) {
             return false;
         }
-        let Some(link) = self.links.get_mut(&head.link) else {
-            return false;
-        };
+        let Some(link) = self.links.get_mut(&head.link) else { return false };
         link.heard = now;
         link.gone = head.kind == UpKind::Bye;
         link.answer = !link.gone;
@@ -207,9 +205,7 @@ impl Inbox {
         }
         let forgettable = self.links.iter().filter(|(_, link)| link.waiting == 0);
         let oldest = forgettable.min_by_key(|(_, link)| link.heard);
-        let Some((&oldest, _)) = oldest else {
-            return false;
-        };
+        let Some((&oldest, _)) = oldest else { return false };
         self.links.remove(&oldest);
         true
     }

@@ -115,9 +115,7 @@ impl World {
     }
 
     fn read(&mut self) {
-        let Some(frame) = self.inbox.pop() else {
-            return;
-        };
+        let Some(frame) = self.inbox.pop() else { return };
         let field = |at: usize| u64::from_le_bytes(frame[at..at + 8].try_into().unwrap());
         let (actor, count) = (field(0) as usize, field(8));
         self.read[actor] += 1;

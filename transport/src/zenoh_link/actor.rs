@@ -71,9 +71,7 @@ impl ZenohUplink {
 impl Uplink for ZenohUplink {
     /// Blocks while the connection is congested, which holds up this link's transmitting thread only.
     fn transmit(&self, head: &UpHead, frame: &Arc<[u8]>) -> bool {
-        let Some(session) = self.session() else {
-            return false;
-        };
+        let Some(session) = self.session() else { return false };
         let put = session
             .put(&self.key, &frame[..])
             .attachment(head.encode())
@@ -104,9 +102,7 @@ struct Puller {
 
 impl Puller {
     fn run(&self, endpoints: &[String]) {
-        let Some(mut session) = self.open_until_closed(endpoints) else {
-            return;
-        };
+        let Some(mut session) = self.open_until_closed(endpoints) else { return };
         self.uplink.replace(Some(session.clone()));
         let closing = Arc::new(());
         let mut reconnect = Reconnect::new(&self.core.limits, self.link, Instant::now());
@@ -126,9 +122,7 @@ impl Puller {
                 reconnect.tried(Instant::now());
             }
             let heartbeat = self.core.limits.heartbeat();
-            let Some(news) = self.core.wait_for_policy_news(have, heartbeat) else {
-                continue;
-            };
+            let Some(news) = self.core.wait_for_policy_news(have, heartbeat) else { continue };
             match self.pull(&session, news) {
                 Ok(Some((got, update))) => {
                     have = Some(got);

@@ -101,9 +101,7 @@ fn others(session: &Session, run_id: &str, epoch: u64) -> Result<Vec<u64>, Trans
     let mut epochs = Vec::new();
     while let Ok(reply) = replies.recv() {
         // A time-out is an error among the replies.
-        let Ok(sample) = reply.into_result() else {
-            continue;
-        };
+        let Ok(sample) = reply.into_result() else { continue };
         let head = PolicyHead::decode(&sample.payload().to_bytes()).map(|(head, _)| head.epoch);
         epochs.extend(head.filter(|&other| other != epoch));
     }
@@ -234,9 +232,7 @@ fn answer(session: &Session, run_id: &str, status: &Status) {
 
 fn serve_pieces_until_closed(core: &LearnerCore, queryable: &Queryable<RingChannelHandler<Query>>) {
     while !core.crew.is_closing() {
-        let Ok(Some(query)) = queryable.recv_timeout(POLICY_TICK) else {
-            continue;
-        };
+        let Ok(Some(query)) = queryable.recv_timeout(POLICY_TICK) else { continue };
         let piece = piece(core, &query);
         if let Some(piece) = piece
             && let Err(error) = query.reply(query.key_expr(), piece).wait()

@@ -42,9 +42,7 @@ impl Reconnect {
 
     /// The last time that anything was heard.
     pub fn heard(&mut self, heard: Option<Instant>) {
-        let Some(at) = heard.filter(|_| heard > self.heard) else {
-            return;
-        };
+        let Some(at) = heard.filter(|_| heard > self.heard) else { return };
         self.heard = heard;
         self.pause = self.first_pause;
         self.due = at + self.pause;

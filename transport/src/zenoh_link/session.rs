@@ -204,9 +204,7 @@ fn with_ports(endpoints: &[String]) -> Result<Vec<String>, TransportError> {
 }
 
 fn with_port(endpoint: &str) -> Result<String, TransportError> {
-    let Some((scheme, address)) = endpoint.split_once('/') else {
-        return Ok(endpoint.to_owned());
-    };
+    let Some((scheme, address)) = endpoint.split_once('/') else { return Ok(endpoint.to_owned()) };
     if !address.ends_with(":0") {
         return Ok(endpoint.to_owned());
     }

@@ -219,13 +219,8 @@ fn case(seed: u64, only: &str, folder: &Path) -> Result<Option<(Outcome, Config)
     }
     let (name, make) = MISTAKES[which];
     let hidden = !seed.is_multiple_of(HEALTHY_EVERY);
-    let mistake = match hidden {
-        true => make(&mut draw),
-        false => Some(Change::default()),
-    };
-    let Some(mistake) = mistake else {
-        return Ok(None);
-    };
+    let mistake = if hidden { make(&mut draw) } else { Some(Change::default()) };
+    let Some(mistake) = mistake else { return Ok(None) };
     let mut changes = draw.harmless(&mistake.places);
     let places = mistake.places.clone();
     changes.push(mistake);

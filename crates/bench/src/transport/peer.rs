@@ -52,9 +52,7 @@ pub struct Light {
 /// # Errors
 /// When the variable holds something else than an order, or a link fails for good.
 pub fn serve_if_peer() -> Result<bool, Failure> {
-    let Ok(text) = std::env::var(ORDER) else {
-        return Ok(false);
-    };
+    let Ok(text) = std::env::var(ORDER) else { return Ok(false) };
     let order: Order = serde_json::from_str(&text).or_exit(ExitCode::BadConfig)?;
     obey(order).map(|()| true)
 }

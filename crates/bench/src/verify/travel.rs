@@ -51,9 +51,7 @@ pub(crate) fn paths(answer: &Value) -> Result<Vec<Path>, VerifyError> {
 
 /// Horizontal distance between the ends, m, and the change of heading, rad, of a path.
 fn outcome(path: &Path) -> (f64, f64) {
-    let (Some(a), Some(b)) = (path.first(), path.last()) else {
-        return (f64::NAN, f64::NAN);
-    };
+    let (Some(a), Some(b)) = (path.first(), path.last()) else { return (f64::NAN, f64::NAN) };
     // Heading unwrapped: a period turns by far less than half a turn.
     let turned = path.windows(2).map(|w| wrap(w[1][3] - w[0][3])).sum();
     ((b[0] - a[0]).hypot(b[1] - a[1]), turned)

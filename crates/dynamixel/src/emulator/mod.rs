@@ -146,9 +146,7 @@ impl EmulatedBus {
     fn answer_of(&mut self, id: u8, instruction: Instruction, parameters: &[u8], now_us: u64) {
         let baud = self.host_baud;
         let hears = |s: &&mut EmulatedServo| s.id() == id && s.hears(baud, now_us);
-        let Some(servo) = self.servos.iter_mut().find(hears) else {
-            return;
-        };
+        let Some(servo) = self.servos.iter_mut().find(hears) else { return };
         let delay = servo.return_delay_us();
         if let Some((error, data)) = servo.obey(instruction, parameters, now_us) {
             let mut body = vec![error.0];
@@ -160,9 +158,7 @@ impl EmulatedBus {
     }
 
     fn sync_read(&mut self, parameters: &[u8], now_us: u64) {
-        let Some((what, ids)) = parameters.split_at_checked(4) else {
-            return;
-        };
+        let Some((what, ids)) = parameters.split_at_checked(4) else { return };
         for id in ids {
             self.answer_of(*id, Instruction::Read, what, now_us);
         }
@@ -171,15 +167,11 @@ impl EmulatedBus {
     /// The servos' shares follow each other without a gap. Behind one that is silent nobody knows when to
     /// begin: the rest is missing and the host finds no whole frame.
     fn fast_sync_read(&mut self, parameters: &[u8], now_us: u64) {
-        let Some((what, ids)) = parameters.split_at_checked(4) else {
-            return;
-        };
+        let Some((what, ids)) = parameters.split_at_checked(4) else { return };
         let (baud, mut shares, mut delay) = (self.host_baud, Vec::new(), 0);
         for id in ids {
             let hears = |s: &&mut EmulatedServo| s.id() == *id && s.hears(baud, now_us);
-            let Some(servo) = self.servos.iter_mut().find(hears) else {
-                continue;
-            };
+            let Some(servo) = self.servos.iter_mut().find(hears) else { continue };
             delay = delay.max(servo.return_delay_us());
             if let Some((error, data)) = servo.obey(Instruction::Read, what, now_us) {
                 shares.push((*id, error, data));
@@ -194,9 +186,7 @@ impl EmulatedBus {
     }
 
     fn sync_write(&mut self, parameters: &[u8], now_us: u64) {
-        let Some((&[a0, a1, l0, l1], data)) = parameters.split_first_chunk::<4>() else {
-            return;
-        };
+        let Some((&[a0, a1, l0, l1], data)) = parameters.split_first_chunk::<4>() else { return };
         let length = usize::from(u16::from_le_bytes([l0, l1]));
         if u16::from_le_bytes([a0, a1]) == crate::xm430::GOAL_POSITION.address {
             self.goal_writes += 1;
@@ -209,9 +199,7 @@ impl EmulatedBus {
     fn bulk_write(&mut self, mut parameters: &[u8], now_us: u64) {
         while let Some((&[id, a0, a1, l0, l1], rest)) = parameters.split_first_chunk::<5>() {
             let length = usize::from(u16::from_le_bytes([l0, l1]));
-            let Some((data, rest)) = rest.split_at_checked(length) else {
-                return;
-            };
+            let Some((data, rest)) = rest.split_at_checked(length) else { return };
             self.write_quietly(id, [a0, a1], data, now_us);
             parameters = rest;
         }

@@ -182,9 +182,7 @@ impl EmulatedServo {
     }
 
     fn read(&self, parameters: &[u8]) -> Result<Vec<u8>, ErrorNumber> {
-        let &[a0, a1, l0, l1] = parameters else {
-            return Err(ErrorNumber::DataLength);
-        };
+        let &[a0, a1, l0, l1] = parameters else { return Err(ErrorNumber::DataLength) };
         let start = usize::from(u16::from_le_bytes([a0, a1]));
         let length = usize::from(u16::from_le_bytes([l0, l1]));
         let bytes = self.table.get(start..start + length);

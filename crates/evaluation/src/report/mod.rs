@@ -141,10 +141,7 @@ fn shown(outcome: &Outcome, settings: &Settings) -> Shown {
     let period_s = outcome.period_s;
     let one = outcome.commands < 2;
     Shown {
-        curves: match one {
-            true => Curves::of(&outcome.tracks, period_s),
-            false => None,
-        },
+        curves: if one { Curves::of(&outcome.tracks, period_s) } else { None },
         grid: film::grid(&outcome.tracks, outcome.commands, period_s, settings.settle_s),
         film: FilmData::of(outcome),
     }

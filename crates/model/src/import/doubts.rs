@@ -45,9 +45,7 @@ pub(super) fn say(robot: &Robot, root: &Element, remarks: &mut Remarks) {
 const RADIANS: &str = "A URDF has radians, an MJCF what its <compiler angle> says";
 
 fn inertia(body: &Body, reach_m: f64, remarks: &mut Remarks) {
-    let Some(inertial) = body.inertial.filter(|i| i.mass_kg > 0.0) else {
-        return;
-    };
+    let Some(inertial) = body.inertial.filter(|i| i.mass_kg > 0.0) else { return };
     let moments = principal(inertial.inertia_kgm2).0;
     let shown = moments.map(|m| format!("{m:.3e}")).join(", ");
     if let Err(why) = check_inertia(inertial.inertia_kgm2) {

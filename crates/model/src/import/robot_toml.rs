@@ -311,16 +311,12 @@ pub(super) fn feet(robot: &Robot) -> Vec<Foot> {
         if robot.bodies.iter().any(|b| b.parent == Some(end)) {
             continue;
         }
-        let Some((_, toe_z, _)) = lowest(end) else {
-            continue;
-        };
+        let Some((_, toe_z, _)) = lowest(end) else { continue };
         // toes without a drive belong to the foot that stands on the ground before them
         let foot = robot.bodies[end].parent.filter(|&p| p > 0 && !driven(robot, end));
         let stands = |&p: &usize| lowest(p).is_some_and(|(_, z, _)| z - toe_z < FOOT_LEVEL_M);
         let i = foot.filter(stands).unwrap_or(end);
-        let Some((at, z, geom)) = lowest(i) else {
-            continue;
-        };
+        let Some((at, z, geom)) = lowest(i) else { continue };
         let alike = |g: &&Geom| g.shape == geom.shape && bottom(i, g).1 - z < SOLE_LEVEL_M;
         let geoms = reaching(&robot.bodies[i]).filter(alike);
         let foot = Foot {
@@ -369,9 +365,7 @@ pub(super) fn raise(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
                 .max(origins_m[i] + pose::norm(geom.link_from_geom.pos_m) + pose::norm(size_m));
         }
     }
-    let Some((z, geom)) = stuck.filter(|_| !robot.free_base) else {
-        return;
-    };
+    let Some((z, geom)) = stuck.filter(|_| !robot.free_base) else { return };
     let at = &mut robot.bodies[0].parent_from_body.pos_m[2];
     let up_m = ((reach_m - *at) * 100.0).ceil() / 100.0;
     *at += up_m;

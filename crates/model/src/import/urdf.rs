@@ -197,9 +197,7 @@ impl<'a> Reader<'a> {
         joint: Option<Joint>,
         depth: usize,
     ) {
-        let Some(element) = self.links.get(name).copied() else {
-            return;
-        };
+        let Some(element) = self.links.get(name).copied() else { return };
         if depth > CHAIN_LIMIT {
             self.remarks
                 .refuse_of(element, format!("a chain of more than {CHAIN_LIMIT} links, or a loop"));
@@ -234,9 +232,7 @@ impl<'a> Reader<'a> {
         let own = |j: &&Element| j.first("parent").and_then(|p| p.get("link")) == Some(name);
         let children: Vec<&'a Element> = self.root.all("joint").filter(own).collect();
         for element in children {
-            let Some(child) = element.first("child").and_then(|c| c.get("link")) else {
-                continue;
-            };
+            let Some(child) = element.first("child").and_then(|c| c.get("link")) else { continue };
             let at = self.origin(element);
             let joint = self.joint(element);
             self.link(child, Some(index), at, joint, depth + 1);
@@ -312,9 +308,7 @@ impl<'a> Reader<'a> {
 
     /// `<origin xyz rpy>`: turned about fixed axes, x first.
     fn origin(&mut self, e: &Element) -> Pose {
-        let Some(origin) = e.first("origin") else {
-            return Pose::IDENTITY;
-        };
+        let Some(origin) = e.first("origin") else { return Pose::IDENTITY };
         let pos_m = origin.array("xyz", self.remarks).unwrap_or([0.0; 3]);
         let rpy = origin.array::<3>("rpy", self.remarks).unwrap_or([0.0; 3]);
         let mut quat_wxyz = Pose::IDENTITY.quat_wxyz;
@@ -410,9 +404,7 @@ impl<'a> Reader<'a> {
     fn path(&self, name: &str) -> PathBuf {
         let name = name.strip_prefix("file://").unwrap_or(name);
         let beside = self.file.with_file_name("");
-        let Some(inside) = name.strip_prefix("package://") else {
-            return beside.join(name);
-        };
+        let Some(inside) = name.strip_prefix("package://") else { return beside.join(name) };
         let below = inside.split_once('/').map_or(inside, |(_, rest)| rest);
         let folders = beside.ancestors().map(Path::to_owned).collect::<Vec<_>>();
         let tries = folders.iter().flat_map(|f| [f.join(inside), f.join(below)]);

@@ -108,9 +108,7 @@ fn write_joint(w: &mut String, joint: &Joint, depth: usize) {
 }
 
 fn write_geom(w: &mut String, Painted { geom, rgba }: &Painted, depth: usize) {
-    let Some((kind, size)) = geom.shape.mjcf() else {
-        return;
-    };
+    let Some((kind, size)) = geom.shape.mjcf() else { return };
     let size: Vec<String> = size.iter().map(f64::to_string).collect();
     let mut text = "<geom".to_owned();
     if let Some(name) = &geom.name {

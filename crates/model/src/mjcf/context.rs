@@ -154,9 +154,7 @@ impl<'a> Context<'a> {
             return e.clone();
         };
         let mut out = Element { children: Vec::new(), ..e.clone() };
-        let Some(class) = class.get(default_tag(&e.tag)) else {
-            return out;
-        };
+        let Some(class) = class.get(default_tag(&e.tag)) else { return out };
         for (key, value) in &class.attributes {
             // one way of saying where something lies replaces the other
             let said = |other: &&str| e.attributes.contains_key(*other);
@@ -216,10 +214,7 @@ impl<'a> Context<'a> {
 
 /// What is written in `frame`. Without one, signs of zeros stay as they are: the same bits.
 pub(super) fn within(frame: &Pose, own: Pose) -> Pose {
-    match *frame == Pose::IDENTITY {
-        true => own,
-        false => frame.compose(&own),
-    }
+    if *frame == Pose::IDENTITY { own } else { frame.compose(&own) }
 }
 
 /// How a constraint gives way, held within MuJoCo's limits.

@@ -109,9 +109,7 @@ fn home(context: &mut Context<'_>, root: &Element, order: &[String], robot: &mut
     let Some(key) = called("home").or_else(|| called("stand")).or(keys.first().copied()) else {
         return;
     };
-    let Some(numbers) = key.numbers("qpos", context.remarks) else {
-        return;
-    };
+    let Some(numbers) = key.numbers("qpos", context.remarks) else { return };
     let base = if robot.free_base { 7 } else { 0 };
     if numbers.len() != base + order.len() {
         let message = "has another number of positions and is not kept";

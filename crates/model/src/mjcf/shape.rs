@@ -25,9 +25,7 @@ impl Context<'_> {
         let (contype, conaffinity) = (bits("contype"), bits("conaffinity"));
         let kind = e.get("type").unwrap_or(if e.get("mesh").is_some() { "mesh" } else { "sphere" });
         let collides = contype != 0 || conaffinity != 0;
-        let Some((shape, at, solid)) = self.shape(e, kind, collides) else {
-            return (None, None);
-        };
+        let Some((shape, at, solid)) = self.shape(e, kind, collides) else { return (None, None) };
         let at = within(frame, at);
         let mass = self.not_negative(e, "mass");
         let density = self.not_negative(e, "density").unwrap_or(DENSITY_KG_PER_M3);
@@ -42,9 +40,7 @@ impl Context<'_> {
             let message = format!("attribute `friction`: is {friction}; it must not be negative");
             self.remarks.refuse_if_strict(e, message);
         }
-        let Some(shape) = shape else {
-            return (None, inertial);
-        };
+        let Some(shape) = shape else { return (None, inertial) };
         let geom = Geom {
             name: e.get("name").map(str::to_owned),
             shape,

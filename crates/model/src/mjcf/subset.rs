@@ -195,9 +195,7 @@ impl<'a> Names<'a> {
 
 /// Refuses attributes and words that are not of the subset.
 fn attributes(e: &Element, remarks: &mut Remarks) {
-    let Some((_, known, _)) = ELEMENTS.iter().find(|row| row.0 == e.tag) else {
-        return;
-    };
+    let Some((_, known, _)) = ELEMENTS.iter().find(|row| row.0 == e.tag) else { return };
     for (key, value) in &e.attributes {
         if !known.contains(&key.as_str()) {
             let known = match known {

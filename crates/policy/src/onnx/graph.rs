@@ -184,9 +184,7 @@ impl<'a> Walk<'a> {
         if more.len() != K {
             return Err(self.fail("the wrong number of inputs"));
         }
-        let [output] = node.output.as_slice() else {
-            return Err(self.fail("no output"));
-        };
+        let [output] = node.output.as_slice() else { return Err(self.fail("no output")) };
         self.at += 1;
         self.current = output;
         Ok(std::array::from_fn(|i| more[i].as_str()))

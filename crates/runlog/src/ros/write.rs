@@ -221,10 +221,7 @@ impl Row<'_> {
             let Some(of) = kind else { return Vec::new() };
             let values = names.iter().map(|n| self.get(of((*n).to_owned())));
             let values: Vec<f64> = values.map(|x| x.unwrap_or(f64::NAN)).collect();
-            match values.iter().all(|x| x.is_nan()) {
-                true => Vec::new(),
-                false => values,
-            }
+            if values.iter().all(|x| x.is_nan()) { Vec::new() } else { values }
         };
         let [position, velocity, effort] = kinds.map(list);
         let message = JointState {

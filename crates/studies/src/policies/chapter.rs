@@ -126,9 +126,7 @@ fn pictures(compared: &Compared) -> Vec<Signature> {
         y_label: y.into(),
         series,
     };
-    let Some(first) = compared.ways.first() else {
-        return Vec::new();
-    };
+    let Some(first) = compared.ways.first() else { return Vec::new() };
     let mut over_time = vec![line("command", &first.speed.time_s, &first.speed.command_mps)];
     let mut against = Vec::new();
     for way in &compared.ways {

@@ -68,9 +68,7 @@ mod tests {
             let (narrow, wide) = (table(&narrow), table(&wide));
             let mut ranges = 0;
             for (key, range) in narrow.as_object().unwrap() {
-                let Some(range) = range.as_array() else {
-                    continue;
-                };
+                let Some(range) = range.as_array() else { continue };
                 ranges += 1;
                 let end = |of: &serde_json::Value, i: usize| of[key][i].as_f64().unwrap();
                 let held = end(&wide, 0) <= range[0].as_f64().unwrap()

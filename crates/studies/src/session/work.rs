@@ -302,9 +302,7 @@ impl Own<'_> {
         files::make_folder(&self.plan.dir.join("next"))?;
         let csv = trial.to_csv().or_exit(ExitCode::Internal)?;
         files::write_whole(&next.commands, &csv)?;
-        let Some(wait_s) = self.plan.wait else {
-            return Ok(false);
-        };
+        let Some(wait_s) = self.plan.wait else { return Ok(false) };
         let reason = format!("{} is not recorded yet", next.trial);
         self.told(self.report()?, Ending::Waiting, reason, Some(next.clone()))?;
         let what = format!("{} into {}", next.commands.display(), next.log.display());
@@ -313,10 +311,7 @@ impl Own<'_> {
             while !is_there() && Instant::now() < until && !stop.is_set() {
                 stop.wait(LOOK_FOR_LOG_EVERY);
             }
-            match is_there() {
-                true => noted_in_log(next),
-                false => Ok(false),
-            }
+            if is_there() { noted_in_log(next) } else { Ok(false) }
         })
     }
 
@@ -409,9 +404,7 @@ impl Own<'_> {
 
 /// That the log of `next` notes the weight that was asked for, if one was.
 fn noted_in_log(next: &Next) -> Result<bool, Failure> {
-    let Some(weight) = &next.payload else {
-        return Ok(true);
-    };
+    let Some(weight) = &next.payload else { return Ok(true) };
     for dir in diagnosis::logs_at(std::slice::from_ref(&next.log))? {
         let log = RunLog::read(&dir).or_exit(ExitCode::BadInput)?;
         if log.meta.payload.is_empty() {

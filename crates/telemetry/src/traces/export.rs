@@ -152,9 +152,7 @@ impl Worker {
                 self.rest(GATHER).await;
                 let room = REQUEST_MAX - spans.len();
                 for _ in 0..room {
-                    let Ok(span) = self.waiting.try_recv() else {
-                        break;
-                    };
+                    let Ok(span) = self.waiting.try_recv() else { break };
                     spans.push(span);
                 }
             }
