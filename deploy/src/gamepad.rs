@@ -20,16 +20,10 @@ const AXIS: u8 = 2;
 const INITIAL: u8 = 0x80;
 
 /// How far sticks lie and which buttons are down.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Gamepad {
     axes: [f32; MANY],
     buttons: [bool; MANY],
-}
-
-impl Default for Gamepad {
-    fn default() -> Self {
-        Self { axes: [0.0; MANY], buttons: [false; MANY] }
-    }
 }
 
 /// What a full stick means.

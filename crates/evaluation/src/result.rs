@@ -248,14 +248,10 @@ impl ScenarioResult {
             servo_limit_share: mean(&|g| g.servo_limit_share),
             joint_speed_peak_radps: most(|g| g.joint_speed_peak_radps),
             joint_accel_rms_radps2: mean(&|g| g.joint_accel_rms_radps2),
-            posture: None,
             gates,
-            wave: None,
             stride: Stride::mean(gaits.iter().filter_map(|g| g.stride)),
             speed_share_least: gaits.iter().map(|g| g.speed_share).fold(1.0, f64::min),
-            transition: None,
-            arrived: None,
-            righting: None,
+            ..Self::default()
         }
     }
 

@@ -1,60 +1,49 @@
 //! One kind of episode: ground, command, disturbances, and what it is for.
 
+use caudata_declare::settings;
 use caudata_sim::{TerrainConfig, TerrainKind};
 use caudata_task::command::yaw_rate_towards;
 use caudata_task::push::PushConfig;
 use caudata_task::randomise::RandomisationConfig;
 use serde::Serialize;
 
-/// One kind of episode.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Scenario {
-    /// Its name in results.
-    pub name: String,
-    /// Commands (vx, vy in m/s, yaw rate in rad/s) that episodes follow in turn.
-    pub commands: Vec<[f32; 3]>,
-    /// The ground.
-    pub terrain: TerrainConfig,
-    /// Start positions within ± this, m.
-    pub spawn_half_extent_m: f32,
-    /// Around what.
-    pub start: Start,
-    /// What is commanded instead, in order of time. Empty: the command alone.
-    pub course: Vec<Leg>,
-    /// Length of its episodes, s; `None`: as the settings say.
-    pub episode_s: Option<f64>,
-    /// The robot's parameters.
-    pub corner: Corner,
-    /// Pushes, if any.
-    pub push: Option<PushConfig>,
-    /// Whether episodes begin in any attitude, as a robot lies that was thrown.
-    pub fallen: bool,
-    /// Whether it must pass the gates to count as walking (standing still need not).
-    pub judged: bool,
-    /// Where it must get to, if anywhere.
-    pub goal: Option<Goal>,
-    /// Which episode reports show, if any: single corners look alike, and a page must stay small.
-    pub film: Option<usize>,
+settings! {
+    /// One kind of episode.
+    #[derive(Clone, Debug, PartialEq)]
+    pub struct Scenario {
+        /// Its name in results.
+        pub name: String,
+        /// Commands (vx, vy in m/s, yaw rate in rad/s) that episodes follow in turn.
+        pub commands: Vec<[f32; 3]>,
+        /// The ground.
+        pub terrain: TerrainConfig,
+        /// Start positions within ± this, m.
+        pub spawn_half_extent_m: f32,
+        /// Around what.
+        pub start: Start,
+        /// What is commanded instead, in order of time. Empty: the command alone.
+        pub course: Vec<Leg>,
+        /// Length of its episodes, s; `None`: as the settings say.
+        pub episode_s: Option<f64>,
+        /// The robot's parameters.
+        pub corner: Corner,
+        /// Pushes, if any.
+        pub push: Option<PushConfig>,
+        /// Whether episodes begin in any attitude, as a robot lies that was thrown.
+        pub fallen: bool,
+        /// Whether it must pass the gates to count as walking (standing still need not).
+        pub judged: bool = true,
+        /// Where it must get to, if anywhere.
+        pub goal: Option<Goal>,
+        /// Which episode reports show, if any: single corners look alike, and a page must stay small.
+        pub film: Option<usize> = Some(0),
+    }
 }
 
 impl Scenario {
     /// An undisturbed walk on flat ground at a constant command.
     pub fn walk(name: &str, command: [f32; 3]) -> Self {
-        Self {
-            name: name.to_owned(),
-            commands: vec![command],
-            terrain: TerrainConfig::default(),
-            spawn_half_extent_m: 0.0,
-            start: Start::default(),
-            course: Vec::new(),
-            episode_s: None,
-            corner: Corner::nominal(),
-            push: None,
-            fallen: false,
-            judged: true,
-            goal: None,
-            film: Some(0),
-        }
+        Self { name: name.to_owned(), commands: vec![command], ..Self::default() }
     }
 
     /// Whether the ground is flat, so that a trunk on it is a fault.
@@ -129,42 +118,30 @@ pub enum Goal {
     Ahead,
 }
 
-/// A robot that differs from its file in a few known ways.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Corner {
-    /// Delay of commands, s.
-    pub command_delay_s: f32,
-    /// Factor on the friction of the feet.
-    pub foot_friction_scale: f32,
-    /// Factor on Kp.
-    pub kp_scale: f32,
-    /// Factor on all masses.
-    pub mass_scale: f32,
-    /// Mass that the torso carries, kg.
-    pub payload_kg: f32,
-    /// Factor on the play of the joints that have some.
-    pub backlash_scale: f32,
-    /// Share of the episodes in which one servo, any of them, gives no torque.
-    pub limp_share: f32,
-    /// Share of the episodes in which one servo, any of them, does not turn.
-    pub stuck_share: f32,
+settings! {
+    /// A robot that differs from its file in a few known ways; by default in none.
+    #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+    pub struct Corner {
+        /// Delay of commands, s.
+        pub command_delay_s: f32,
+        /// Factor on the friction of the feet.
+        pub foot_friction_scale: f32 = 1.0,
+        /// Factor on Kp.
+        pub kp_scale: f32 = 1.0,
+        /// Factor on all masses.
+        pub mass_scale: f32 = 1.0,
+        /// Mass that the torso carries, kg.
+        pub payload_kg: f32,
+        /// Factor on the play of the joints that have some.
+        pub backlash_scale: f32 = 1.0,
+        /// Share of the episodes in which one servo, any of them, gives no torque.
+        pub limp_share: f32,
+        /// Share of the episodes in which one servo, any of them, does not turn.
+        pub stuck_share: f32,
+    }
 }
 
 impl Corner {
-    /// The robot as its file says.
-    pub fn nominal() -> Self {
-        Self {
-            command_delay_s: 0.0,
-            foot_friction_scale: 1.0,
-            kp_scale: 1.0,
-            mass_scale: 1.0,
-            payload_kg: 0.0,
-            backlash_scale: 1.0,
-            limp_share: 0.0,
-            stuck_share: 0.0,
-        }
-    }
-
     /// As a randomisation without any width.
     pub fn randomisation(&self) -> RandomisationConfig {
         let all = |value: f32| [value, value];

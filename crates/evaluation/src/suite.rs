@@ -215,7 +215,7 @@ fn push(mass_kg: f64, speed_mps: f32) -> Scenario {
 const LOAD_SHARE: f64 = 0.3 / 2.596;
 
 fn robust(mass_kg: f64, speed_mps: f32) -> Vec<Scenario> {
-    let nominal = Corner::nominal();
+    let nominal = Corner::default();
     let corners = [
         (NOMINAL, nominal),
         ("robust: latency 18 ms", Corner { command_delay_s: 0.018, ..nominal }),
@@ -331,7 +331,7 @@ fn steps(speed_mps: f32) -> Vec<Scenario> {
 
 /// Straight ahead with a servo that has failed.
 fn servo(speed_mps: f32) -> Vec<Scenario> {
-    let nominal = Corner::nominal();
+    let nominal = Corner::default();
     let scenario = |name: &str, corner| Scenario {
         corner,
         judged: false,

@@ -272,13 +272,7 @@ fn foot(c: &Checker<'_>, at: String, names: &[String], links: &[Link]) -> Result
         let mut links = links.iter().enumerate();
         links.find_map(|(l, link)| Some((l, on(link)?)))
     };
-    let mut out = Foot {
-        name: String::new(),
-        link: 0,
-        geoms: Vec::new(),
-        centre_m: [0.0; 3],
-        balls: Vec::new(),
-    };
+    let mut out = Foot::default();
     for name in names {
         let Some((link, geom)) = place(name) else {
             return c.refuse(at, format!("there is no geom `{name}` on a link"));

@@ -313,7 +313,7 @@ pub struct Ball {
 }
 
 /// A foot: the shapes at the end of a leg that are to touch the ground.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Foot {
     /// Leg name, for example `FL`.
     pub name: String,

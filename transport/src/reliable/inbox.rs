@@ -11,6 +11,7 @@ use crate::Limits;
 const MAX_KNOWN_LINKS: usize = 4096;
 
 /// Frames received and not yet read, and the position of every link.
+#[derive(Default)]
 pub(crate) struct Inbox {
     epoch: u64,
     window: u64,
@@ -52,12 +53,7 @@ impl Inbox {
             max_actors: limits.max_actors,
             rate: Some(limits.max_frames_per_s).filter(|&r| r > 0).map(f64::from),
             peer_timeout: limits.peer_timeout(),
-            links: BTreeMap::new(),
-            queue: VecDeque::new(),
-            generation: 0,
-            stop: false,
-            refused: 0,
-            duplicates: 0,
+            ..Self::default()
         }
     }
 

@@ -11,6 +11,7 @@ use crate::{Limits, SendError};
 const EAGER_PROBES: u32 = 4;
 
 /// Frames taken but not acknowledged, and what is known of the learner.
+#[derive(Default)]
 pub(crate) struct Outbox {
     link: u64,
     heartbeat: Duration,
@@ -67,18 +68,7 @@ impl Outbox {
             peer_timeout: limits.peer_timeout(),
             max_frame_bytes: limits.max_frame_bytes,
             base: 1,
-            frames: VecDeque::new(),
-            sent: 0,
-            sent_ever: 0,
-            granted: 0,
-            epoch: None,
-            heard: None,
-            probes: 0,
-            probed: None,
-            mark: None,
-            generation: 0,
-            stop: false,
-            retransmits: 0,
+            ..Self::default()
         }
     }
 
