@@ -39,8 +39,8 @@ const ONE_TOLERANCE: [(Kind, f64); 6] = [
     (Kind::BaseAttitude, 0.02),
     (Kind::BaseVelocity, 0.02),
 ];
-/// Longest trial that is considered, s.
-const LONGEST_S: f64 = 60.0;
+/// Longest trial that is considered, s: longer ones are for what takes as long to build up.
+pub(crate) const LONGEST_S: f64 = 60.0;
 /// Probability, before anything is recorded, that nothing is wrong.
 const NOTHING: f64 = 0.5;
 /// What leaves less than so many tolerances in every trial cannot matter.
@@ -344,7 +344,7 @@ fn gram(
     let predictions = replayer.predict(&data, &variants)?;
     let (joints, count) = (model.actuated().len(), terms.len());
     let mut gram = vec![vec![0.0; count * count]; joints + 1];
-    for piece in data.segments.iter().flat_map(|s| &s.pieces) {
+    for piece in data.pieces() {
         let Some(tolerance) = tolerance(piece.kind) else {
             continue;
         };

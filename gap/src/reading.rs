@@ -3,6 +3,7 @@
 use caudata_model::RobotModel;
 use caudata_runlog::{Axis, BaseHold, QuatPart, Signal, Table};
 
+use crate::check::series::median_step_s;
 use crate::error::GapError;
 use crate::trial::{Channel, Kind, Run, Steps, Trial, attitude_of, nearest_turn};
 
@@ -96,7 +97,8 @@ fn known_conditions(model: &RobotModel, run: &Run) -> Result<(), String> {
 fn steps(table: &Table, signal: &Signal) -> Option<Steps> {
     let (time, column) = (table.time_s(), table.column(signal)?);
     let sent = time.iter().zip(column).filter(|(_, v)| v.is_some());
-    let mut steps = Steps { frame_s: median_step(sent.map(|(t, _)| *t)), ..Steps::default() };
+    let sent_s: Vec<f64> = sent.map(|(t, _)| *t).collect();
+    let mut steps = Steps { frame_s: median_step_s(&sent_s), ..Steps::default() };
     for (t, v) in time.iter().zip(column) {
         if let Some(v) = *v
             && steps.value.last() != Some(&v)
@@ -106,14 +108,6 @@ fn steps(table: &Table, signal: &Signal) -> Option<Steps> {
         }
     }
     (!steps.value.is_empty()).then_some(steps)
-}
-
-/// Median time from one stamp to the next, s; 0 where there are fewer than two.
-fn median_step(stamps_s: impl Iterator<Item = f64>) -> f64 {
-    let stamps_s: Vec<f64> = stamps_s.collect();
-    let mut steps_s: Vec<f64> = stamps_s.windows(2).map(|w| w[1] - w[0]).collect();
-    steps_s.sort_by(f64::total_cmp);
-    steps_s.get(steps_s.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// Voltage without load: what the upper half of the readings are on average, V.

@@ -3,11 +3,12 @@
 
 use std::collections::BTreeMap;
 
+pub use caudata_model::ExtensionParameter as Parameter;
 use caudata_runlog::Payload;
 use serde::{Deserialize, Serialize};
 
 /// The outcome of a diagnosis.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     /// The outcome in one word.
     pub verdict: Verdict,
@@ -58,7 +59,7 @@ pub struct Report {
 }
 
 /// The seven outcomes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
     /// Simulation and measurement agree within what repeats differ by.
@@ -70,6 +71,7 @@ pub enum Verdict {
     /// Named causes explain a part of it.
     PartlyExplained,
     /// A gap that no cause of the catalogue explains.
+    #[default]
     Unexplained,
     /// What would show the effect was not recorded or not excited.
     InsufficientData,
@@ -97,7 +99,7 @@ pub struct Divergence {
 }
 
 /// A named cause.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Cause {
     /// Effect id of the catalogue.
     pub effect: String,
@@ -180,21 +182,6 @@ impl Cause {
         }
         out
     }
-}
-
-/// A fitted parameter.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Parameter {
-    /// In `unit`.
-    pub value: f64,
-    /// SI.
-    pub unit: String,
-    /// Lower end of the 95 % interval.
-    pub ci_low: f64,
-    /// Upper end of the 95 % interval.
-    pub ci_high: f64,
-    /// Whether the value lies on its bound, and so is no result.
-    pub at_bound: bool,
 }
 
 /// A look-alike that fell.

@@ -9,7 +9,7 @@ use caudata_gap::check::{check_dirs, run_names};
 use caudata_gap::report::{DataFault, Verdict};
 use caudata_gap::{
     Diagnosis, GapError, GoOn, Options, Progress, Report, Request, Role, Run, diagnose as find,
-    excite, extension, page,
+    extension, page,
 };
 use caudata_model::RobotModel;
 use caudata_runlog::{ROWS, meta_file, names_a_robot, rows_file};
@@ -114,7 +114,6 @@ pub fn diagnose(
     let refused = |error| refused(error, stop);
     let mut found = find(&request, &mut |progress| tell(&progress)).map_err(refused)?;
     found.report.compute.seconds = started.elapsed().as_secs_f64();
-    name_the_trial(&robot, &mut found.report);
     let extended = extension::append(&found.extension, &String::from_utf8_lossy(&robot_toml))
         .map_err(refused)?;
     write(&plan.out, &robot, &found, &extended, (&mjcf_name, &mjcf))?;
@@ -158,18 +157,6 @@ fn runs(plan: &Plan, robot: &RobotModel) -> Result<(Vec<Run>, Vec<DataFault>), F
 /// Where a log lies, however it was named.
 fn place(log: &Path) -> PathBuf {
     log.canonicalize().unwrap_or_else(|_| log.to_owned())
-}
-
-/// The catalogue names kinds of trials; the report names one of the battery.
-fn name_the_trial(robot: &RobotModel, report: &mut Report) {
-    if let Some(next) = &mut report.next_experiment {
-        let separates: Vec<&str> = next.separates.iter().map(String::as_str).collect();
-        if let Some(trial) = excite::canonical(&next.trial) {
-            next.trial = trial.to_owned();
-        } else if let Some(best) = excite::next(robot, &separates, &next.joints) {
-            next.trial = best.trial;
-        }
-    }
 }
 
 /// Whether there is an extended robot file. Where a gap has been found and no model that is nearer to held-out

@@ -11,34 +11,12 @@ use crate::case::{Answer, Block, TrueEffect, TrueValue};
 use crate::decoy::Decoy;
 use crate::hidden::{Hidden, OUTSIDE, Scope, World};
 use crate::lab::{FIRST_HELD_OUT, HELD_OUT, LAWS, SIGNS, run, stream};
-use crate::sets::{below, between};
+use crate::sets::{Plan, below, between};
 use crate::sizing::{detectability, size_for};
 use crate::truth::sensors::Row;
 
 pub use crate::lab::{GenerateError, Rig, lab};
 pub use crate::sizing::{NullView, null_view};
-
-/// What is asked for.
-pub struct Request<'a> {
-    /// Folder name.
-    pub name: String,
-    /// Block.
-    pub block: Block,
-    /// Robot.
-    pub rig: &'a Rig,
-    /// Seed of everything random in it.
-    pub seed: u64,
-    /// How long the runs are.
-    pub amount: Amount,
-    /// Effects with the joint and the size in detectability units.
-    pub effects: Vec<(&'static Hidden, usize, f64)>,
-    /// Something unusual.
-    pub decoy: Option<Decoy>,
-    /// Ids that the diagnosis has to do without.
-    pub without: Vec<String>,
-    /// Whether the robot also follows, faintly, laws that no catalogue has.
-    pub other_laws: bool,
-}
 
 /// One run before it is written.
 struct Run {
@@ -47,9 +25,9 @@ struct Run {
     meta: LogMeta,
 }
 
-/// Makes a case under `parent/<name>` and returns its answer.
-pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateError> {
-    let rig = request.rig;
+/// Makes the case of a bench rig called `name` under `parent` and returns its answer.
+pub fn make(name: &str, request: &Plan, parent: &Path) -> Result<Answer, GenerateError> {
+    let rig = &Rig::bench(request.rig)?;
     let model = &rig.model;
     let seed = request.seed;
     let full_fit = battery::fit(model, request.amount);
@@ -64,7 +42,7 @@ pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateErro
         let view = null_view(rig, &full_fit, seed)?;
         let mut signs = stream(seed, SIGNS, 0);
         if request.other_laws {
-            other_laws(request, &mut world, &full_fit, &view)?;
+            other_laws((request.seed, rig), &mut world, &full_fit, &view)?;
         }
         for &(hidden, joint, d) in &request.effects {
             let sign = if hidden.signed && signs.chance(0.5) { -1.0 } else { 1.0 };
@@ -78,12 +56,12 @@ pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateErro
             _ => detectability(rig, &world, &full_fit, &view, seed)?,
         };
     }
-    let (fit, holdout) = runs(request, &world, &trials)?;
-    write(rig, &world, &parent.join(&request.name), &fit, &holdout)?;
+    let (fit, holdout) = runs((request, rig), &world, &trials)?;
+    write(rig, &world, &parent.join(name), &fit, &holdout)?;
     let decoy = request.decoy;
     let ids: Vec<&str> = effects.iter().map(|e| e.0.id).collect();
     Ok(Answer {
-        case: request.name.clone(),
+        case: name.to_owned(),
         block: request.block,
         rig: rig.name.clone(),
         seed,
@@ -104,12 +82,11 @@ pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateErro
 /// What a robot of another maker has: bristles, windings, a bridge and a loop of its own, and up to two laws that
 /// no catalogue has, from what nobody sees to a little more than a careful lab's differences.
 fn other_laws(
-    request: &Request<'_>,
+    (seed, rig): (u64, &Rig),
     world: &mut World,
     trials: &[Trial],
     view: &NullView,
 ) -> Result<(), GenerateError> {
-    let (rig, seed) = (request.rig, request.seed);
     let mut s = stream(seed, LAWS, 0);
     for p in &mut world.spec.joints {
         p.presliding_rad *= between(&mut s, -0.7, 0.7).exp();
@@ -170,11 +147,11 @@ fn true_effect(
 
 /// All runs of a case: fit with repeats, hold-out with repeats.
 fn runs(
-    request: &Request<'_>,
+    (request, rig): (&Plan, &Rig),
     world: &World,
     trials: &[Trial],
 ) -> Result<(Vec<Run>, Vec<Run>), GenerateError> {
-    let (rig, seed) = (request.rig, request.seed);
+    let seed = request.seed;
     let repeats = match request.amount {
         Amount::Short => 2,
         Amount::Full => 3,
@@ -185,7 +162,7 @@ fn runs(
     for (i, trial) in trials.iter().enumerate() {
         for r in 0..repeats {
             let index = 10 * i as u64 + r;
-            fit.push(one_run(request, fit_world, trial, index, "fit", r)?);
+            fit.push(one_run((request, rig), fit_world, trial, index, "fit", r)?);
         }
     }
     let mut s = stream(seed, HELD_OUT, 0);
@@ -193,21 +170,21 @@ fn runs(
     for (i, trial) in battery::holdout(&rig.model, request.amount, &mut s).iter().enumerate() {
         for r in 0..2 {
             let index = FIRST_HELD_OUT + 10 * i as u64 + r;
-            holdout.push(one_run(request, world, trial, index, "holdout", r)?);
+            holdout.push(one_run((request, rig), world, trial, index, "holdout", r)?);
         }
     }
     Ok((fit, holdout))
 }
 
 fn one_run(
-    request: &Request<'_>,
+    (request, rig): (&Plan, &Rig),
     world: &World,
     trial: &Trial,
     index: u64,
     role: &str,
     repeat: u64,
 ) -> Result<Run, GenerateError> {
-    let (rig, decoy) = (request.rig, request.decoy);
+    let decoy = request.decoy;
     let mut world = world.clone();
     if let Some(d) = decoy {
         d.change_world(&mut world);

@@ -99,7 +99,7 @@ impl Null {
             _ => true,
         };
         let (mut missed, mut changed) = (0.0, vec![0.0; variants.len()]);
-        for p in self.data.segments.iter().flat_map(|s| &s.pieces) {
+        for p in self.data.pieces() {
             if !concerned(p.index, p.kind.of_joint()) {
                 continue;
             }

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use caudata_gap::report::Report;
 
 use crate::case::{Answer, Answers};
-use crate::generate::{self, GenerateError, Request, Rig};
+use crate::generate::{self, GenerateError, Rig};
 use crate::salamander::{self, LabFile, SalamanderPlan};
 use crate::score::{Given, Outcome, judge};
 use crate::seal;
@@ -100,19 +100,7 @@ fn make(index: usize, plan: &Plan, cases: &Path) -> Result<Answer, GenerateError
         };
         return salamander::make(&plan, cases, &|| true);
     }
-    let rig = Rig::bench(plan.rig)?;
-    let request = Request {
-        name: format!("c{index:04}"),
-        block: plan.block,
-        rig: &rig,
-        seed: plan.seed,
-        amount: plan.amount,
-        effects: plan.effects.clone(),
-        decoy: plan.decoy,
-        without: plan.without.clone(),
-        other_laws: plan.other_laws,
-    };
-    generate::make(&request, cases)
+    generate::make(&format!("c{index:04}"), plan, cases)
 }
 
 /// Makes the case of `plan` in `root`, has it diagnosed in a process of its own, and tells what is true and what

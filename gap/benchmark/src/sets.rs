@@ -37,7 +37,7 @@ pub struct Plan {
 
 impl Plan {
     /// One in which nothing is hidden.
-    pub(crate) fn new(block: Block, rig: &'static str, seed: u64, amount: Amount) -> Self {
+    pub fn new(block: Block, rig: &'static str, seed: u64, amount: Amount) -> Self {
         Self {
             block,
             rig,

@@ -10,10 +10,10 @@ use caudata_runlog::{BaseHold, RunLog};
 use serde::{Deserialize, Serialize};
 
 use super::excites::{JointExcitation, RunExcitation};
-use crate::effects;
+use crate::effects::{self, Effect, Layer};
 use crate::excitation::Excitation;
-use crate::reading;
-use crate::trial::Trial;
+use crate::trial::{Role, Run, Trial};
+use crate::{excite, reading};
 
 /// An effect that cannot show.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -69,102 +69,66 @@ impl Evidence<'_> {
     }
 }
 
-type Need = (&'static [&'static str], fn(&Evidence<'_>) -> Option<&'static str>, &'static str);
+type Need = (&'static [&'static str], fn(&Evidence<'_>) -> Option<&'static str>);
 
 fn unless(holds: bool, missing: &'static str) -> Option<&'static str> {
     (!holds).then_some(missing)
 }
 
-/// Effects, what is missing for them (`None`: nothing), and the trial that gives it.
+/// Effects, and what is missing for them (`None`: nothing).
 #[rustfmt::skip]
 const NEEDS: &[Need] = &[
-    (&["encoder_offset"], |e| unless((e.has("cur") || e.has("tau") || e.sees_links()) && e.total(|j| j.holds as f64) >= 4.0, "holds in four or more poses with current, IMU, foot or motion capture"), "holds"),
-    (&["encoder_gain", "link_geometry"], |e| unless(e.has("mocap") || e.has("foot"), "motion capture or foot positions: joint logs alone cannot show it"), "sweep_full"),
-    (&["velocity_lag"], |e| unless(e.has("vel") && e.joint(|j| j.band_hz[1] > 1.0), "speeds logged, above 1 Hz"), "chirp_medium"),
-    (&["current_bias"], |e| unless(e.has("cur"), "motor current"), "holds"),
-    (&["current_lag"], |e| unless(e.has("cur") && e.joint(|j| j.band_hz[1] > 1.0), "motor current, above 1 Hz"), "chirp_medium"),
-    (&["imu_tilt"], |e| unless(e.has("imu.acc") || e.has("imu.grav"), "accelerometer or gravity direction"), "rest"),
-    (&["gyro_bias"], |e| unless(e.has("imu.gyro"), "gyroscope"), "rest"),
-    (&["imu_delay"], |e| unless(e.has("imu.gyro") && e.moving_joints() > 0, "gyroscope while the trunk moves"), "rock_x"),
-    (&["mocap_frame"], |e| unless(e.has("mocap"), "motion capture"), "holds"),
-    (&["command_delay", "command_low_pass", "servo_loop_delay"], |e| unless(e.joint(|j| j.band_hz[1] >= 2.5 && j.band_hz[0] > 0.0 && j.band_hz[1] / j.band_hz[0] >= 4.0), "commands over two octaves, up to 2.5 Hz or more"), "chirp_small"),
-    (&["measurement_delay"], |e| unless(e.has("imu.gyro") || e.has("mocap") || e.total(|j| j.off_s) > 0.2, "a second sensor (IMU, motion capture) or a drop with the servo let go"), "drop_high"),
-    (&["bus_skew"], |e| unless(e.moving_joints() >= 3 && e.joint(|j| j.band_hz[1] > 1.0), "three or more joints moving at once above 1 Hz"), "all_chirp"),
-    (&["dropped_frames"], |e| unless(e.moving_joints() > 0, "motion"), "prbs"),
-    (&["clock_drift"], |e| unless(e.runs.iter().any(|r| r.duration_s >= 100.0), "one run of 100 s or more"), "gait_long"),
-    (&["profile_limit"], |e| unless(e.total(|j| j.steps[2] as f64) >= 1.0 || e.joint(|j| j.speed_max_radps > 4.0), "large steps"), "steps_large"),
-    (&["kp_error", "duty_supply", "controller_dead_band", "integral_action"], |e| unless(e.total(|j| j.holds as f64) >= 3.0, "holds under load"), "holds"),
-    (&["kd_error"], |e| unless(e.total(|j| (j.steps[0] + j.steps[1] + j.steps[2]) as f64) >= 2.0 || e.joint(|j| j.band_hz[1] > 2.5), "steps, or commands above 2.5 Hz"), "steps_medium"),
-    (&["torque_constant"], |e| unless(e.has("cur"), "motor current"), "holds"),
-    (&["winding_resistance", "voltage_limit", "supply_level"], |e| unless(e.total(|j| j.fast_s) > 0.3, "fast motion (above 1.5 rad/s) for 0.3 s or more"), "steps_large"),
-    (&["torque_limit", "braking_asymmetry"], |e| unless(e.joint(|j| j.steps[2] > 0) || e.joint(|j| j.effort > 0.5), "large steps or loads near the torque limit"), "steps_large"),
-    (&["supply_sag"], |e| unless(e.has("volt") && e.moving_joints() >= 2, "supply voltage, with several joints under load"), "all_steps"),
-    (&["thermal_derating"], |e| unless(e.has("temp") && e.runs.iter().any(|r| r.warming_k > 8.0), "temperature over a hard hold of some minutes"), "hot_hold"),
-    (&["coulomb_friction", "viscous_friction", "direction_asymmetry"], |e| unless(e.total(|j| j.reversals as f64) >= 4.0, "reversals"), "triangle_medium"),
-    (&["stribeck_friction", "cogging"], |e| unless(e.total(|j| j.slow_s) > 2.0, "slow motion (0.02 to 0.3 rad/s) for 2 s or more"), "triangle_slow"),
-    (&["load_dependent_friction", "drive_asymmetry"], |e| unless(e.joint(|j| j.range_rad[1] - j.range_rad[0] > 0.8 && j.reversals >= 2), "one speed under several loads: lift and lower over 0.8 rad or more"), "lift_lower"),
-    (&["pre_sliding"], |e| unless(e.total(|j| j.small_reversals as f64) >= 4.0, "reversals of a few mrad"), "micro"),
-    (&["gear_backlash", "gear_compliance"], |e| unless(e.total(|j| j.reversals as f64) >= 6.0 && (e.has("cur") || e.joint(|j| j.band_hz[1] > 2.0)), "reversals at small load, with current or above 2 Hz"), "micro"),
-    (&["friction_drift"], |e| unless(e.runs.len() >= 3 || e.runs.iter().any(|r| r.duration_s > 200.0), "a session: three or more runs, or one of some minutes"), "gait_long"),
-    (&["girdle_play"], |e| unless(e.sees_links(), "IMU, foot positions or motion capture: encoders sit before the play and cannot show it"), "rock_x"),
-    (&["link_compliance"], |e| unless(e.has("mocap") || e.has("foot") || e.has("imu.acc"), "motion capture, foot positions or accelerometer"), "rock_y"),
-    (&["parallel_spring"], |e| unless(e.total(|j| j.holds as f64) >= 4.0, "holds over the range"), "holds"),
+    (&["encoder_offset"], |e| unless((e.has("cur") || e.has("tau") || e.sees_links()) && e.total(|j| j.holds as f64) >= 4.0, "holds in four or more poses with current, IMU, foot or motion capture")),
+    (&["encoder_gain"], |e| unless(e.has("mocap") || e.has("foot"), "motion capture or foot positions: joint logs alone cannot show it")),
+    (&["velocity_lag"], |e| unless(e.has("vel") && e.joint(|j| j.band_hz[1] > 1.0), "speeds logged, above 1 Hz")),
+    (&["current_bias"], |e| unless(e.has("cur"), "motor current")),
+    (&["current_lag"], |e| unless(e.has("cur") && e.joint(|j| j.band_hz[1] > 1.0), "motor current, above 1 Hz")),
+    (&["imu_tilt"], |e| unless(e.has("imu.acc") || e.has("imu.grav"), "accelerometer or gravity direction")),
+    (&["gyro_bias"], |e| unless(e.has("imu.gyro"), "gyroscope")),
+    (&["imu_delay"], |e| unless(e.has("imu.gyro") && e.moving_joints() > 0, "gyroscope while the trunk moves")),
+    (&["mocap_frame"], |e| unless(e.has("mocap"), "motion capture")),
+    (&["command_delay", "command_low_pass", "servo_loop_delay"], |e| unless(e.joint(|j| j.band_hz[1] >= 2.5 && j.band_hz[0] > 0.0 && j.band_hz[1] / j.band_hz[0] >= 4.0), "commands over two octaves, up to 2.5 Hz or more")),
+    (&["measurement_delay"], |e| unless(e.has("imu.gyro") || e.has("mocap") || e.total(|j| j.off_s) > 0.2, "a second sensor (IMU, motion capture) or a drop with the servo let go")),
+    (&["bus_skew"], |e| unless(e.moving_joints() >= 3 && e.joint(|j| j.band_hz[1] > 1.0), "three or more joints moving at once above 1 Hz")),
+    (&["dropped_frames"], |e| unless(e.moving_joints() > 0, "motion")),
+    (&["clock_drift"], |e| unless(e.runs.iter().any(|r| r.duration_s >= 100.0), "one run of 100 s or more")),
+    (&["profile_limit"], |e| unless(e.total(|j| j.steps[2] as f64) >= 1.0 || e.joint(|j| j.speed_max_radps > 4.0), "large steps")),
+    (&["kp_error", "duty_supply", "controller_dead_band", "integral_action"], |e| unless(e.total(|j| j.holds as f64) >= 3.0, "holds under load")),
+    (&["kd_error"], |e| unless(e.total(|j| (j.steps[0] + j.steps[1] + j.steps[2]) as f64) >= 2.0 || e.joint(|j| j.band_hz[1] > 2.5), "steps, or commands above 2.5 Hz")),
+    (&["torque_constant"], |e| unless(e.has("cur"), "motor current")),
+    (&["winding_resistance", "voltage_limit", "supply_level"], |e| unless(e.total(|j| j.fast_s) > 0.3, "fast motion (above 1.5 rad/s) for 0.3 s or more")),
+    (&["torque_limit", "braking_asymmetry"], |e| unless(e.joint(|j| j.steps[2] > 0) || e.joint(|j| j.effort > 0.5), "large steps or loads near the torque limit")),
+    (&["supply_sag"], |e| unless(e.has("volt") && e.moving_joints() >= 2, "supply voltage, with several joints under load")),
+    (&["thermal_derating"], |e| unless(e.has("temp") && e.runs.iter().any(|r| r.warming_k > 8.0), "temperature over a hard hold of some minutes")),
+    (&["coulomb_friction", "viscous_friction", "direction_asymmetry"], |e| unless(e.total(|j| j.reversals as f64) >= 4.0, "reversals")),
+    (&["stribeck_friction", "cogging"], |e| unless(e.total(|j| j.slow_s) > 2.0, "slow motion (0.02 to 0.3 rad/s) for 2 s or more")),
+    (&["load_dependent_friction", "drive_asymmetry"], |e| unless(e.joint(|j| j.range_rad[1] - j.range_rad[0] > 0.8 && j.reversals >= 2), "one speed under several loads: lift and lower over 0.8 rad or more")),
+    (&["pre_sliding"], |e| unless(e.total(|j| j.small_reversals as f64) >= 4.0, "reversals of a few mrad")),
+    (&["gear_backlash", "gear_compliance"], |e| unless(e.total(|j| j.reversals as f64) >= 6.0 && (e.has("cur") || e.joint(|j| j.band_hz[1] > 2.0)), "reversals at small load, with current or above 2 Hz")),
+    (&["friction_drift"], |e| unless(e.runs.len() >= 3 || e.runs.iter().any(|r| r.duration_s > 200.0), "a session: three or more runs, or one of some minutes")),
+    (&["girdle_play"], |e| unless(e.sees_links(), "IMU, foot positions or motion capture: encoders sit before the play and cannot show it")),
+    (&["parallel_spring"], |e| unless(e.total(|j| j.holds as f64) >= 4.0, "holds over the range")),
     (&["hard_stop"], |e| {
         let limits: BTreeMap<&str, (f64, f64)> = e.robot.actuated_names().into_iter().zip(e.robot.joint_limits_rad().iter().copied()).collect();
         unless(e.joint(|j| limits.get(j.joint.as_str()).is_some_and(|(low, high)| j.range_rad[1] - j.range_rad[0] > 0.85 * (high - low))), "motion over the whole range")
-    }, "sweep_full"),
-    (&["left_right_asymmetry"], |e| unless(e.moving_joints() >= 2, "the same motion on both sides"), "mirror"),
-    (&["link_mass", "link_com", "point_mass"], |e| unless(e.total(|j| j.holds as f64) >= 3.0 && e.joint(|j| j.range_rad[1] - j.range_rad[0] > 0.6), "holds in several poses"), "holds"),
-    (&["link_inertia", "armature"], |e| unless(e.joint(|j| j.band_hz[1] > 2.5) || e.total(|j| j.fast_s) > 0.3, "fast motion"), "chirp_large"),
-    (&["payload"], |e| unless(e.has("cur") || e.has("base.pos") || e.has("imu.acc") || e.total(|j| j.holds as f64) >= 3.0, "holds with current"), "holds"),
-    (&["floor_slope"], |e| unless(e.free() && (e.has("imu.acc") || e.has("imu.grav")), "the robot on the ground, with its IMU"), "rest"),
-    (&["contact_friction", "anisotropic_friction"], |e| unless(e.free() && (e.has("base.vel") || e.has("base.pos") || e.has("mocap")), "walking on the ground, with where the base is"), "gait"),
-    (&["contact_compliance", "foot_geometry", "terrain_height"], |e| unless(e.free() && (e.has("imu.acc") || e.has("foot") || e.has("base.pos")), "walking on the ground, with IMU, feet or base"), "gait"),
-    (&["belly_friction"], |e| unless(e.free() && (e.has("base.vel") || e.has("base.pos")), "low walking on the ground, with where the base is"), "gait_low"),
-    (&["linear_drag", "quadratic_drag", "added_mass", "buoyancy", "buoyancy_centre", "heave_damping", "water_current", "water_level"], |e| unless(e.wet(), "runs in water (base = \"water\")"), "swim"),
+    }),
+    (&["link_mass", "link_com", "point_mass"], |e| unless(e.total(|j| j.holds as f64) >= 3.0 && e.joint(|j| j.range_rad[1] - j.range_rad[0] > 0.6), "holds in several poses")),
+    (&["link_inertia", "armature"], |e| unless(e.joint(|j| j.band_hz[1] > 2.5) || e.total(|j| j.fast_s) > 0.3, "fast motion")),
+    (&["payload"], |e| unless(e.has("cur") || e.has("base.pos") || e.has("imu.acc") || e.total(|j| j.holds as f64) >= 3.0, "holds with current")),
+    (&["floor_slope"], |e| unless(e.free() && (e.has("imu.acc") || e.has("imu.grav")), "the robot on the ground, with its IMU")),
+    (&["contact_friction"], |e| unless(e.free() && (e.has("base.vel") || e.has("base.pos") || e.has("mocap")), "walking on the ground, with where the base is")),
+    (&["belly_friction"], |e| unless(e.free() && (e.has("base.vel") || e.has("base.pos")), "low walking on the ground, with where the base is")),
+    (&["linear_drag", "quadratic_drag", "added_mass", "buoyancy", "buoyancy_centre", "heave_damping", "water_current", "water_level"], |e| unless(e.wet(), "runs in water (base = \"water\")")),
 ];
 
-/// Effects that the catalogue's own predicates call unseen at every place, and that the table above does not
-/// list.
-fn unseen(
-    logs: &[(&str, &RunLog)],
-    robot: &RobotModel,
-    known: &BTreeMap<String, Blind>,
-) -> BTreeMap<String, Blind> {
-    let trials: Vec<Trial> = logs
-        .iter()
-        .filter_map(|(name, log)| {
-            let run = crate::trial::Run {
-                name: (*name).to_owned(),
-                log: (*log).clone(),
-                role: crate::trial::Role::Fit,
-                sha256: String::new(),
-            };
-            reading::trial(robot, &run).ok()
-        })
-        .collect();
-    if trials.is_empty() {
-        return BTreeMap::new();
-    }
-    let excitation = Excitation::of(robot, &trials.iter().collect::<Vec<_>>());
-    let mut out = BTreeMap::new();
-    for effect in effects::ALL.iter().filter(|e| !known.contains_key(e.id)) {
-        let places = effect.places(robot);
-        let why: Option<Vec<&str>> =
-            places.iter().map(|p| (effect.unseen)(&excitation, p)).collect();
-        if let Some(why) = why.as_ref().and_then(|w| w.first()) {
-            let trial = crate::excite::canonical(effect.trial).unwrap_or_default();
-            let can = crate::excite::names(robot, None).contains(&trial);
-            out.insert(
-                effect.id.to_owned(),
-                Blind {
-                    missing: (*why).to_owned(),
-                    record: if can { trial.to_owned() } else { String::new() },
-                },
-            );
-        }
-    }
-    out
+/// What the runs excite by the catalogue's own measure; none where no run can be replayed.
+fn excitation(logs: &[(&str, &RunLog)], robot: &RobotModel) -> Option<Excitation> {
+    let trial = |(name, log): &(&str, &RunLog)| {
+        let (name, log, role) = ((*name).to_owned(), (*log).clone(), Role::Fit);
+        reading::trial(robot, &Run { name, log, role, sha256: String::new() }).ok()
+    };
+    let trials: Vec<Trial> = logs.iter().filter_map(trial).collect();
+    (!trials.is_empty()).then(|| Excitation::of(robot, &trials.iter().collect::<Vec<_>>()))
 }
 
 /// Effects that these runs cannot show, by id. Effects that the robot cannot have (water without water, feet
@@ -175,43 +139,38 @@ pub fn blind(
     robot: &RobotModel,
 ) -> BTreeMap<String, Blind> {
     let evidence = Evidence { runs, robot };
-    let impossible = |effect: &str| match effect {
-        "girdle_play" => robot.backlash().joints.is_empty(),
-        "bus_skew" | "left_right_asymmetry" | "supply_sag" => robot.actuated().len() < 2,
-        "contact_friction"
-        | "anisotropic_friction"
-        | "contact_compliance"
-        | "foot_geometry"
-        | "belly_friction"
-        | "terrain_height"
-        | "floor_slope" => robot.feet().is_empty(),
-        "linear_drag" | "quadratic_drag" | "added_mass" | "buoyancy" | "buoyancy_centre"
-        | "heave_damping" | "water_current" | "water_level" => robot.water().is_none(),
+    let impossible = |effect: &Effect| match (effect.layer, effect.id) {
+        (Layer::Contact, _) | (_, "floor_slope") => robot.feet().is_empty(),
+        (Layer::Water, _) => robot.water().is_none(),
+        (_, "girdle_play") => robot.backlash().joints.is_empty(),
+        (_, "bus_skew" | "supply_sag") => robot.actuated().len() < 2,
         // what a robot carries that hangs on a stand is the stand's
-        "payload" => {
+        (_, "payload") => {
             let rests = robot.feet().is_empty() && robot.water().is_none();
             rests || robot.base() == BaseKind::Fixed
         }
-        "imu_tilt" | "gyro_bias" | "imu_delay" => robot.imu_site().is_none(),
+        (_, "imu_tilt" | "gyro_bias" | "imu_delay") => robot.imu_site().is_none(),
         _ => false,
     };
-    let trials = crate::excite::names(robot, None);
+    let excitation = excitation(logs, robot);
+    let trials = excite::names(robot, None);
     let mut out = BTreeMap::new();
-    for (effects, missing, record) in NEEDS {
-        let Some(missing) = missing(&evidence) else {
+    for effect in effects::ALL.iter().filter(|e| !impossible(e)) {
+        let need = NEEDS.iter().find(|n| n.0.contains(&effect.id));
+        let unseen = || -> Option<Vec<&str>> {
+            let places = effect.places(robot);
+            places.iter().map(|p| (effect.unseen)(excitation.as_ref()?, p)).collect()
+        };
+        let missing = need.and_then(|n| n.1(&evidence));
+        let Some(missing) = missing.or_else(|| unseen()?.first().copied()) else {
             continue;
         };
-        for effect in effects.iter().filter(|e| !impossible(e)) {
-            // a trial that this robot cannot do is replaced by the one of its own that shows most of it
-            let record = if trials.contains(record) {
-                (*record).to_owned()
-            } else {
-                crate::excite::next(robot, &[effect], &[]).map_or_else(String::new, |n| n.trial)
-            };
-            out.insert((*effect).to_owned(), Blind { missing: missing.to_owned(), record });
-        }
+        // a trial that this robot cannot do is replaced by the one of its own that shows most of it
+        let record = match trials.contains(&effect.trial) {
+            true => effect.trial.to_owned(),
+            false => excite::next(robot, &[effect.id], &[]).map_or_else(String::new, |n| n.trial),
+        };
+        out.insert(effect.id.to_owned(), Blind { missing: missing.to_owned(), record });
     }
-    let more = unseen(logs, robot, &out);
-    out.extend(more.into_iter().filter(|(effect, _)| !impossible(effect)));
     out
 }

@@ -192,40 +192,20 @@ fn reversals(pos: &[f64], out: &mut JointExcitation) {
     const SMALL_RAD: f64 = 0.015;
     let mut known = pos.iter().copied().filter(|x| x.is_finite());
     let Some(first) = known.next() else { return };
-    let (mut low, mut high, mut direction) = (first, first, 0i8);
+    // the last turning point, the farthest from it since, and the way there
+    let (mut turn, mut far, mut way) = (first, first, 0.0_f64);
     let mut travel = f64::INFINITY;
     for x in known {
-        let (turned, size) = match direction {
-            1 if x < high - PLAY_RAD => (true, high - low),
-            -1 if x > low + PLAY_RAD => (true, high - low),
-            0 if x > low + PLAY_RAD => {
-                direction = 1;
-                (false, 0.0)
-            }
-            0 if x < high - PLAY_RAD => {
-                direction = -1;
-                (false, 0.0)
-            }
-            _ => (false, 0.0),
-        };
-        if turned {
+        if way == 0.0 && (x - first).abs() > PLAY_RAD {
+            way = (x - first).signum();
+        }
+        if way * (x - far) >= 0.0 {
+            far = x;
+        } else if way * (far - x) > PLAY_RAD {
+            let size = (far - turn).abs();
             out.reversals += 1;
-            if size < SMALL_RAD && travel < SMALL_RAD {
-                out.small_reversals += 1;
-            }
-            travel = size;
-            direction = -direction;
-            if direction > 0 {
-                high = x;
-            } else {
-                low = x;
-            }
-        }
-        if direction >= 0 {
-            high = high.max(x);
-        }
-        if direction <= 0 {
-            low = low.min(x);
+            out.small_reversals += usize::from(size < SMALL_RAD && travel < SMALL_RAD);
+            (travel, turn, far, way) = (size, far, x, -way);
         }
     }
 }

@@ -130,17 +130,36 @@ fn unreadable(name: &str, error: &LogError) -> DataFault {
     DataFault { kind: kind.to_owned(), location: name.to_owned(), detail: text, fatal: true }
 }
 
+/// The runs of these logs, each on its grid.
+fn runs_of<'a>(logs: &[(&'a str, &'a RunLog)], robot: &'a RobotModel) -> Vec<Run<'a>> {
+    let run = |&(name, log): &(&str, &'a RunLog)| Run {
+        name: name.to_owned(),
+        log,
+        robot,
+        grid: series::Grid::of(log.table.time_s()),
+    };
+    logs.iter().map(run).collect()
+}
+
+/// Stretches of runs (name and log) in which one of three or more repeats was touched, and what is said of each.
+pub(crate) fn touched(logs: &[(&str, &RunLog)], robot: &RobotModel) -> Vec<(OddSpan, DataFault)> {
+    let runs = runs_of(logs, robot);
+    let channels: Vec<Vec<Channels>> = runs.iter().map(Channels::all).collect();
+    // of two nobody knows which one it was
+    let groups = repeats::groups(&runs, &channels).into_iter().filter(|g| g.len() > 2);
+    let of = |group: Vec<usize>| {
+        let told = |s: OddSpan| {
+            let fault = fault("", repeats::finding(&s, group.len()));
+            (s, fault)
+        };
+        repeats::odd_spans(&runs, &channels, &group).into_iter().map(told).collect::<Vec<_>>()
+    };
+    groups.flat_map(of).collect()
+}
+
 /// Checks runs (name and log) of `robot` together.
 pub fn check(logs: &[(&str, &RunLog)], robot: &RobotModel) -> Checked {
-    let runs: Vec<Run<'_>> = logs
-        .iter()
-        .map(|(name, log)| Run {
-            name: (*name).to_owned(),
-            log,
-            robot,
-            grid: series::Grid::of(log.table.time_s()),
-        })
-        .collect();
+    let runs = runs_of(logs, robot);
     let mut faults = Vec::new();
     let mut checks = Vec::new();
     let mut channels = Vec::new();

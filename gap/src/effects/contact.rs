@@ -19,7 +19,7 @@ pub static CONTACT_FRICTION: Effect = Effect {
     apply: |plant, place, v| place.each(|f| plant.lane.foot_friction_scale[f] *= v[0] as f32),
     look_alikes: "belly_friction girdle_play torque_limit",
     corrects: "contact.foot_friction",
-    trial: "gait_two_speeds",
+    trial: "gait",
     signature: "feet slide: the body is slow although the joints follow",
     ..OF_CONTACT
 };
@@ -35,7 +35,7 @@ pub static BELLY_FRICTION: Effect = Effect {
     },
     look_alikes: "contact_friction",
     corrects: "contact.body_friction",
-    trial: "low_gait",
+    trial: "gait_low",
     signature: "resistance in low postures only",
     ..OF_CONTACT
 };

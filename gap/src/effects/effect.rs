@@ -1,46 +1,32 @@
 //! What an effect is: a record with a hook, and what most records share.
 
+use caudata_declare::named;
 use caudata_model::RobotModel;
 
 use crate::excitation::Excitation;
 use crate::place::{Domain, Place, places};
 use crate::plant::{Plant, lever};
 
-/// Where in the chain an effect acts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Layer {
-    /// What is read.
-    Sensing,
-    /// When it is sent and read.
-    Timing,
-    /// Position loop, motor, supply.
-    Actuation,
-    /// Friction, gear.
-    Transmission,
-    /// Play, springs, stops.
-    Structure,
-    /// Masses.
-    Inertia,
-    /// Ground.
-    Contact,
-    /// Water.
-    Water,
-}
-
-impl Layer {
-    /// Its name in reports.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Sensing => "sensing",
-            Self::Timing => "timing",
-            Self::Actuation => "actuation",
-            Self::Transmission => "transmission",
-            Self::Structure => "structure",
-            Self::Inertia => "inertia",
-            Self::Contact => "contact",
-            Self::Water => "water",
-        }
+named! {
+    /// Where in the chain an effect acts.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub enum Layer {
+        /// What is read.
+        Sensing = "sensing",
+        /// When it is sent and read.
+        Timing = "timing",
+        /// Position loop, motor, supply.
+        Actuation = "actuation",
+        /// Friction, gear.
+        Transmission = "transmission",
+        /// Play, springs, stops.
+        Structure = "structure",
+        /// Masses.
+        Inertia = "inertia",
+        /// Ground.
+        Contact = "contact",
+        /// Water.
+        Water = "water",
     }
 }
 

@@ -2,7 +2,8 @@
 
 use super::effect::Reference::{Damping, One, Speed, Torque};
 use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
-use crate::place::Domain;
+use crate::place::{Domain, Place};
+use crate::plant::Plant;
 
 const OF_FRICTION: Effect =
     Effect { layer: Layer::Transmission, domain: Domain::Joints, unseen: needs_motion, ..PLAIN };
@@ -19,7 +20,7 @@ pub static COULOMB_FRICTION: Effect = Effect {
     },
     look_alikes: "stribeck_friction viscous_friction load_dependent_friction controller_dead_band pre_sliding",
     corrects: "friction_loss_nm",
-    trial: "slow_triangles",
+    trial: "triangle_slow",
     signature: "a jump of torque at every reversal, the same at any speed and load",
     ..OF_FRICTION
 };
@@ -36,7 +37,7 @@ pub static VISCOUS_FRICTION: Effect = Effect {
     },
     look_alikes: "kd_error load_dependent_friction coulomb_friction torque_constant command_low_pass",
     corrects: "damping_nm_s_per_rad",
-    trial: "chirp",
+    trial: "chirp_medium",
     signature: "torque grows in proportion to speed, with the servo off as well",
     ..OF_FRICTION
 };
@@ -66,26 +67,28 @@ pub static STRIBECK_FRICTION: Effect = Effect {
         }
     },
     look_alikes: "load_stiction coulomb_friction pre_sliding controller_dead_band gear_backlash",
-    trial: "slow_triangles",
+    trial: "triangle_slow",
     signature: "more friction at rest than in motion: stick and slip at low speed only",
     ..OF_FRICTION
 };
+
+/// Friction in proportion to the load, more while the motor drives it and while it drives the motor.
+fn rub_under_load(plant: &mut Plant, place: &Place, driving: f64, driven: f64) {
+    for &a in &place.items {
+        let joint = &mut plant.lane.joints[a];
+        let more = |share: f32, by: f64| (share + by as f32).clamp(0.0, 0.95);
+        joint.load_friction_driving = more(joint.load_friction_driving, driving);
+        joint.load_friction_driven = more(joint.load_friction_driven, driven);
+    }
+}
 
 pub static LOAD_DEPENDENT_FRICTION: Effect = Effect {
     id: "load_dependent_friction",
     parameters: &[parameter("share", "", 0.0, (0.0, 0.9), 0.02, One)],
     grid: &one(&[0.05, 0.1, 0.2, 0.35, 0.55]),
-    apply: |plant, place, v| {
-        for &a in &place.items {
-            let joint = &mut plant.lane.joints[a];
-            joint.load_friction_driving =
-                (joint.load_friction_driving + v[0] as f32).clamp(0.0, 0.95);
-            joint.load_friction_driven =
-                (joint.load_friction_driven + v[0] as f32).clamp(0.0, 0.95);
-        }
-    },
+    apply: |plant, place, v| rub_under_load(plant, place, v[0], v[0]),
     look_alikes: "load_stiction torque_saturation coulomb_friction viscous_friction drive_asymmetry winding_resistance torque_constant",
-    trial: "lift_and_lower",
+    trial: "lift_lower",
     signature: "the jump at a reversal grows with the load at the same speed",
     ..OF_FRICTION
 };
@@ -114,7 +117,7 @@ pub static LOAD_STICTION: Effect = Effect {
         }
     },
     look_alikes: "stribeck_friction load_dependent_friction coulomb_friction drive_asymmetry",
-    trial: "lift_and_lower",
+    trial: "lift_lower",
     signature: "a joint sticks the harder the more it carries, and lets go with a jerk; without load it does not stick",
     ..OF_FRICTION
 };
@@ -126,17 +129,9 @@ pub static DRIVE_ASYMMETRY: Effect = Effect {
         parameter("driven", "", 0.0, (0.0, 0.9), 0.02, One),
     ],
     grid: &[&[0.1, 0.0], &[0.3, 0.0], &[0.0, 0.1], &[0.0, 0.3], &[0.1, 0.3], &[0.3, 0.1]],
-    apply: |plant, place, v| {
-        for &a in &place.items {
-            let joint = &mut plant.lane.joints[a];
-            joint.load_friction_driving =
-                (joint.load_friction_driving + v[0] as f32).clamp(0.0, 0.95);
-            joint.load_friction_driven =
-                (joint.load_friction_driven + v[1] as f32).clamp(0.0, 0.95);
-        }
-    },
+    apply: |plant, place, v| rub_under_load(plant, place, v[0], v[1]),
     look_alikes: "load_dependent_friction braking_asymmetry torque_constant direction_asymmetry",
-    trial: "lift_and_lower",
+    trial: "lift_lower",
     signature: "lifting and lowering the same load at the same speed lose differently",
     ..OF_FRICTION
 };
@@ -156,7 +151,7 @@ pub static DIRECTION_ASYMMETRY: Effect = Effect {
         }
     },
     look_alikes: "encoder_offset parallel_spring floor_slope link_com drive_asymmetry",
-    trial: "slow_triangles",
+    trial: "triangle_slow",
     signature: "heavier one way than the other, in every pose",
     ..OF_FRICTION
 };
@@ -169,7 +164,7 @@ pub static PRE_SLIDING: Effect = Effect {
         place.each(|a| plant.lane.joints[a].presliding_rad = (v[0] as f32).clamp(1e-5, 1.0))
     },
     look_alikes: "coulomb_friction stribeck_friction gear_compliance gear_backlash",
-    trial: "micro_reversals",
+    trial: "micro",
     signature: "friction comes on like a spring after a reversal",
     ..OF_FRICTION
 };
@@ -209,7 +204,7 @@ pub static FRICTION_DRIFT: Effect = Effect {
             needs_motion(e, place)
         }
     },
-    trial: "warm_up_series",
+    trial: "gait_long",
     signature: "friction changes within every run as the joint warms, or from the first to the last run of the session",
     ..OF_FRICTION
 };

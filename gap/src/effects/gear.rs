@@ -21,7 +21,7 @@ pub static GEAR_BACKLASH: Effect = Effect {
     },
     look_alikes: "gear_compliance controller_dead_band pre_sliding servo_loop_delay",
     corrects: "gear_backlash_rad",
-    trial: "micro_reversals",
+    trial: "micro",
     signature: "free travel without torque, of the same width at any load; current reverses before the joint does",
     ..OF_GEARS
 };
@@ -57,7 +57,7 @@ pub static GEAR_COMPLIANCE: Effect = Effect {
         }
     },
     look_alikes: "gear_backlash pre_sliding servo_loop_delay armature",
-    trial: "chirp",
+    trial: "chirp_medium",
     signature: "deflection in proportion to torque; a resonance that moves with the load's inertia",
     ..OF_GEARS
 };
@@ -94,7 +94,7 @@ pub static COGGING: Effect = Effect {
         }
     },
     look_alikes: "parallel_spring encoder_gain stribeck_friction",
-    trial: "slow_turn",
+    trial: "gait_turn",
     signature: "a torque that repeats with the angle, at any speed",
     ..OF_GEARS
 };

@@ -26,7 +26,7 @@ pub static IMU_TILT: Effect = Effect {
         plant.sensing.mounting.tilt_rad[1] += v[1] as f32;
     },
     look_alikes: "floor_slope",
-    trial: "stand_headings",
+    trial: "rest",
     signature: "constant in the body's frame; no joint reacts",
     ..OF_THE_IMU
 };
@@ -62,7 +62,7 @@ pub static IMU_DELAY: Effect = Effect {
         plant.sensing.imu_lag_s += v[1] as f32;
     },
     look_alikes: "measurement_delay",
-    trial: "chirp",
+    trial: "chirp_medium",
     signature: "the IMU alone comes late; joints do not",
     ..OF_THE_IMU
 };
@@ -82,7 +82,7 @@ pub static MOCAP_FRAME: Effect = Effect {
     },
     look_alikes: "imu_delay",
     unseen: |e, _| (!e.has(Kind::BasePosition)).then_some("no motion capture was recorded"),
-    trial: "chirp",
+    trial: "chirp_medium",
     signature: "only motion capture is off; all onboard signals are as simulated",
     ..OF_THE_IMU
 };

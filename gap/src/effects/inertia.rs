@@ -13,7 +13,7 @@ pub static LINK_MASS: Effect = Effect {
     grid: &one(&[0.7, 0.9, 1.1, 1.3, 1.7]),
     apply: |plant, place, v| place.each(|l| plant.lane.link_mass_scale[l] *= v[0] as f32),
     look_alikes: "link_com point_mass payload torque_constant armature encoder_gain parallel_spring",
-    trial: "hold_poses",
+    trial: "holds",
     signature: "gravity and inertia of the link grow together",
     ..OF_MASSES
 };
@@ -41,7 +41,7 @@ pub static LINK_COM: Effect = Effect {
         }
     },
     look_alikes: "link_mass point_mass armature encoder_offset parallel_spring link_inertia payload",
-    trial: "hold_poses",
+    trial: "holds",
     signature: "gravity changes with the lever, inertia with its square; the weight stays",
     ..OF_MASSES
 };
@@ -66,7 +66,7 @@ pub static POINT_MASS: Effect = Effect {
         }
     },
     look_alikes: "torque_constant link_mass link_com link_inertia armature payload",
-    trial: "hold_poses",
+    trial: "holds",
     signature: "gravity grows with its lever, inertia with the square of it; so they do, nearly alike, where every torque is less",
     ..OF_MASSES
 };
@@ -78,7 +78,7 @@ pub static LINK_INERTIA: Effect = Effect {
     apply: |plant, place, v| place.each(|l| plant.lane.link_inertia_scale[l] *= v[0] as f32),
     look_alikes: "armature link_com link_mass point_mass",
     unseen: needs_motion,
-    trial: "fast_chirp",
+    trial: "chirp_large",
     signature: "shows in fast motion only; no gravity",
     ..OF_MASSES
 };
@@ -97,7 +97,7 @@ pub static ARMATURE: Effect = Effect {
     look_alikes: "link_inertia link_com link_mass added_mass",
     corrects: "armature_kgm2",
     unseen: needs_motion,
-    trial: "fast_chirp",
+    trial: "chirp_large",
     signature: "inertia of the joint alone: no gravity, nothing passed on to neighbours",
     ..OF_MASSES
 };
@@ -128,7 +128,7 @@ pub static PAYLOAD: Effect = Effect {
     unseen: |e, _| {
         (!e.on_ground && !e.in_water).then_some("a held trunk does not show what it carries")
     },
-    trial: "stand_heights",
+    trial: "rest",
     signature: "weight on the trunk: every leg carries more",
     ..OF_MASSES
 };
@@ -152,7 +152,7 @@ pub static FLOOR_SLOPE: Effect = Effect {
     ],
     apply: |plant, _, v| plant.lane.tilt_floor(v[0] as f32, v[1] as f32),
     look_alikes: "imu_tilt encoder_offset link_com direction_asymmetry",
-    trial: "stand_headings",
+    trial: "rest",
     signature: "gravity points elsewhere in the world: all joints with a lever change together, and it turns with the heading",
     ..OF_MASSES
 };

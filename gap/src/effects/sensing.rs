@@ -16,7 +16,7 @@ pub static ENCODER_OFFSET: Effect = Effect {
     grid: &one(&[-0.25, -0.05, -0.02, 0.02, 0.05, 0.25]),
     apply: |plant, place, v| place.each(|a| plant.sensing.encoders[a].offset_rad += v[0] as f32),
     look_alikes: "link_com parallel_spring floor_slope direction_asymmetry",
-    trial: "hold_poses",
+    trial: "holds",
     signature: "the gravity curve of current against angle is shifted; independent of speed and direction",
     ..OF_SENSORS
 };
@@ -28,7 +28,7 @@ pub static ENCODER_GAIN: Effect = Effect {
     apply: |plant, place, v| place.each(|a| plant.sensing.encoders[a].gain += v[0] as f32),
     look_alikes: "link_mass link_com point_mass viscous_friction torque_constant",
     unseen: needs_motion,
-    trial: "hold_poses",
+    trial: "holds",
     signature: "grows with the angle; shows against motion capture, only weakly against current",
     ..OF_SENSORS
 };
@@ -46,7 +46,7 @@ pub static VELOCITY_LAG: Effect = Effect {
             Some("no velocities were recorded")
         }
     },
-    trial: "chirp",
+    trial: "chirp_medium",
     signature: "the reported velocity lags behind the derivative of the reported position; positions are untouched",
     ..OF_SENSORS
 };
@@ -67,7 +67,7 @@ pub static CURRENT_BIAS: Effect = Effect {
     look_alikes: "torque_constant",
     corrects: "torque_per_current_nm_per_a current_dead_band_a",
     unseen: |e, _| (!e.has(Kind::Current)).then_some("no currents were recorded"),
-    trial: "hold_poses",
+    trial: "holds",
     signature: "only the current reading is off; the motion is as simulated",
     ..OF_SENSORS
 };
@@ -103,7 +103,7 @@ pub static CURRENT_LAG: Effect = Effect {
             Some("no currents were recorded")
         }
     },
-    trial: "chirp",
+    trial: "chirp_medium",
     signature: "the current lags behind what the motion needs (behind a filter its peaks are rounded as well); positions are untouched",
     ..OF_SENSORS
 };

@@ -13,7 +13,7 @@ pub static KP_ERROR: Effect = Effect {
     apply: |plant, place, v| place.each(|a| plant.lane.kp_nm_per_rad[a] *= v[0] as f32),
     look_alikes: "kd_error winding_resistance torque_constant controller_dead_band stale_gains duty_supply",
     corrects: "control.kp_nm_per_rad",
-    trial: "hold_poses",
+    trial: "holds",
     signature: "the droop under load changes; nothing in time touches it",
     ..OF_SERVOS
 };
@@ -34,7 +34,7 @@ pub static KD_ERROR: Effect = Effect {
     look_alikes: "viscous_friction kp_error command_low_pass servo_loop_delay torque_constant supply_level",
     corrects: "control.kd_nm_s_per_rad kd_min_nm_s_per_rad",
     unseen: needs_motion,
-    trial: "steps",
+    trial: "steps_medium",
     signature: "overshoot changes and the droop does not; friction adds current at constant speed instead",
     ..OF_SERVOS
 };
@@ -45,7 +45,7 @@ pub static INTEGRAL_ACTION: Effect = Effect {
     grid: &one(&[0.1, 0.3, 1.0, 3.0]),
     apply: |plant, place, v| place.each(|a| plant.lane.joints[a].ki_nm_per_rad_s += v[0] as f32),
     look_alikes: "kp_error thermal_derating",
-    trial: "long_holds",
+    trial: "holds_long",
     signature: "the droop goes away within seconds",
     ..OF_SERVOS
 };
@@ -70,7 +70,7 @@ pub static TORQUE_CONSTANT: Effect = Effect {
     },
     look_alikes: "winding_resistance kp_error current_bias load_dependent_friction link_mass point_mass",
     corrects: "tau_max_nm torque_per_current_nm_per_a qd_max_radps",
-    trial: "hold_poses",
+    trial: "holds",
     signature: "torque per ampere changes in loaded holds, and the speed without load the other way",
     ..OF_SERVOS
 };
@@ -82,7 +82,7 @@ pub static WINDING_RESISTANCE: Effect = Effect {
     apply: |plant, place, v| place.each(|a| plant.lane.joints[a].winding_scale *= v[0] as f32),
     look_alikes: "torque_saturation kp_error torque_constant load_dependent_friction supply_level stale_gains duty_supply",
     corrects: "qd_tau_max_radps qd_max_radps",
-    trial: "stalls",
+    trial: "steps_loaded",
     signature: "more droop at stall with the same current per torque; the speed without load is as it was",
     ..OF_SERVOS
 };
@@ -138,7 +138,7 @@ pub static TORQUE_LIMIT: Effect = Effect {
     unseen: |e, place| {
         (e.most_torque_share(place) < 0.1).then_some("the servo never works hard in these runs")
     },
-    trial: "loaded_steps",
+    trial: "steps_loaded",
     signature: "current is cut flat, at any speed; where the motor brakes perhaps less, or not at all",
     ..OF_SERVOS
 };
@@ -161,7 +161,7 @@ pub static TORQUE_SATURATION: Effect = Effect {
     unseen: |e, place| {
         (e.most_torque_share(place) < 0.2).then_some("the servo never works hard in these runs")
     },
-    trial: "loaded_steps",
+    trial: "steps_loaded",
     signature: "torque falls behind in proportion to itself: small errors are answered in full, large ones less and less, at any speed",
     ..OF_SERVOS
 };
@@ -180,7 +180,7 @@ pub static VOLTAGE_LIMIT: Effect = Effect {
     look_alikes: "supply_level torque_limit profile_limit supply_sag",
     corrects: "qd_tau_max_radps qd_max_radps tau_qd_max_nm",
     unseen: needs_motion,
-    trial: "large_steps",
+    trial: "steps_large",
     signature: "torque is cut along a line that falls with speed",
     ..OF_SERVOS
 };
@@ -219,7 +219,7 @@ pub static CONTROLLER_DEAD_BAND: Effect = Effect {
         }
     },
     look_alikes: "coulomb_friction kp_error gear_backlash stribeck_friction",
-    trial: "slow_ramps",
+    trial: "triangle_slow",
     signature: "a steady error without current, up to the same width whatever the gain",
     ..OF_SERVOS
 };
@@ -253,7 +253,7 @@ pub static BRAKING_ASYMMETRY: Effect = Effect {
     look_alikes: "drive_asymmetry torque_limit viscous_friction",
     corrects: "tau_brake_max_nm back_drive_kp_ratio",
     unseen: needs_motion,
-    trial: "fast_reversals",
+    trial: "reversals_fast",
     signature: "only where torque is against the motion",
     ..OF_SERVOS
 };
@@ -271,7 +271,7 @@ pub static STALE_GAINS: Effect = Effect {
     },
     look_alikes: "kp_error winding_resistance",
     corrects: "control.kp_nm_per_rad control.kd_nm_s_per_rad",
-    trial: "steps",
+    trial: "steps_medium",
     signature: "both gains by one factor, as of another register",
     ..OF_SERVOS
 };

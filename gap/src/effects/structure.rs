@@ -23,7 +23,7 @@ pub static GIRDLE_PLAY: Effect = Effect {
             "play behind the joint encoders is invisible in joint signals; record the IMU, feet or motion capture",
         )
     },
-    trial: "girdle_rocking",
+    trial: "rock_x",
     signature: "the body tips between two stops with the sign of its load; joint encoders see nothing",
     ..OF_STRUCTURE
 };
@@ -48,7 +48,7 @@ pub static PARALLEL_SPRING: Effect = Effect {
         }
     },
     look_alikes: "link_com link_mass encoder_offset direction_asymmetry kp_error",
-    trial: "hold_poses",
+    trial: "holds",
     signature: "torque where gravity has no lever; the same however the robot is turned",
     ..OF_STRUCTURE
 };
@@ -92,7 +92,7 @@ pub static HARD_STOP: Effect = Effect {
         }
     },
     look_alikes: "torque_limit parallel_spring",
-    trial: "full_range",
+    trial: "sweep_full",
     signature: "the joint never passes an angle, and current surges there",
     ..OF_STRUCTURE
 };

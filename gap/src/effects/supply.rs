@@ -15,7 +15,7 @@ pub static SUPPLY_SAG: Effect = Effect {
     apply: |plant, _, v| plant.lane.supply_resistance_ohm += v[0] as f32,
     look_alikes: "supply_level voltage_limit",
     corrects: "qd_tau_max_radps qd_max_radps tau_qd_max_nm",
-    trial: "all_joints_probe",
+    trial: "all_chirp",
     signature: "all joints lose speed when any of them works; follows the total current within milliseconds",
     ..OF_THE_SUPPLY
 };
@@ -28,7 +28,7 @@ pub static SUPPLY_LEVEL: Effect = Effect {
     apply: |plant, _, v| supply(plant, v[0] as f32),
     look_alikes: "voltage_limit supply_sag profile_limit duty_supply",
     corrects: "supply.default_v reference_supply_v qd_tau_max_radps qd_max_radps tau_qd_max_nm",
-    trial: "large_steps",
+    trial: "steps_large",
     signature: "as a voltage limit, the same in all joints and at any load; the logged voltage shows it",
     ..OF_THE_SUPPLY
 };
@@ -46,7 +46,7 @@ pub static DUTY_SUPPLY: Effect = Effect {
         gains.for_each(|gain| *gain *= share);
     },
     look_alikes: "supply_level winding_resistance kp_error torque_constant",
-    trial: "hold_poses",
+    trial: "holds",
     signature: "gain, torque and speed of all joints are lower by one share, and so are the currents",
     ..SUPPLY_LEVEL
 };

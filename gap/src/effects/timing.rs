@@ -26,7 +26,7 @@ pub static COMMAND_DELAY: Effect = Effect {
         lane.command_delay_s = (lane.command_delay_s + v[0] as f32).clamp(0.0, MAX_COMMAND_DELAY_S);
     },
     look_alikes: "command_low_pass measurement_delay servo_loop_delay bus_skew profile_limit",
-    trial: "chirp",
+    trial: "chirp_medium",
     signature: "phase falls in proportion to frequency with gain 1; what happens without a command is not shifted",
     ..OF_TIMING
 };
@@ -38,7 +38,7 @@ pub static MEASUREMENT_DELAY: Effect = Effect {
     grid: &one(&DELAYS_S),
     apply: |plant, _, v| plant.sensing.measurement_delay_s += v[0] as f32,
     look_alikes: "command_delay command_low_pass clock_drift",
-    trial: "torque_off_drop",
+    trial: "drop_high",
     signature: "as a command delay, but what happens without a command is shifted too",
     ..OF_TIMING
 };
@@ -55,7 +55,7 @@ pub static BUS_SKEW: Effect = Effect {
     },
     look_alikes: "command_delay",
     unseen: |e, _| (e.joints.len() < 2).then_some("one joint alone shows no pattern along the bus"),
-    trial: "chirp",
+    trial: "chirp_medium",
     signature: "the lag grows along the bus",
     ..OF_TIMING
 };
@@ -74,7 +74,7 @@ pub static DROPPED_FRAMES: Effect = Effect {
         plant.lane.command_loss.burst = (v[1] as f32).clamp(1.0, 100.0);
     },
     look_alikes: "command_delay command_low_pass",
-    trial: "chirp",
+    trial: "chirp_medium",
     signature: "the command stands still at single ticks; a delay shifts all of them",
     ..OF_TIMING
 };
@@ -89,7 +89,7 @@ pub static CLOCK_DRIFT: Effect = Effect {
         let short = || (e.longest_s < 5.0).then_some("the runs are too short for a drift");
         needs_commands(e, place).or_else(short)
     },
-    trial: "long_chirp",
+    trial: "gait_long",
     signature: "the lag grows with the time since the start of the run",
     ..OF_TIMING
 };
@@ -102,7 +102,7 @@ pub static COMMAND_LOW_PASS: Effect = Effect {
     apply: |plant, place, v| place.each(|a| plant.lane.joints[a].command_low_pass_s += v[0] as f32),
     look_alikes: "command_delay measurement_delay profile_limit kd_error servo_loop_delay",
     unseen: needs_motion,
-    trial: "chirp",
+    trial: "chirp_medium",
     signature: "gain falls with frequency as well as phase; steps are rounded",
     ..OF_TIMING
 };
@@ -139,7 +139,7 @@ pub static PROFILE_LIMIT: Effect = Effect {
     },
     look_alikes: "voltage_limit torque_limit command_low_pass supply_level",
     unseen: needs_motion,
-    trial: "steps",
+    trial: "steps_medium",
     signature: "ramps of one slope after steps of any size, whatever load and voltage",
     ..OF_TIMING
 };
@@ -157,7 +157,7 @@ pub static SERVO_LOOP_DELAY: Effect = Effect {
     },
     look_alikes: "kd_error command_low_pass gear_compliance gear_backlash",
     unseen: needs_motion,
-    trial: "steps",
+    trial: "steps_medium",
     signature: "damping is lost, the more the higher the gain; a delay outside the loop only shifts",
     ..OF_TIMING
 };

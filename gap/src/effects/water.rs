@@ -18,7 +18,7 @@ pub static LINEAR_DRAG: Effect = Effect {
     grid: &one(&[5.0, 20.0, 60.0]),
     apply: |plant, place, v| place.each(|l| plant.lane.water[l].linear_drag_scale *= v[0] as f32),
     look_alikes: "quadratic_drag viscous_friction heave_damping",
-    trial: "coast_down",
+    trial: "coast",
     signature: "loss per cycle grows with the amplitude squared",
     ..OF_WATER
 };
@@ -40,7 +40,7 @@ pub static QUADRATIC_DRAG: Effect = Effect {
         }
     },
     look_alikes: "linear_drag added_mass",
-    trial: "three_amplitudes_three_frequencies",
+    trial: "swim_sizes",
     signature: "loss per cycle grows with the cube of the amplitude",
     ..OF_WATER
 };
@@ -59,7 +59,7 @@ pub static ADDED_MASS: Effect = Effect {
         }
     },
     look_alikes: "quadratic_drag armature link_mass",
-    trial: "wet_and_dry_chirp",
+    trial: "swim_sizes",
     signature: "shifts the phase without net work, in water only",
     ..OF_WATER
 };
@@ -124,7 +124,7 @@ pub static WATER_CURRENT: Effect = Effect {
         plant.lane.water_current_mps[1] += v[1] as f32;
     },
     look_alikes: "quadratic_drag",
-    trial: "passive_drift",
+    trial: "coast",
     signature: "the robot drifts without doing anything",
     ..OF_WATER
 };
@@ -136,7 +136,7 @@ pub static WATER_LEVEL: Effect = Effect {
     grid: &one(&[-0.03, -0.01, 0.01, 0.03]),
     apply: |plant, _, v| plant.lane.water_level_offset_m += v[0] as f32,
     look_alikes: "buoyancy",
-    trial: "slow_dip",
+    trial: "float",
     signature: "everything wet begins at another depth",
     ..OF_WATER
 };

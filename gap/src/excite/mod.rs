@@ -135,7 +135,7 @@ pub fn trial(
     rate_hz: f64,
 ) -> Result<Trial, ExciteError> {
     let maker = Maker::new(robot, joint, rate_hz)?;
-    let wanted = RECIPES.iter().find(|r| Some(r.name) == canonical(name));
+    let wanted = RECIPES.iter().find(|r| r.name == name);
     wanted.and_then(|r| maker.make(r)).ok_or_else(|| ExciteError::Trial {
         trial: name.to_owned(),
         known: names(robot, joint).join(", "),
@@ -145,46 +145,6 @@ pub fn trial(
 /// Names of the trials that `robot` can do.
 pub fn names(robot: &RobotModel, joint: Option<&str>) -> Vec<&'static str> {
     RECIPES.iter().filter(|r| fits(r, robot, joint)).map(|r| r.name).collect()
-}
-
-/// Other names of trials: kinds of experiment as the catalogue of effects speaks of them, and the trial of
-/// the battery that is one.
-const KINDS: &[(&str, &str)] = &[
-    ("all_joints_probe", "all_chirp"),
-    ("chirp", "chirp_medium"),
-    ("coast_down", "coast"),
-    ("fast_chirp", "chirp_large"),
-    ("fast_reversals", "reversals_fast"),
-    ("full_range", "sweep_full"),
-    ("gait_two_speeds", "gait"),
-    ("girdle_rocking", "rock_x"),
-    ("hold_poses", "holds"),
-    ("large_steps", "steps_large"),
-    ("lift_and_lower", "lift_lower"),
-    ("loaded_steps", "steps_loaded"),
-    ("long_chirp", "gait_long"),
-    ("long_holds", "holds_long"),
-    ("low_gait", "gait_low"),
-    ("micro_reversals", "micro"),
-    ("passive_drift", "coast"),
-    ("slow_dip", "float"),
-    ("slow_ramps", "triangle_slow"),
-    ("slow_triangles", "triangle_slow"),
-    ("slow_turn", "gait_turn"),
-    ("stalls", "steps_loaded"),
-    ("stand_headings", "rest"),
-    ("stand_heights", "rest"),
-    ("steps", "steps_medium"),
-    ("three_amplitudes_three_frequencies", "swim_sizes"),
-    ("torque_off_drop", "drop_high"),
-    ("warm_up_series", "gait_long"),
-    ("wet_and_dry_chirp", "swim_sizes"),
-];
-
-/// The battery's name of a trial, or of a kind of trial; `None` for neither.
-pub fn canonical(name: &str) -> Option<&'static str> {
-    let kind = KINDS.iter().find(|k| k.0 == name).map(|k| k.1);
-    kind.or_else(|| RECIPES.iter().find(|r| r.name == name).map(|r| r.name))
 }
 
 /// The trial of the battery that a run's name or notes name; the longest name where several do.

@@ -19,6 +19,7 @@ use caudata_runlog::{BaseHold, LogMeta, Setting, Signal, Table};
 use serde::{Deserialize, Serialize};
 
 use super::run::{ImportError, Imported, bytes};
+use crate::check::series::median;
 
 /// The motor whose law is known, as recordings name it.
 const MOTOR: &str = "xl330";
@@ -287,9 +288,8 @@ fn folder_name(run: &Recording, stem: &str) -> String {
 
 /// Rows per second: the inverse of the median step.
 fn rate_hz(entries: &[Entry]) -> f64 {
-    let mut steps: Vec<f64> = entries.windows(2).map(|w| w[1].timestamp - w[0].timestamp).collect();
-    steps.sort_unstable_by(f64::total_cmp);
-    let median = steps[steps.len() / 2];
+    let steps = entries.windows(2).map(|w| w[1].timestamp - w[0].timestamp);
+    let median = median(steps.collect()).unwrap_or(0.0);
     if median > 0.0 {
         (1.0 / median).min(1e5)
     } else {

@@ -7,62 +7,22 @@ use super::units::unit_word;
 
 /// Words that tell a kind of signal, the first that fits; a command is one of the words in [`COMMANDS`] with any
 /// of them or none.
-const KIND_WORDS: &[(&str, &[&str])] = &[
-    ("vel", &["vel", "velocity", "speed", "qd", "dq", "omega", "drehzahl", "vitesse", "velocidad"]),
-    ("cur", &["cur", "current", "currents", "amps", "i", "strom", "courant", "corriente"]),
-    ("tau", &["tau", "torque", "torques", "effort", "drehmoment"]),
-    ("volt", &["volt", "volts", "voltage", "supply", "vbat", "vin", "spannung"]),
-    ("temp", &["temp", "temperature"]),
-    ("pwm", &["pwm", "duty"]),
+const KIND_WORDS: &[(&str, &str)] = &[
+    ("vel", "vel velocity speed qd dq omega drehzahl vitesse velocidad"),
+    ("cur", "cur current currents amps i strom courant corriente"),
+    ("tau", "tau torque torques effort drehmoment"),
+    ("volt", "volt volts voltage supply vbat vin spannung"),
+    ("temp", "temp temperature"),
+    ("pwm", "pwm duty"),
     (
         "pos",
-        &[
-            "pos",
-            "position",
-            "positions",
-            "angle",
-            "angles",
-            "q",
-            "encoder",
-            "present",
-            "actual",
-            "measured",
-            "theta",
-            "ist",
-            "winkel",
-            "mesure",
-            "medida",
-        ],
+        "pos position positions angle angles q encoder present actual measured theta ist winkel mesure medida",
     ),
 ];
-pub(super) const COMMANDS: &[&str] = &[
-    "goal",
-    "cmd",
-    "command",
-    "commanded",
-    "target",
-    "desired",
-    "des",
-    "setpoint",
-    "reference",
-    "ref",
-    "soll",
-    "consigne",
-    "consigna",
-];
-pub(super) const CLOCKS: &[&str] = &[
-    "t",
-    "time",
-    "timestamp",
-    "stamp",
-    "clock",
-    "seconds",
-    "datetime",
-    "zeit",
-    "zeitstempel",
-    "temps",
-    "tiempo",
-];
+pub(super) const COMMANDS: &str =
+    "goal cmd command commanded target desired des setpoint reference ref soll consigne consigna";
+pub(super) const CLOCKS: &str =
+    "t time timestamp stamp clock seconds datetime zeit zeitstempel temps tiempo";
 
 /// The actuated joint that is called so, or else the one with the longest name that is part of it.
 pub(super) fn joint_called(robot: &RobotModel, text: &str) -> Option<usize> {
@@ -152,8 +112,9 @@ impl Words {
             .then(|| format!(", as its unit `{name}` is one of {of}, and not of {want}"))
     }
 
-    pub(super) fn has(&self, any: &[&str]) -> bool {
-        self.words.iter().any(|w| any.contains(&w.as_str()))
+    /// Whether it has one of these words, with spaces between.
+    pub(super) fn has(&self, any: &str) -> bool {
+        any.split(' ').any(|word| self.words.iter().any(|w| w == word))
     }
 
     pub(super) fn kind(&self) -> Option<&'static str> {

@@ -5,8 +5,8 @@ use std::fmt::Write;
 use super::figures;
 use crate::plots::Plots;
 use crate::report::{
-    Cause, DataFault, Divergence, Floor, Parameter, PositionError, Rejected, Report, RunUse,
-    Verdict,
+    Carried, Cause, DataFault, Divergence, Floor, Parameter, PositionError, Rejected, Report,
+    RunUse, Verdict,
 };
 use caudata_chart::{escape, number};
 
@@ -224,21 +224,17 @@ pub fn leads(report: &Report) -> String {
 
 /// What the model carries without a name that anybody vouches for.
 pub fn unnamed(report: &Report) -> String {
-    let mut out = String::new();
-    for c in report.model.iter().filter(|c| !c.named) {
+    let row = |c: &Carried| {
         let values = c.parameters.iter().map(|(name, v)| format!("{name} = {}", number(*v)));
-        let _ = write!(
-            out,
-            "<tr><td>{}</td><td>{}</td><td>{}</td></tr>",
-            escape(&effect_name(&c.effect)),
-            place(&c.location),
-            escape(&values.collect::<Vec<_>>().join(", "))
-        );
-    }
-    match out.is_empty() {
-        true => out,
+        let values = values.collect::<Vec<_>>().join(", ");
+        vec![escape(&effect_name(&c.effect)), place(&c.location), escape(&values)]
+    };
+    let rows: Vec<Vec<String>> = report.model.iter().filter(|c| !c.named).map(row).collect();
+    match rows.is_empty() {
+        true => String::new(),
         false => format!(
-            "<details class=\"card\"><summary>What else the extended model carries, whose names are no findings</summary><div class=\"scroll\"><table><tbody>{out}</tbody></table></div></details>"
+            "<details class=\"card\"><summary>What else the extended model carries, whose names are no findings</summary><div class=\"scroll\">{}</div></details>",
+            table("", rows.into_iter())
         ),
     }
 }

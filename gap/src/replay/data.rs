@@ -169,6 +169,16 @@ impl Data {
         out
     }
 
+    /// All channels' samples, stretch by stretch.
+    pub fn pieces(&self) -> impl Iterator<Item = &Piece> {
+        self.segments.iter().flat_map(|s| &s.pieces)
+    }
+
+    /// The same with the stretch that each belongs to.
+    pub fn parts(&self) -> impl Iterator<Item = (&Segment, &Piece)> {
+        self.segments.iter().flat_map(|s| s.pieces.iter().map(move |p| (s, p)))
+    }
+
     /// Simulated time of one candidate, s.
     pub fn duration_s(&self) -> f64 {
         self.segments.iter().map(Segment::duration_s).sum()

@@ -7,29 +7,21 @@ use caudata_gap::effects::Effect;
 use caudata_gap::excitation::Excitation;
 use caudata_gap::place::{Domain, Place};
 use caudata_gap::replay::{Data, Piece, Replayer, SegmentOptions, Term, Variant};
-use caudata_gap::trial::{Kind, Role, Run, Trial};
+use caudata_gap::trial::{Kind, Role, Trial};
 use caudata_gap::{GapError, effects, reading, repeats};
 use caudata_model::RobotModel;
-use caudata_runlog::RunLog;
 
-/// Why a case cannot be read.
+use crate::examinee::{self, ExamineeError, Read};
+
+/// Why a case cannot be read, or simulated.
 #[derive(Debug, thiserror::Error)]
 pub enum DataError {
-    /// A file.
+    /// The case.
     #[error("{0}")]
-    Io(#[from] std::io::Error),
-    /// A log.
-    #[error("{0}")]
-    Log(#[from] caudata_runlog::LogError),
-    /// The robot.
-    #[error("{0}")]
-    Model(#[from] caudata_model::ModelError),
+    Case(#[from] ExamineeError),
     /// A run, or the engine.
     #[error("{0}")]
     Gap(#[from] GapError),
-    /// Something is not there.
-    #[error("{0} holds no {1}")]
-    Missing(String, &'static str),
 }
 
 /// Runs of one role, each the mean of its repeats.
@@ -118,34 +110,15 @@ pub(super) fn square(r: &[f64]) -> f64 {
 impl CaseData {
     /// Reads a case folder.
     pub fn read(folder: &Path) -> Result<Self, DataError> {
-        let mut robot = None;
-        let mut runs = Vec::new();
-        let mut entries: Vec<_> = std::fs::read_dir(folder)?.collect::<Result<_, _>>()?;
-        entries.sort_by_key(std::fs::DirEntry::file_name);
-        for entry in entries {
-            let name = entry.file_name().to_string_lossy().into_owned();
-            if name.ends_with(".robot.toml") {
-                robot = Some(RobotModel::load(&entry.path())?);
-            } else if entry.path().is_dir() {
-                runs.push(Run {
-                    role: match name.starts_with("holdout") {
-                        true => Role::Holdout,
-                        false => Role::Fit,
-                    },
-                    name,
-                    log: RunLog::read(&entry.path())?,
-                    sha256: String::new(),
-                });
-            }
-        }
-        let missing = |what| DataError::Missing(folder.display().to_string(), what);
-        let model = Arc::new(robot.ok_or_else(|| missing("robot file"))?);
+        let Read { model, runs, .. } = examinee::read(folder)?;
+        let model = Arc::new(model);
         let trials = runs.iter().map(|run| reading::trial(&model, run));
         let mut trials: Vec<Trial> = trials.collect::<Result<_, _>>()?;
         repeats::group(&mut trials);
         let [fit, holdout] = [Role::Fit, Role::Holdout].map(|r| Part::of(&model, &trials, r));
         if fit.data.is_empty() || holdout.data.is_empty() {
-            return Err(missing("fit or holdout runs"));
+            let (folder, what) = (folder.to_owned(), "fit or holdout runs");
+            return Err(ExamineeError::Missing { folder, what }.into());
         }
         let excitation = Excitation::of(&model, &fit.data.trials.iter().collect::<Vec<_>>());
         Ok(Self { replayer: Replayer::new(model, 1)?, fit, holdout, excitation })
@@ -197,8 +170,6 @@ impl CaseData {
     fn everywhere(&self, effect: &'static Effect) -> Variant {
         let alone = |p: &Place| p.items.len() <= 1 || effect.domain == Domain::Robot;
         let places = effect.places(self.model()).into_iter().filter(alone);
-        let nothing =
-            |place: Place| Term { values: effect.neutral(self.model(), &place), effect, place };
-        places.map(nothing).collect()
+        places.map(|place| Term::nothing(self.model(), effect, place)).collect()
     }
 }

@@ -19,11 +19,11 @@ pub fn evolve(data: &CaseData, generations: usize) -> Result<(Fit, Vec<&'static 
         ["command_delay", "armature", "viscous_friction", "coulomb_friction", "encoder_offset"];
     let nothing: Variant = LIST.iter().flat_map(|id| data.each(id)).collect();
     let n = nothing.len();
-    let scale = |k: usize| (nothing[k].effect).scale(data.model(), &nothing[k].place, 0);
+    let scale = |k: usize| nothing[k].scale(data.model(), 0);
     let place = |y: &[f64]| -> Variant {
         let mut terms = nothing.clone();
         for (k, term) in terms.iter_mut().enumerate() {
-            let (low, high) = term.effect.bounds(data.model(), &term.place, 0);
+            let (low, high) = term.bounds(data.model(), 0);
             term.values[0] = (term.values[0] + y[k] * scale(k)).clamp(low, high);
         }
         terms

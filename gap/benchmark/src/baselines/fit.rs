@@ -33,7 +33,7 @@ fn slots(terms: &Variant) -> Vec<Slot> {
 /// Step that matters of a parameter, SI.
 fn scale(data: &CaseData, terms: &Variant, (i, p): Slot) -> f64 {
     let term = &terms[i];
-    term.effect.scale(data.model(), &term.place, p)
+    term.scale(data.model(), p)
 }
 
 /// `terms` with each parameter moved by `by`, SI, within its bounds.
@@ -41,7 +41,7 @@ fn moved(data: &CaseData, terms: &Variant, by: impl Fn(usize) -> f64) -> Variant
     let mut out = terms.clone();
     for (k, (i, p)) in slots(terms).into_iter().enumerate() {
         let term = &mut out[i];
-        let (low, high) = term.effect.bounds(data.model(), &term.place, p);
+        let (low, high) = term.bounds(data.model(), p);
         term.values[p] = (term.values[p] + by(k)).clamp(low, high);
     }
     out
@@ -58,7 +58,7 @@ fn normal_equations(
     let steps: Vec<f64> = (slots.iter())
         .map(|&(i, p)| {
             let step = 0.3 * scale(data, terms, (i, p));
-            let high = terms[i].effect.bounds(data.model(), &terms[i].place, p).1;
+            let high = terms[i].bounds(data.model(), p).1;
             if terms[i].values[p] + step > high { -step } else { step }
         })
         .collect();
@@ -143,7 +143,7 @@ pub(super) fn named(
     for (k, (i, p)) in slots(terms).into_iter().enumerate() {
         if p == 0 {
             let term = &terms[i];
-            let neutral = term.effect.neutral(data.model(), &term.place)[0];
+            let neutral = term.neutral(data.model())[0];
             let far = (term.values[0] - neutral).abs() / units(k).max(1e-12);
             found.push((far, term.effect.id));
         }
@@ -254,8 +254,7 @@ pub fn forward_selection(data: &CaseData) -> Result<(Fit, Vec<&'static str>), Da
         n * (f.cost / n).ln() + f.sd.len() as f64 * n.ln()
     };
     for _ in 0..MOST {
-        let had =
-            |c: &&Term| !(fit.terms.iter()).any(|t| t.effect == c.effect && t.place == c.place);
+        let had = |c: &&Term| !(fit.terms.iter()).any(|t| t.same(c));
         // one scan over sizes, then the best are refined
         let tries = candidates.iter().filter(had);
         let tries: Vec<Variant> = tries.flat_map(|c| with_sizes(data, &fit.terms, c)).collect();

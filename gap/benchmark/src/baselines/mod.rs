@@ -10,6 +10,7 @@ pub mod residual;
 use std::path::Path;
 use std::time::Instant;
 
+use caudata_gap::check::series::median;
 use serde::Serialize;
 
 use crate::case::{Answer, Block};
@@ -112,9 +113,8 @@ pub fn summaries(all: &[(Answer, Vec<BaselineOutcome>)]) -> Vec<BaselineSummary>
             let singles: Vec<_> = mine.iter().filter(|(a, _)| a.block == Block::Single).collect();
             let wrong: usize =
                 singles.iter().map(|(a, o)| o.names.iter().filter(|n| !right(a, n)).count()).sum();
-            let mut ratios: Vec<f64> =
+            let ratios: Vec<f64> =
                 mine.iter().filter(|(a, _)| large(a)).map(|(_, o)| o.holdout_ratio).collect();
-            ratios.sort_by(f64::total_cmp);
             BaselineSummary {
                 baseline: (*name).to_owned(),
                 false_alarms: Rate::count(
@@ -128,7 +128,7 @@ pub fn summaries(all: &[(Answer, Vec<BaselineOutcome>)]) -> Vec<BaselineSummary>
                     |(a, o)| o.names.first().is_some_and(|n| right(a, n)),
                 ),
                 wrong_per_case: wrong as f64 / singles.len().max(1) as f64,
-                holdout_ratio: ratios.get(ratios.len() / 2).copied().unwrap_or(f64::NAN),
+                holdout_ratio: median(ratios).unwrap_or(f64::NAN),
                 seconds: mine.iter().map(|(_, o)| o.seconds).sum::<f64>()
                     / mine.len().max(1) as f64,
             }

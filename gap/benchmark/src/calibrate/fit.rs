@@ -1,7 +1,7 @@
 //! The map from evidence to probability, by the greatest likelihood with a prior on each weight.
 
 use caudata_gap::calibration::{
-    Calibration, FEATURE_COUNT, FEATURES, Map, Thresholds, Weights, features,
+    Calibration, FEATURE_COUNT, FEATURES, Map, Thresholds, VERSION, Weights, features,
 };
 use caudata_gap::report::Grounds;
 use serde::Serialize;
@@ -143,6 +143,7 @@ pub fn fit(cases: &[Case], by_hand: Map, command: String, seed: u64) -> Calibrat
     let top = &by_odds[..by_odds.len().div_ceil(3)];
     let right = |of: &[(f64, bool)]| of.iter().filter(|x| x.1).count();
     Calibration {
+        version: VERSION,
         command,
         seed,
         cases: cases.iter().filter(|c| c.verdict.is_some()).count() as u64,

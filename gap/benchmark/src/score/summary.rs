@@ -2,6 +2,7 @@
 
 use std::fmt::Display;
 
+use caudata_gap::check::series::median;
 use serde::Serialize;
 
 use super::outcome::{CONFIDENT, Judged, Outcome};
@@ -253,10 +254,8 @@ impl Summary {
 pub fn median_gain(all: &[Outcome]) -> f64 {
     let large =
         |o: &&Outcome| o.block == Block::Single && o.truth.first().is_some_and(|t| t.d >= 3.0);
-    let mut ratios: Vec<f64> =
-        all.iter().filter(large).map(|o| o.gain_ratio.unwrap_or(1.0)).collect();
-    ratios.sort_by(f64::total_cmp);
-    ratios.get(ratios.len() / 2).copied().unwrap_or(f64::NAN)
+    let ratios: Vec<f64> = all.iter().filter(large).map(|o| o.gain_ratio.unwrap_or(1.0)).collect();
+    median(ratios).unwrap_or(f64::NAN)
 }
 
 /// Measure, what it came to, what is owed.

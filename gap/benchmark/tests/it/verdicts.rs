@@ -6,9 +6,10 @@ use caudata_gap::report::{Carried, Cause, Doubt, DoubtKind, Report, Verdict};
 use caudata_gap_benchmark::battery::Amount;
 use caudata_gap_benchmark::case::{Answer, Block};
 use caudata_gap_benchmark::examinee;
-use caudata_gap_benchmark::generate::{self, Request, Rig};
+use caudata_gap_benchmark::generate;
 use caudata_gap_benchmark::hidden::find;
 use caudata_gap_benchmark::score::outcome::{self, CONFIDENT, Given};
+use caudata_gap_benchmark::sets::Plan;
 
 /// Seed of what differs from run to run.
 const SEED: u64 = 5;
@@ -19,19 +20,15 @@ fn recorded(effect: &str, block: Block, folder: &std::path::Path) -> Answer {
 }
 
 /// A rig with `effects` at its first joint, each four null discrepancies large, recorded in `folder`.
-fn recorded_on(rig: &str, effects: &[&str], block: Block, folder: &std::path::Path) -> Answer {
-    let request = Request {
-        name: "case".to_owned(),
-        block,
-        rig: &Rig::bench(rig).unwrap(),
-        seed: SEED,
-        amount: Amount::Full,
-        effects: (effects.iter()).map(|e| (find(e).unwrap(), 0, 4.0)).collect(),
-        decoy: None,
-        other_laws: false,
-        without: Vec::new(),
-    };
-    generate::make(&request, folder).unwrap()
+fn recorded_on(
+    rig: &'static str,
+    effects: &[&str],
+    block: Block,
+    folder: &std::path::Path,
+) -> Answer {
+    let effects = effects.iter().map(|e| (find(e).unwrap(), 0, 4.0)).collect();
+    let plan = Plan { effects, ..Plan::new(block, rig, SEED, Amount::Full) };
+    generate::make("case", &plan, folder).unwrap()
 }
 
 /// Diagnosis with the whole catalogue. Whatever has a name is in the extended model, or the summary says that it is
