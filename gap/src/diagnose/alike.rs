@@ -28,10 +28,7 @@ pub fn indistinguishable(a: &State, b: &State) -> bool {
 pub fn trades(context: &Context, model: &State, other: &Term) -> Result<bool, GapError> {
     let own: usize = model.terms.iter().map(|t| t.values.len()).sum();
     let mut terms = model.terms.clone();
-    terms.push(Term {
-        values: (other.effect).neutral(context.replayer.model(), &other.place),
-        ..other.clone()
-    });
+    terms.push(Term::nothing(context.replayer.model(), other.effect, other.place.clone()));
     let (columns, _) = context.jacobian(&context.fit, &terms)?;
     let (own, others) = columns.split_at(own);
     Ok(spanned(own, others))

@@ -3,25 +3,22 @@
 
 use std::collections::BTreeSet;
 
-use super::fits::{penalised, single};
+use super::extend::{entry, parameters};
+use super::fits::{fitted, penalised, single};
 use super::folds::jackknife;
 use super::gates::{self, Worth};
 use super::joints::{Angles, mean_abs};
 use super::levels::BUILT;
 use super::naming::{self, Named};
-use super::refine::refine;
 use super::search::{Found, MOST_TERMS};
 use super::state::{Context, State};
 use super::tracking::Tracking;
 use crate::effects::Layer;
 use crate::error::GapError;
-use crate::extension::{ExtensionEffect, ExtensionParameter};
+use crate::extension::ExtensionEffect;
 use crate::go_on::GoOn;
 use crate::replay::Term;
 use crate::report::{Carried, Cause};
-
-/// What the model before names were sought must leave of the misfit that is left without what got no name.
-const SUPPORTED: f64 = 0.95;
 
 /// Why a model is refused at last.
 pub const NO_NEARER: &str = "held-out runs are no nearer with it than as given";
@@ -93,13 +90,12 @@ fn supported_most(
 
 /// The model that causes were `named` in, or, if that leaves much more, what was found `before` with it.
 fn supported(context: &Context, named: &State, before: &State) -> Result<Model, GapError> {
-    let much = |state: &State| penalised(context, state) < SUPPORTED * penalised(context, named);
+    let much = |state: &State| penalised(context, state) < BUILT * penalised(context, named);
     let mut state = before.clone();
     if much(&state) && !named.terms.iter().all(|t| is_among(t, &before.terms)) {
         let others = (before.terms.iter()).filter(|t| !is_among(t, &named.terms));
         let together = named.terms.iter().chain(others).cloned().collect();
-        let fitted = refine(context, &context.fit, vec![together], None, None)?;
-        state = single(context, fitted.into_iter().flat_map(|f| f.0).collect())?;
+        state = fitted(context, together, None)?;
     }
     Ok(match much(&state) {
         true => Model { deviations: deviations(context, &state)?, state },
@@ -109,7 +105,7 @@ fn supported(context: &Context, named: &State, before: &State) -> Result<Model, 
 
 /// Whether `terms` have this effect at this place.
 fn is_among(term: &Term, terms: &[Term]) -> bool {
-    terms.iter().any(|t| t.effect == term.effect && t.place == term.place)
+    terms.iter().any(|t| t.same(term))
 }
 
 /// The last gate: what is no nearer to held-out runs than the robot as given is not named. Causes are left out
@@ -191,7 +187,6 @@ fn deviations(context: &Context, state: &State) -> Result<Vec<f64>, GapError> {
 impl Model {
     /// Each term as the extended file has it: as a cause of `causes` says where there is one of that effect
     /// and place with that size, else without a name that anybody vouches for.
-    #[must_use]
     pub fn entries(&self, context: &Context, causes: &[Cause]) -> Vec<ExtensionEffect> {
         let mut first = 0;
         self.state
@@ -208,7 +203,7 @@ impl Model {
                 };
                 let cause = cause_of(term, causes);
                 match cause.filter(same) {
-                    Some(cause) => super::extend::entry(cause),
+                    Some(cause) => entry(cause),
                     None => unnamed(context, term, self.deviations.get(own), cause),
                 }
             })
@@ -216,7 +211,6 @@ impl Model {
     }
 
     /// The same for the report.
-    #[must_use]
     pub fn listed(&self, entries: &[ExtensionEffect]) -> Vec<Carried> {
         let of = |e: &ExtensionEffect| Carried {
             effect: e.id.clone(),
@@ -241,42 +235,19 @@ fn unnamed(
     cause: Option<&Cause>,
 ) -> ExtensionEffect {
     let model = context.replayer.model();
-    let parameter = |p: usize| {
-        let spec = &term.effect.parameters[p];
-        let (low, high) = term.effect.bounds(model, &term.place, p);
-        let half = 1.96 * deviations.and_then(|d| d.get(p)).copied().unwrap_or(0.0);
-        let value = term.values[p];
-        let parameter = ExtensionParameter {
-            value,
-            unit: spec.unit.to_owned(),
-            ci_low: (value - half).max(low),
-            ci_high: (value + half).min(high),
-            at_bound: term.effect.at_bound(model, &term.place, p, value),
-        };
-        (spec.name.to_owned(), parameter)
-    };
-    let parameters: std::collections::BTreeMap<_, _> =
-        (0..term.values.len()).map(parameter).collect();
-    let range = |p: &ExtensionParameter| {
-        // as of a cause: half as much again for what was not recorded
-        let half = 0.75 * (p.ci_high - p.ci_low);
-        [p.value - half, p.value + half]
-    };
-    ExtensionEffect {
-        id: term.effect.id.to_owned(),
+    let halves: Vec<f64> = (deviations.unwrap_or_default().iter()).map(|d| 1.96 * d).collect();
+    entry(&Cause {
+        effect: term.effect.id.to_owned(),
         location: term.place.names.clone(),
+        parameters: parameters(model, term, |p| halves.get(p).copied().unwrap_or(0.0)),
         confidence: cause.map_or(0.0, |c| c.confidence),
         alternatives: cause.map_or_else(Vec::new, |c| c.alternatives.clone()),
-        elsewhere: Vec::new(),
         evidence: vec![
             "in the model because the runs that were fitted support it in cross-validation; its name is no finding"
                 .to_owned(),
         ],
-        randomise: (parameters.iter())
-            .map(|(name, p)| (name.clone(), range(p)))
-            .collect(),
-        parameters,
-    }
+        ..Cause::default()
+    })
 }
 
 #[cfg(test)]

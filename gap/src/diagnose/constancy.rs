@@ -10,6 +10,7 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
+use caudata_declare::named;
 use nalgebra::{DMatrix, DVector};
 
 use super::judge::Judge;
@@ -35,53 +36,29 @@ const LEAST_FLOORS: f64 = 0.01;
 /// this.
 const LEAST_FLOORS_RUNS: f64 = 0.1;
 
-/// What the data are parted along.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Along {
-    /// From run to run.
-    Runs,
-    /// |command − position|.
-    Error,
-    /// |speed|.
-    Speed,
-    /// |current|, where it is logged.
-    Current,
-    /// Current times speed, from braking to driving, where it is logged.
-    Power,
-    /// Position.
-    Angle,
-    /// Speed, with its sign.
-    Direction,
+named! {
+    /// What the data are parted along.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub enum Along {
+        /// From run to run.
+        Runs = "from run to run",
+        /// |command − position|.
+        Error = "from small errors to large ones",
+        /// |speed|.
+        Speed = "from slow to fast",
+        /// |current|, where it is logged.
+        Current = "from small currents to large ones",
+        /// Current times speed, from braking to driving, where it is logged.
+        Power = "from braking to driving",
+        /// Position.
+        Angle = "from one end of the range to the other",
+        /// Speed, with its sign.
+        Direction = "from one direction to the other",
+    }
 }
 
 /// Arguments besides runs.
 const ARGUMENT_COUNT: usize = Along::ALL.len() - 1;
-
-impl Along {
-    /// All of them.
-    pub const ALL: [Self; 7] = [
-        Self::Runs,
-        Self::Error,
-        Self::Speed,
-        Self::Current,
-        Self::Power,
-        Self::Angle,
-        Self::Direction,
-    ];
-
-    /// In words.
-    pub const fn in_words(self) -> &'static str {
-        match self {
-            Self::Runs => "from run to run",
-            Self::Error => "from small errors to large ones",
-            Self::Speed => "from slow to fast",
-            Self::Current => "from small currents to large ones",
-            Self::Power => "from braking to driving",
-            Self::Angle => "from one end of the range to the other",
-            Self::Direction => "from one direction to the other",
-        }
-    }
-}
 
 /// How the size of a term differs between parts of the data.
 #[derive(Debug, Clone)]
@@ -97,7 +74,6 @@ pub struct Scatter {
 }
 
 /// For each of the terms `which`, along what its size scatters most.
-#[must_use]
 pub fn scatter(
     context: &Context,
     best: &State,
@@ -134,7 +110,7 @@ fn amounts(context: &Context, best: &State, steps: &[f64]) -> Vec<(Range<usize>,
     let of = |t: &Term| {
         let own = first..first + t.values.len();
         first = own.end;
-        let neutral = t.effect.neutral(model, &t.place);
+        let neutral = t.neutral(model);
         let moved = t.values.iter().zip(&neutral).map(|(v, z)| v - z);
         let amount = moved.zip(&steps[own.clone()]).map(|(m, step)| m / step);
         (own, amount.collect())

@@ -114,7 +114,7 @@ impl<'a> Doubts<'a> {
             ),
         });
         let outgrown = self.outgrown.iter().map(|(_, t)| {
-            let label = t.place.label(t.effect.id);
+            let label = t.label();
             Doubt {
                 kind: DoubtKind::ImplausibleSize,
                 detail: format!("What {label} would have to be lies at the end of what is plausible: something that is not in the catalogue may be behind it."),
@@ -122,14 +122,14 @@ impl<'a> Doubts<'a> {
             }
         });
         let inconstant = self.inconstant().map(|(s, t)| {
-            let label = t.place.label(t.effect.id);
+            let label = t.label();
             let least = s.sizes.iter().copied().fold(f64::INFINITY, f64::min);
             let most = s.sizes.iter().copied().fold(f64::NEG_INFINITY, f64::max);
             Doubt {
                 kind: DoubtKind::InconstantSize,
                 detail: format!(
                     "{} the data ask for {least:.2} to {most:.2} times as much of {label} as was found: a law that is not in the catalogue may be behind it.",
-                    capitalised(s.along.in_words()),
+                    capitalised(s.along.name()),
                 ),
                 location: label,
             }
@@ -164,7 +164,7 @@ fn left(context: &Context, base: &State, best: &State) -> Vec<Left> {
 /// what else its law counts, a speed at which friction bends, a number of ripples in a turn.
 fn outgrown(context: &Context, term: &Term, finding: bool) -> bool {
     let model = context.replayer.model();
-    let at_bound = |p: usize| (term.effect).at_bound(model, &term.place, p, term.values[p]);
+    let at_bound = |p: usize| term.at_bound(model, p);
     sizes(term.effect).any(at_bound) || (finding && (0..term.values.len()).any(at_bound))
 }
 

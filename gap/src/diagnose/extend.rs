@@ -2,9 +2,12 @@
 
 use std::collections::BTreeMap;
 
+use caudata_model::RobotModel;
+
 use super::request::Request;
 use super::state::Context;
-use crate::extension::{self, Extension, ExtensionEffect, ExtensionParameter};
+use crate::effects::ParameterSpec;
+use crate::extension::{self, Extension, ExtensionEffect};
 use crate::replay::Term;
 use crate::report::{Cause, Parameter};
 
@@ -41,15 +44,11 @@ pub fn extended(
 
 /// A cause as a robot file has it.
 pub fn entry(cause: &Cause) -> ExtensionEffect {
-    let randomise = cause
-        .parameters
-        .iter()
-        .map(|(name, p)| {
-            // what the fit leaves open, and half as much again for what was not recorded
-            let half = 0.75 * (p.ci_high - p.ci_low);
-            (name.clone(), [p.value - half, p.value + half])
-        })
-        .collect();
+    let range = |(name, p): (&String, &Parameter)| {
+        // what the fit leaves open, and half as much again for what was not recorded
+        let half = 0.75 * (p.ci_high - p.ci_low);
+        (name.clone(), [p.value - half, p.value + half])
+    };
     ExtensionEffect {
         id: cause.effect.clone(),
         location: cause.location.clone(),
@@ -57,17 +56,28 @@ pub fn entry(cause: &Cause) -> ExtensionEffect {
         alternatives: cause.alternatives.clone(),
         elsewhere: cause.elsewhere.clone(),
         evidence: cause.evidence.clone(),
-        parameters: (cause.parameters.iter()).map(|(name, p)| (name.clone(), written(p))).collect(),
-        randomise,
+        randomise: cause.parameters.iter().map(range).collect(),
+        parameters: cause.parameters.clone(),
     }
 }
 
-fn written(p: &Parameter) -> ExtensionParameter {
-    ExtensionParameter {
-        value: p.value,
-        unit: p.unit.clone(),
-        ci_low: p.ci_low,
-        ci_high: p.ci_high,
-        at_bound: p.at_bound,
-    }
+/// The parameters of a term, each with an interval of so much either way within its bounds.
+pub fn parameters(
+    model: &RobotModel,
+    term: &Term,
+    half: impl Fn(usize) -> f64,
+) -> BTreeMap<String, Parameter> {
+    let of = |(p, spec): (usize, &ParameterSpec)| {
+        let (value, half) = (term.values[p], half(p));
+        let (low, high) = term.bounds(model, p);
+        let parameter = Parameter {
+            value,
+            unit: spec.unit.to_owned(),
+            ci_low: (value - half).max(low),
+            ci_high: (value + half).min(high),
+            at_bound: term.at_bound(model, p),
+        };
+        (spec.name.to_owned(), parameter)
+    };
+    term.effect.parameters.iter().enumerate().map(of).collect()
 }

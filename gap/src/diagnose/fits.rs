@@ -25,9 +25,17 @@ pub fn single(context: &Context, terms: Variant) -> Result<State, GapError> {
     Ok(states.swap_remove(0))
 }
 
+/// `terms` fitted to everything, in at most so many steps.
+///
+/// # Errors
+/// As [`crate::replay::Replayer::predict`].
+pub fn fitted(context: &Context, terms: Variant, steps: Option<usize>) -> Result<State, GapError> {
+    let mut fitted = refine(context, &context.fit, vec![terms], steps, None)?;
+    single(context, fitted.swap_remove(0).0)
+}
+
 /// Misfit with what its parameters must have earned. A parameter of one joint can only earn where that joint
 /// is measured, so that it owes the less the more joints there are.
-#[must_use]
 pub fn penalised(context: &Context, state: &State) -> f64 {
     let model = context.replayer.model();
     let joints = model.actuated().len().max(1);
@@ -46,7 +54,6 @@ pub struct Before {
 
 impl Before {
     /// As `state` has it.
-    #[must_use]
     pub fn of(state: &State) -> Self {
         Self { look: state.on_scout().misfit, fit: state.fit.misfit }
     }
@@ -114,9 +121,7 @@ fn polish(context: &Context, states: &mut [State]) -> Result<(), GapError> {
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
 pub fn polished(context: &Context, state: State) -> Result<State, GapError> {
-    let terms = vec![state.terms.clone()];
-    let mut fitted = refine(context, &context.fit, terms, Some(LAST_STEPS), None)?;
-    let fitted = single(context, fitted.swap_remove(0).0)?;
+    let fitted = fitted(context, state.terms.clone(), Some(LAST_STEPS))?;
     Ok(if fitted.fit.misfit <= state.fit.misfit { fitted } else { state })
 }
 

@@ -41,14 +41,12 @@ pub struct Free {
 impl Folds {
     /// Parts all samples of `data` by thirds of each run: what shows in one run only can still prove itself
     /// there.
-    #[must_use]
     pub fn of(data: &Data) -> Self {
         Self::of_channels(data, PARTS_OF_A_RUN, |_| true).0
     }
 
     /// Parts the samples of those channels that `keep` keeps, by runs where there are several, else by thirds
     /// of them; as [`Self::of_channels`].
-    #[must_use]
     pub fn of_runs(data: &Data, keep: impl Fn(&Piece) -> bool) -> (Self, Vec<Range<usize>>) {
         let parts = if data.trials.len() < MANY_RUNS { PARTS_OF_A_RUN } else { 1 };
         Self::of_channels(data, parts, keep)
@@ -56,7 +54,6 @@ impl Folds {
 
     /// Parts the samples of those channels that `keep` keeps, put one behind the other, and says where they are in
     /// the flat vector.
-    #[must_use]
     fn of_channels(
         data: &Data,
         parts: usize,
@@ -91,13 +88,11 @@ impl Folds {
 
     /// Residuals of each fold with the parameters that the others ask for. `columns`: derivatives of the
     /// prediction by each parameter. `[P][N]`, `[N]`, `[P]` to `[N]`
-    #[must_use]
     pub fn left_out(&self, columns: &[Vec<f32>], residual: &[f32], free: &[Free]) -> Vec<f32> {
         self.left_out_with(columns, residual, free).0
     }
 
     /// The same with the change of the parameters without each fold, in steps. `([N], [F][P])`
-    #[must_use]
     pub fn left_out_with(
         &self,
         columns: &[Vec<f32>],
@@ -142,7 +137,6 @@ impl Folds {
 
 /// Standard deviations of parameters by the jackknife over folds, SI, from their `shifts` without each fold, in
 /// `steps`.
-#[must_use]
 pub fn jackknife(shifts: &[DVector<f64>], steps: &[f64]) -> Vec<f64> {
     let folds = shifts.len().max(1) as f64;
     let deviation = |(p, step): (usize, &f64)| {

@@ -63,7 +63,6 @@ pub struct Worth {
 
 /// What going from `from` to `to` is worth, on the channels that `place` concerns: an effect of one joint is
 /// judged by that joint.
-#[must_use]
 pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>) -> Worth {
     let joints = context.replayer.model().actuated().len();
     let own = masked(joints, &context.fit, &from.fit, place);
@@ -75,12 +74,9 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
     let samples = mask.iter().filter(|m| **m).count().max(1);
     let gains = falls(judge, &mask, &from.cross, &to.cross);
     let cross = gains.iter().sum::<f64>() / samples as f64;
-    let sorted = resampled(&gains, context.seed, samples);
-    let at = |share: f64| {
-        let k = (share * sorted.len() as f64) as usize;
-        let k = k.min(sorted.len().saturating_sub(1));
-        sorted.get(k).copied().unwrap_or(0.0)
-    };
+    let mean = |drawn: &[usize]| drawn.iter().map(|k| gains[*k]).sum::<f64>() / samples as f64;
+    let sorted = resampled(gains.len(), context.seed, mean);
+    let at = |share: f64| at(&sorted, share);
     let far = of > FAR;
     let relative = if far { FAR_GAIN } else { RELATIVE_GAIN };
     let low = if far { at(0.025) } else { at(0.005) };
@@ -160,7 +156,6 @@ fn from_one_block(gains: &[f64]) -> bool {
 }
 
 /// Misfit from which on there is something to explain. Of many joints one is always a little off.
-#[must_use]
 pub fn quiet(context: &Context) -> f64 {
     if context.replayer.model().actuated().len() < MANY_JOINTS { CAREFUL_LAB } else { NOTHING_LEFT }
 }
@@ -168,7 +163,7 @@ pub fn quiet(context: &Context) -> f64 {
 /// The greatest misfit of the joints, and of the body, that have a sample in `mask`.
 fn worst_within(joints: usize, judge: &Judge, on: &On, mask: &[bool]) -> f64 {
     let mut within = vec![false; joints + 1];
-    for piece in judge.data.segments.iter().flat_map(|s| &s.pieces) {
+    for piece in judge.data.pieces() {
         within[group(joints, piece)] |= mask[piece.range.clone()].contains(&true);
     }
     let sums = groups(joints, &[(judge, on)]);
@@ -177,7 +172,6 @@ fn worst_within(joints: usize, judge: &Judge, on: &On, mask: &[bool]) -> f64 {
 }
 
 /// Mean square on the channels that `place` concerns.
-#[must_use]
 pub fn part(judge: &Judge, on: &On, place: Option<&Place>) -> f64 {
     mean_of(&mask(judge, place), on)
 }
@@ -205,7 +199,7 @@ fn masked(joints: usize, judge: &Judge, from: &On, place: Option<&Place>) -> Vec
     if quiet.iter().all(|q| *q) {
         return mask;
     }
-    for piece in judge.data.segments.iter().flat_map(|s| &s.pieces) {
+    for piece in judge.data.pieces() {
         if quiet[group(joints, piece)] {
             mask[piece.range.clone()].fill(false);
         }
@@ -218,7 +212,7 @@ fn masked(joints: usize, judge: &Judge, from: &On, place: Option<&Place>) -> Vec
 fn groups(joints: usize, parts: &[(&Judge, &On)]) -> Vec<(f64, f64)> {
     let mut sums = vec![(0.0, 0.0); joints + 1];
     for (judge, on) in parts {
-        for piece in judge.data.segments.iter().flat_map(|s| &s.pieces) {
+        for piece in judge.data.pieces() {
             let group = group(joints, piece);
             let part = &on.residual[piece.range.clone()];
             let noise = &judge.noise;
@@ -234,7 +228,6 @@ fn groups(joints: usize, parts: &[(&Judge, &On)]) -> Vec<(f64, f64)> {
 /// Misfit in cross-validation. Of a robot with many joints, each joint counts as [`CAREFUL_LAB`] at
 /// least: with one joint far off, a little of what every careful lab has in all the others must not weigh
 /// more than that joint.
-#[must_use]
 pub fn misfit(context: &Context, state: &State) -> f64 {
     let joints = context.replayer.model().actuated().len();
     if joints < MANY_JOINTS {
@@ -248,13 +241,11 @@ pub fn misfit(context: &Context, state: &State) -> f64 {
 
 /// Misfit in cross-validation where it is greatest: of the channels of each joint by themselves, and of those
 /// of the body. A single bad joint of many hardly shows in the mean over all.
-#[must_use]
 pub fn worst(context: &Context, state: &State) -> f64 {
     worst_of(context, &[(&context.fit, &state.cross)])
 }
 
 /// The same of any runs.
-#[must_use]
 pub fn worst_of(context: &Context, parts: &[(&Judge, &On)]) -> f64 {
     let joints = context.replayer.model().actuated().len();
     groups(joints, parts).iter().map(|(square, n)| square / f64::max(*n, 1.0)).fold(0.0, f64::max)
@@ -262,7 +253,6 @@ pub fn worst_of(context: &Context, parts: &[(&Judge, &On)]) -> f64 {
 
 /// Whether held-out runs are nearer to `to` than to `from`: in the mean, or at one joint and no further in the mean,
 /// in which a joint of many hardly shows.
-#[must_use]
 pub fn nearer(context: &Context, from: &State, to: &State) -> bool {
     let joints = context.replayer.model().actuated().len();
     let of = |state: &State| groups(joints, &[(&context.holdout, &state.holdout)]);
@@ -279,7 +269,7 @@ fn mask(judge: &Judge, place: Option<&Place>) -> Vec<bool> {
         return vec![true; judge.data.len()];
     };
     let mut mask = vec![false; judge.data.len()];
-    for piece in judge.data.segments.iter().flat_map(|s| &s.pieces) {
+    for piece in judge.data.pieces() {
         if piece.kind.of_joint() && place.items.contains(&piece.index) {
             mask[piece.range.clone()].fill(true);
         }
@@ -288,35 +278,25 @@ fn mask(judge: &Judge, place: Option<&Place>) -> Vec<bool> {
 }
 
 /// Whether a term is far enough from nothing to matter.
-#[must_use]
 pub fn matters(context: &Context, term: &Term) -> bool {
     let model = context.replayer.model();
-    let neutral = term.effect.neutral(model, &term.place);
-    (0..term.values.len()).any(|p| {
-        (term.values[p] - neutral[p]).abs() >= term.effect.scale(model, &term.place, p).abs()
-    })
+    let neutral = term.neutral(model);
+    (0..term.values.len())
+        .any(|p| (term.values[p] - neutral[p]).abs() >= term.scale(model, p).abs())
 }
 
-/// Mean gains per sample of blocks drawn with replacement, sorted.
-fn resampled(gains: &[f64], seed: u64, samples: usize) -> Vec<f64> {
+/// A statistic of `n` blocks that are drawn with replacement, over and over, sorted.
+pub fn resampled(n: usize, seed: u64, statistic: impl Fn(&[usize]) -> f64) -> Vec<f64> {
     let mut stream = Stream::new(Key::for_run(seed), Purpose::Minibatch);
-    let n = gains.len();
-    if n == 0 {
-        return Vec::new();
-    }
-    let mut out: Vec<f64> = (0..RESAMPLES)
-        .map(|_| {
-            let sum: f64 = (0..n)
-                .map(|_| {
-                    let k = (f64::from(stream.uniform(0.0, 1.0)) * n as f64) as usize;
-                    gains[k.min(n - 1)]
-                })
-                .sum();
-            sum / samples.max(1) as f64
-        })
-        .collect();
+    let mut draw = || -> Vec<usize> { (0..n).map(|_| stream.below(n as u64) as usize).collect() };
+    let mut out: Vec<f64> = (0..RESAMPLES).map(|_| statistic(&draw())).collect();
     out.sort_by(f64::total_cmp);
     out
+}
+
+/// The value below which this share of `sorted` lies.
+pub fn at(sorted: &[f64], share: f64) -> f64 {
+    sorted[((share * sorted.len() as f64) as usize).min(sorted.len() - 1)]
 }
 
 #[cfg(test)]

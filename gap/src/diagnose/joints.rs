@@ -15,6 +15,7 @@ use super::folds::{Folds, jackknife};
 use super::product::dot;
 use super::refine::{TRIES, moved};
 use super::state::{Context, frees, up_and_down};
+use crate::check::series::median;
 use crate::effects::{Domain, Place};
 use crate::error::GapError;
 use crate::replay::{Data, Term, Variant};
@@ -40,13 +41,11 @@ pub struct Joints {
 
 impl Joints {
     /// As given, with so many joints.
-    #[must_use]
     pub fn as_given(joints: usize) -> Self {
         Self { own: vec![Vec::new(); joints], ..Self::default() }
     }
 
     /// As a candidate. Terms at different joints do not meet, so that their order says nothing.
-    #[must_use]
     pub fn variant(&self) -> Variant {
         let first = self.fixed.iter().chain(&self.shared);
         first.chain(self.own.iter().flatten()).cloned().collect()
@@ -71,7 +70,6 @@ fn slot(terms: &[Term], slot: usize) -> Option<(usize, usize)> {
 }
 
 /// The place of joint `a` alone.
-#[must_use]
 pub fn place_of(context: &Context, a: usize) -> Place {
     Place {
         domain: Domain::Joints,
@@ -122,17 +120,10 @@ impl Linear {
         self.steps[a].clone_from(&other.steps[a]);
         self.shared[a].clone_from(&other.shared[a]);
     }
-
-    /// Forgets the parameters `range` of joint `a`.
-    pub fn forget(&mut self, a: usize, range: Range<usize>) {
-        self.columns[a].drain(range.clone());
-        self.steps[a].drain(range);
-    }
 }
 
 impl<'a> Angles<'a> {
     /// The angles of the joints in `data`.
-    #[must_use]
     pub fn of(context: &'a Context, data: &'a Data) -> Self {
         let joints = context.replayer.model().actuated().len();
         let of = |a: usize| {
@@ -144,13 +135,11 @@ impl<'a> Angles<'a> {
     }
 
     /// Whether joint `a` has an angle in these runs.
-    #[must_use]
     pub fn measured(&self, a: usize) -> bool {
         self.of[a].count > 0
     }
 
     /// Mean over all joints that have an angle.
-    #[must_use]
     pub fn mean(&self, of: impl Fn(usize) -> f64) -> f64 {
         let own = (0..self.of.len()).filter(|&a| self.measured(a));
         let (sum, n) = own.fold((0.0, 0.0), |(sum, n), a| (sum + of(a), n + 1.0));
@@ -405,7 +394,6 @@ impl<'a> Angles<'a> {
 
     /// Mean absolute error of each joint in cross-validation, rad, and the standard deviation of each of its
     /// parameters by the jackknife over the folds, SI. `[A]`, `[A][P]`
-    #[must_use]
     pub fn cross(&self, model: &Joints, linear: &Linear) -> (Vec<f64>, Vec<Vec<f64>>) {
         let (mut errors, mut deviations) = (Vec::new(), Vec::new());
         for (a, of) in self.of.iter().enumerate() {
@@ -424,17 +412,14 @@ impl<'a> Angles<'a> {
 }
 
 /// Mean absolute value.
-#[must_use]
 pub fn mean_abs(x: &[f32]) -> f64 {
     x.iter().map(|v| f64::from(v.abs())).sum::<f64>() / x.len().max(1) as f64
 }
 
 /// From which residual on the loss is linear, rad.
 pub fn scale(residual: &[f32]) -> f64 {
-    let mut sorted: Vec<f32> = residual.iter().map(|r| r.abs()).collect();
-    sorted.sort_by(f32::total_cmp);
-    let median = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
-    (LINEAR_FROM * f64::from(median)).max(COUNT_RAD)
+    let sizes = residual.iter().map(|r| f64::from(r.abs())).collect();
+    (LINEAR_FROM * median(sizes).unwrap_or(0.0)).max(COUNT_RAD)
 }
 
 /// Σ 2·s²·(√(1 + (r/s)²) − 1) of each joint: r² for small r, 2·s·|r| for large ones. `[A]`

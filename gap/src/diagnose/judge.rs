@@ -10,7 +10,6 @@
 //! (With I + N·Nᵀ, which is what independent Gaussian noise would ask for, they come to k²/n: nothing,
 //! whatever k.)
 
-use std::collections::BTreeMap;
 use std::ops::Range;
 
 use caudata_runlog::BaseHold;
@@ -21,7 +20,7 @@ use super::nuisances::nuisances;
 use super::pipeline::add_own_misses;
 use super::product::dot;
 use crate::error::GapError;
-use crate::replay::{Data, Piece, Replayer, SegmentOptions, Term};
+use crate::replay::{Data, Piece, Replayer, Segment, SegmentOptions, Term};
 
 /// Mean square error of one channel in one run, in squared noises, that counts at most.
 const MOST_MISFIT: f64 = 80.0;
@@ -82,18 +81,11 @@ impl Judge {
             }
             let changed = other.predict(&self.data, &[Vec::new()])?.swap_remove(0);
             let off = self.change(&changed, &as_given);
-            for segment in &self.data.segments {
-                if self.data.trials[segment.trial].base != base {
-                    continue;
-                }
-                for piece in &segment.pieces {
-                    let of = &off[piece.range.clone()];
-                    let square = dot(of, of) / of.len().max(1) as f64;
-                    let grows = 1.0_f32.hypot(times * square.sqrt() as f32);
-                    for k in piece.range.clone() {
-                        self.noise.grow(k, grows);
-                    }
-                }
+            let here = |s: &Segment| self.data.trials[s.trial].base == base;
+            for (_, piece) in self.data.parts().filter(|(s, _)| here(s)) {
+                let of = &off[piece.range.clone()];
+                let square = dot(of, of) / of.len().max(1) as f64;
+                self.noise.grow(piece.range.clone(), 1.0_f32.hypot(times * square.sqrt() as f32));
             }
         }
         Ok(true)
@@ -142,23 +134,19 @@ impl Judge {
         Ok(judge)
     }
 
-    /// What one tolerance of each nuisance does in each of `count` windows, sums of squares by nuisance and
-    /// joint. `window`: that of each sample, or anything from `count` on. `[N]` to `[count]`
-    #[must_use]
-    pub fn sensitivities(
-        &self,
-        window: &[usize],
-        count: usize,
-    ) -> Vec<BTreeMap<(usize, usize), f64>> {
-        let mut sums = vec![BTreeMap::new(); count];
+    /// What one tolerance of each nuisance does at each of so many joints and at the body in each of `count` windows,
+    /// sums of squares. `window`: that of each sample, or anything from `count` on. `[N]` to `[count][F]`
+    pub fn sensitivities(&self, window: &[usize], count: usize, joints: usize) -> Vec<Vec<f64>> {
+        let of_trial = |t: &'_ TrialMetric| t.columns.iter().map(|c| c.of.0 + 1).max();
+        let nuisances = self.trials.iter().filter_map(of_trial).max().unwrap_or(0);
+        let mut sums = vec![vec![0.0; nuisances * (joints + 1)]; count];
         for trial in &self.trials {
             for column in &trial.columns {
+                let feature = column.of.0 * (joints + 1) + column.of.1;
                 for (at, v) in &column.parts {
-                    let from = trial.range.start + at;
-                    for (w, x) in window[from..from + v.len()].iter().zip(v) {
+                    for (w, x) in window[trial.range.start + at..].iter().zip(v) {
                         if let Some(of) = sums.get_mut(*w) {
-                            *of.entry(column.of).or_insert(0.0) +=
-                                f64::from(*x / column.unit).powi(2);
+                            of[feature] += f64::from(*x / column.unit).powi(2);
                         }
                     }
                 }
@@ -171,23 +159,13 @@ impl Judge {
     /// of them rules the fit.
     fn cap(&mut self, replayer: &Replayer) -> Result<(), GapError> {
         let base = replayer.predict(&self.data, &[Vec::new()])?.swap_remove(0);
-        for piece in self.data.segments.iter().flat_map(|s| &s.pieces) {
-            let square: f64 = piece
-                .range
-                .clone()
-                .map(|k| {
-                    let r =
-                        (self.data.value[k] - f64::from(base[k])) / f64::from(self.noise.sigma[k]);
-                    if r.is_finite() { r * r } else { 0.0 }
-                })
-                .sum();
+        for piece in self.data.pieces() {
+            let sigma = &self.noise.sigma;
+            let off = |k: usize| (self.data.value[k] - f64::from(base[k])) / f64::from(sigma[k]);
+            let squares = piece.range.clone().map(|k| off(k).powi(2));
+            let square: f64 = squares.filter(|x| x.is_finite()).sum();
             let misfit = square / piece.range.len().max(1) as f64;
-            if misfit > MOST_MISFIT {
-                let factor = (misfit / MOST_MISFIT).sqrt() as f32;
-                for k in piece.range.clone() {
-                    self.noise.grow(k, factor);
-                }
-            }
+            self.noise.grow(piece.range.clone(), (misfit / MOST_MISFIT).max(1.0).sqrt() as f32);
         }
         Ok(())
     }
@@ -217,15 +195,12 @@ impl Judge {
                     };
                     if n.per_joint {
                         for joint in 0..joints {
-                            let of = pieces(&self.data, &range)
-                                .filter(|p| p.kind.of_joint() && p.index == joint)
-                                .map(|p| {
-                                    (
-                                        p.range.start - range.start,
-                                        p.range.clone().map(delta).collect(),
-                                    )
-                                });
-                            let of: Vec<(usize, Vec<f32>)> = of.collect();
+                            let own = pieces(&self.data, &range)
+                                .filter(|p| p.kind.of_joint() && p.index == joint);
+                            let at = |p: &Piece| p.range.start - range.start;
+                            let of: Vec<(usize, Vec<f32>)> = own
+                                .map(|p| (at(p), p.range.clone().map(delta).collect()))
+                                .collect();
                             let n = of.iter().map(|(_, v)| v.len()).sum();
                             columns.push(Column::new(of, n, (number, joint)));
                         }
@@ -242,28 +217,21 @@ impl Judge {
     }
 
     /// Measured less predicted, whitened. Samples without a prediction count as a hundred times their noise.
-    #[must_use]
     pub fn residual(&self, prediction: &[f32]) -> Vec<f32> {
-        let raw = (0..self.data.len())
-            .map(|k| {
-                let r =
-                    (self.data.value[k] - f64::from(prediction[k])) as f32 / self.noise.sigma[k];
-                if r.is_finite() { r.clamp(-1e4, 1e4) } else { 100.0 }
-            })
-            .collect();
-        self.whiten(raw)
+        self.in_noise(100.0, |k| (self.data.value[k] - f64::from(prediction[k])) as f32)
     }
 
     /// One prediction less another, whitened.
-    #[must_use]
     pub fn change(&self, to: &[f32], from: &[f32]) -> Vec<f32> {
-        let raw = (0..self.data.len())
-            .map(|k| {
-                let d = (to[k] - from[k]) / self.noise.sigma[k];
-                if d.is_finite() { d.clamp(-1e4, 1e4) } else { 0.0 }
-            })
-            .collect();
-        self.whiten(raw)
+        self.in_noise(0.0, |k| to[k] - from[k])
+    }
+
+    fn in_noise(&self, broken: f32, raw: impl Fn(usize) -> f32) -> Vec<f32> {
+        let of = |(k, sigma): (usize, &f32)| match raw(k) / sigma {
+            x if x.is_finite() => x.clamp(-1e4, 1e4),
+            _ => broken,
+        };
+        self.whiten(self.noise.sigma.iter().enumerate().map(of).collect())
     }
 
     fn whiten(&self, mut x: Vec<f32>) -> Vec<f32> {
@@ -274,19 +242,16 @@ impl Judge {
     }
 
     /// Noise as repeats show it, whitened; empty without repeats.
-    #[must_use]
     pub fn repeat_noise(&self) -> Vec<f32> {
         if self.noise.repeated { self.whiten(self.noise.difference.clone()) } else { Vec::new() }
     }
 
     /// Mean square of a whitened vector.
-    #[must_use]
     pub fn misfit(&self, residual: &[f32]) -> f64 {
         dot(residual, residual) / residual.len().max(1) as f64
     }
 
     /// Per block: Σ of f over its samples. `[B]`
-    #[must_use]
     pub fn by_block(&self, f: impl Fn(usize) -> f64) -> Vec<f64> {
         let mut sums = vec![0.0; self.data.blocks];
         for (k, b) in self.data.block.iter().enumerate() {
@@ -296,13 +261,11 @@ impl Judge {
     }
 
     /// Per run: Σ of f over its samples. `[T]`
-    #[must_use]
     pub fn by_trial(&self, f: impl Fn(usize) -> f64) -> Vec<f64> {
         self.trials.iter().map(|t| t.range.clone().map(&f).sum()).collect()
     }
 
     /// Whether the candidate could be simulated at all.
-    #[must_use]
     pub fn sound(prediction: &[f32]) -> bool {
         prediction.iter().all(|x| x.is_finite())
     }
@@ -351,7 +314,6 @@ fn shown_in(
 
 /// Whose misfit a piece belongs to: that of its joint, or, in the place after the last joint, that of the
 /// body.
-#[must_use]
 pub fn group(joints: usize, piece: &Piece) -> usize {
     if piece.kind.of_joint() { piece.index } else { joints }
 }

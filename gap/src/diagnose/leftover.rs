@@ -2,6 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::motion::Motion;
 use super::product::dot;
 use super::search::Found;
 use super::state::Context;
@@ -18,14 +19,14 @@ pub fn leftover(context: &Context, found: &Found) -> Vec<Unexplained> {
     let judge = &context.fit;
     let on = &found.best.fit;
     let mut cells: Vec<(f64, Kind, usize, String)> = Vec::new();
-    for segment in &judge.data.segments {
-        for piece in &segment.pieces {
-            let part = &on.residual[piece.range.clone()];
-            let square = dot(part, part);
-            let name = &judge.data.trials[segment.trial].channels[piece.channel].name;
-            match cells.iter_mut().find(|c| c.1 == piece.kind && c.2 == piece.index) {
-                Some(c) => c.0 += square,
-                None => cells.push((square, piece.kind, piece.index, name.clone())),
+    for (segment, piece) in judge.data.parts() {
+        let part = &on.residual[piece.range.clone()];
+        let square = dot(part, part);
+        match cells.iter_mut().find(|c| c.1 == piece.kind && c.2 == piece.index) {
+            Some(c) => c.0 += square,
+            None => {
+                let name = &judge.data.trials[segment.trial].channels[piece.channel].name;
+                cells.push((square, piece.kind, piece.index, name.clone()));
             }
         }
     }
@@ -36,7 +37,7 @@ pub fn leftover(context: &Context, found: &Found) -> Vec<Unexplained> {
         .iter()
         .filter_map(|(s, w)| s.terms.last().map(|t| (t, w)))
         .max_by(|a, b| a.1.fit.total_cmp(&b.1.fit))
-        .map(|(t, _)| t.place.label(t.effect.id));
+        .map(|(t, _)| t.label());
     cells
         .into_iter()
         .filter(|c| c.0 / n > LEFTOVER)
@@ -56,24 +57,19 @@ pub fn leftover(context: &Context, found: &Found) -> Vec<Unexplained> {
 /// Which arguments the residual of a channel depends on: least squares on generic terms, stepwise.
 fn depends(context: &Context, found: &Found, kind: Kind, index: usize) -> (Vec<String>, String) {
     let data = &context.fit.data;
+    let joint = if kind.of_joint() { index } else { 0 };
     let mut rows: Vec<(f64, Vec<f64>)> = Vec::new();
-    for segment in &data.segments {
+    for (segment, piece) in data.parts().filter(|(_, p)| p.kind == kind && p.index == index) {
         let trial = &data.trials[segment.trial];
-        for piece in segment.pieces.iter().filter(|p| p.kind == kind && p.index == index) {
-            let joint = if kind.of_joint() { index } else { 0 };
-            let Some(position) = trial.channel(Kind::Position, joint) else {
-                continue;
-            };
-            for k in piece.range.clone().step_by(3) {
-                let t = data.time_s[k];
-                let q = position.at(t);
-                let ahead = position.at(t + 0.03);
-                let behind = position.at(t - 0.03);
-                let v = (ahead - behind) / 0.06;
-                let e = trial.commands.get(joint).map_or(0.0, |c| c.at(t)) - q;
-                let raw = data.value[k] - f64::from(found.best.fit.prediction[k]);
-                rows.push((raw, library(q, v, e, t - segment.start_s)));
-            }
+        let Some(position) = trial.channel(Kind::Position, joint) else {
+            continue;
+        };
+        for k in piece.range.clone().step_by(3) {
+            let t = data.time_s[k];
+            let motion = Motion::at(position, trial.commands.get(joint), t);
+            let raw = data.value[k] - f64::from(found.best.fit.prediction[k]);
+            let terms = LIBRARY.iter().map(|(_, _, of)| of(&motion, t - segment.start_s));
+            rows.push((raw, terms.collect()));
         }
     }
     if rows.len() < 50 {
@@ -84,101 +80,58 @@ fn depends(context: &Context, found: &Found, kind: Kind, index: usize) -> (Vec<S
     let mut left = total;
     let mut weights = Vec::new();
     for _ in 0..3 {
-        let best = (0..NAMES.len())
-            .filter(|i| !chosen.contains(i))
-            .map(|i| {
-                let mut with = chosen.clone();
-                with.push(i);
-                let (energy, w) = residual_energy(&rows, &with);
-                (energy, i, w)
-            })
-            .min_by(|a, b| a.0.total_cmp(&b.0));
-        let Some((energy, i, w)) = best else { break };
-        if left - energy < MATTERS * total {
+        let with = |i: usize| [&chosen[..], &[i]].concat();
+        let others = (0..LIBRARY.len()).filter(|i| !chosen.contains(i));
+        let best = others
+            .map(|i| (i, residual_energy(&rows, &with(i))))
+            .min_by(|a, b| a.1.0.total_cmp(&b.1.0));
+        let Some((i, (energy, w))) = best.filter(|b| left - b.1.0 >= MATTERS * total) else {
             break;
-        }
-        left = energy;
+        };
+        (left, weights) = (energy, w);
         chosen.push(i);
-        weights = w;
-    }
-    if chosen.is_empty() {
-        return (
-            Vec::new(),
-            "depends on none of angle, speed, error, time in a simple way".to_owned(),
-        );
     }
     let mut arguments: Vec<String> = Vec::new();
     for i in &chosen {
-        let a = ARGUMENTS[*i].to_owned();
-        if !arguments.contains(&a) {
-            arguments.push(a);
+        if !arguments.iter().any(|a| a == LIBRARY[*i].1) {
+            arguments.push(LIBRARY[*i].1.to_owned());
         }
     }
-    let formula: Vec<String> =
-        chosen.iter().zip(&weights).map(|(i, w)| format!("{w:+.3e}·{}", NAMES[*i])).collect();
+    if chosen.is_empty() {
+        let none = "depends on none of angle, speed, error, time in a simple way";
+        return (arguments, none.to_owned());
+    }
+    let terms = chosen.iter().zip(&weights);
+    let formula: Vec<String> = terms.map(|(i, w)| format!("{w:+.3e}·{}", LIBRARY[*i].0)).collect();
     let share = 100.0 * (1.0 - left / total.max(1e-300));
-    (
-        arguments,
-        format!(
-            "measured − simulated ≈ {} {} ({share:.0} % of what is left)",
-            formula.join(" "),
-            kind.unit()
-        ),
-    )
+    let (formula, unit) = (formula.join(" "), kind.unit());
+    (arguments, format!("measured − simulated ≈ {formula} {unit} ({share:.0} % of what is left)"))
 }
 
-const NAMES: [&str; 14] = [
-    "1",
-    "q",
-    "q²",
-    "sin q",
-    "q̇",
-    "|q̇|",
-    "q̇·|q̇|",
-    "sign q̇",
-    "sign q̇·exp(−|q̇|/0.1)",
-    "e",
-    "|e|·sign q̇",
-    "sin 8q",
-    "q·q̇",
-    "t",
-];
-const ARGUMENTS: [&str; 14] = [
-    "offset",
-    "angle",
-    "angle",
-    "angle",
-    "speed",
-    "speed",
-    "speed",
-    "direction",
-    "direction",
-    "load",
-    "load",
-    "angle",
-    "angle",
-    "time",
-];
+/// A term as people write it, what it is of, and its value in a motion so long after a stretch began.
+type Generic = (&'static str, &'static str, fn(&Motion, f64) -> f64);
 
-fn library(q: f64, v: f64, e: f64, t: f64) -> Vec<f64> {
-    let s = (v / 0.05).clamp(-1.0, 1.0);
-    vec![
-        1.0,
-        q,
-        q * q,
-        q.sin(),
-        v,
-        v.abs(),
-        v * v.abs(),
-        s,
-        s * (-v.abs() / 0.1).exp(),
-        e,
-        e.abs() * s,
-        (8.0 * q).sin(),
-        q * v,
-        t,
-    ]
+/// −1 to 1, by the direction of a speed.
+fn sign(m: &Motion) -> f64 {
+    (m.qd_radps / 0.05).clamp(-1.0, 1.0)
 }
+
+const LIBRARY: [Generic; 14] = [
+    ("1", "offset", |_, _| 1.0),
+    ("q", "angle", |m, _| m.q_rad),
+    ("q²", "angle", |m, _| m.q_rad.powi(2)),
+    ("sin q", "angle", |m, _| m.q_rad.sin()),
+    ("q̇", "speed", |m, _| m.qd_radps),
+    ("|q̇|", "speed", |m, _| m.qd_radps.abs()),
+    ("q̇·|q̇|", "speed", |m, _| m.qd_radps * m.qd_radps.abs()),
+    ("sign q̇", "direction", |m, _| sign(m)),
+    ("sign q̇·exp(−|q̇|/0.1)", "direction", |m, _| sign(m) * (-m.qd_radps.abs() / 0.1).exp()),
+    ("e", "load", |m, _| m.error_rad),
+    ("|e|·sign q̇", "load", |m, _| m.error_rad.abs() * sign(m)),
+    ("sin 8q", "angle", |m, _| (8.0 * m.q_rad).sin()),
+    ("q·q̇", "angle", |m, _| m.q_rad * m.qd_radps),
+    ("t", "time", |_, t| t),
+];
 
 /// What is left of the rows after least squares on `terms`, and their weights.
 fn residual_energy(rows: &[(f64, Vec<f64>)], terms: &[usize]) -> (f64, Vec<f64>) {

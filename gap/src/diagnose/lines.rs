@@ -2,10 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use super::alike::{look_alike, wider};
+use super::alike::wider;
 use super::fits::{penalised, single, swapped};
 use super::gates::Worth;
-use super::screen::{Screened, screen};
+use super::screen::{self, Screened, screen};
 use super::state::{Context, State};
 use crate::effects::Effect;
 use crate::error::GapError;
@@ -15,8 +15,8 @@ const LOOK_ALIKES: usize = 3;
 /// Most that a line's misfit may be, in that of the best.
 const LINE_FAR_BEHIND: f64 = 2.5;
 
-/// A model with one more effect: what that is worth, and the number of its parent, of the beam and then of
-/// the lines.
+/// A model with one more effect: what that is worth, and the number of its parent: of the best, then of the
+/// lines.
 pub type Child = (State, Worth, usize);
 
 /// A model that goes on beside the best.
@@ -50,9 +50,7 @@ pub fn look_alikes(
 ) -> Result<Vec<Line>, GapError> {
     let mut withouts: Vec<State> = Vec::new();
     for index in 0..best.terms.len() {
-        let mut terms = best.terms.clone();
-        terms.remove(index);
-        let mut without = single(context, terms)?;
+        let mut without = single(context, best.without(index))?;
         context.find_basis(&mut without)?;
         withouts.push(without);
     }
@@ -63,18 +61,7 @@ pub fn look_alikes(
     let mut all: Vec<Line> = Vec::new();
     for (index, (without, screened)) in withouts.iter().zip(&screened).enumerate() {
         let term = &best.terms[index];
-        let alike = |s: &&Screened| look_alike(term.effect, s.effect);
-        let here =
-            |s: &Screened| s.place.domain == term.place.domain && s.place.items == term.place.items;
-        let mut rivals: Vec<&Screened> = Vec::new();
-        for s in screened.iter().filter(alike) {
-            // at the same place if it can be there, else where it does best
-            match rivals.iter().position(|r| r.effect == s.effect) {
-                Some(k) if here(s) && !here(rivals[k]) => rivals[k] = s,
-                Some(_) => {}
-                None => rivals.push(s),
-            }
-        }
+        let rivals = screen::look_alikes(term, screened);
         let states = swapped(context, best, index, &rivals, without)?;
         for (state, rival) in states.into_iter().zip(&rivals) {
             let mut without = vec![term.effect];
@@ -87,23 +74,23 @@ pub fn look_alikes(
     Ok(all)
 }
 
+/// Best first.
 fn sort_lines(context: &Context, lines: &mut [Line]) {
     let of = |l: &Line| penalised(context, &l.state);
     lines.sort_by(|a, b| of(a).total_cmp(&of(b)));
 }
 
-/// The best of `lines` that are not too far behind `best` and not in the beam.
+/// The best of `lines` that are not too far behind `best`.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
 pub fn chosen_lines(
     context: &Context,
     best: &State,
-    beam: &[State],
     mut lines: Vec<Line>,
 ) -> Result<Vec<Line>, GapError> {
     sort_lines(context, &mut lines);
-    let mut seen: BTreeSet<Vec<String>> = beam.iter().map(State::key).collect();
+    let mut seen = BTreeSet::from([best.key()]);
     lines.retain(|l| {
         l.state.misfit() < LINE_FAR_BEHIND * best.misfit() && seen.insert(l.state.key())
     });

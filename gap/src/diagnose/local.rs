@@ -18,7 +18,6 @@ const MOST: usize = 5;
 
 /// Windows of angles in which a model is off by far more than the floor, worst first; one of each run and
 /// joint.
-#[must_use]
 pub fn local_gaps(context: &Context, fit: &On, holdout: &On) -> Vec<LocalGap> {
     let mut out = of_runs(&context.fit, fit);
     if !context.same_runs {

@@ -16,7 +16,7 @@ use super::heard::{Group, Tally, tally, watched};
 use crate::effects::{DROPPED_FRAMES, Domain, Place};
 use crate::error::GapError;
 use crate::replay::{Data, Replayer, SegmentOptions, Term};
-use crate::report::{Cause, Grounds, Parameter, Rejected};
+use crate::report::{Cause, Parameter, Rejected};
 use crate::trial::{Steps, Trial};
 
 /// Share of samples that are behind where frames are lost; a lab that loses one frame in a thousand has 0.001
@@ -96,7 +96,6 @@ fn shown(fit: &Tally, held_out: Option<&Tally>) -> bool {
 
 impl Losses {
     /// As a cause that one is `confidence` sure of.
-    #[must_use]
     pub fn cause(&self, confidence: f64) -> Cause {
         let n = self.fit.times as f64;
         let [share, burst] = [self.term.values[0], self.term.values[1]];
@@ -137,20 +136,15 @@ impl Losses {
         Cause {
             effect: self.term.effect.id.to_owned(),
             layer: self.term.effect.layer.name().to_owned(),
-            location: Vec::new(),
             parameters,
             confidence,
-            alternatives: Vec::new(),
-            synonyms: Vec::new(),
-            elsewhere: Vec::new(),
             evidence,
             rejected: vec![Rejected {
                 effect: "command_delay".to_owned(),
                 reason: "shifts every frame of every run alike: repeats would not differ by it"
                     .to_owned(),
             }],
-            assumed: Vec::new(),
-            grounds: Grounds::default(),
+            ..Cause::default()
         }
     }
 }
@@ -232,13 +226,10 @@ fn simulated(
                 channel.value.clear();
             }
         }
-        for segment in &data.segments {
-            for piece in &segment.pieces {
-                let channel = &mut heard[segment.trial].channels[piece.channel];
-                channel.time_s.extend(&data.time_s[piece.range.clone()]);
-                let values = predicted[piece.range.clone()].iter();
-                channel.value.extend(values.map(|x| f64::from(*x)));
-            }
+        for (segment, piece) in data.parts() {
+            let channel = &mut heard[segment.trial].channels[piece.channel];
+            channel.time_s.extend(&data.time_s[piece.range.clone()]);
+            channel.value.extend(predicted[piece.range.clone()].iter().map(|x| f64::from(*x)));
         }
         // what was asked for is what was sent
         let sent = groups.iter().flat_map(|g| g.runs);

@@ -24,7 +24,6 @@ pub struct Column {
 
 impl Column {
     /// From the trace of one tolerance, which shows in `n` samples.
-    #[must_use]
     pub fn new(mut parts: Vec<(usize, Vec<f32>)>, n: usize, of: (usize, usize)) -> Self {
         let unit = (TOLERANCES / (n.max(1) as f64).sqrt()) as f32;
         for x in parts.iter_mut().flat_map(|(_, v)| v) {
@@ -74,7 +73,6 @@ pub struct TrialMetric {
 
 impl TrialMetric {
     /// The metric of the trial whose samples are in `range`.
-    #[must_use]
     pub fn new(range: Range<usize>, mut columns: Vec<Column>) -> Self {
         columns.retain(|c| c.times(c) > LEAST_TRACE);
         let k = columns.len();

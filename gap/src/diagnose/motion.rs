@@ -18,7 +18,6 @@ pub struct Motion {
 
 impl Motion {
     /// At the stamp `t_s`.
-    #[must_use]
     pub fn at(position: &Channel, command: Option<&Steps>, t_s: f64) -> Self {
         let q_rad = position.at(t_s);
         let ahead = position.at(t_s + SPEED_WINDOW_S);

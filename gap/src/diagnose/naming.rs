@@ -5,15 +5,15 @@ use std::collections::BTreeSet;
 
 use super::alike::{indistinguishable, trades, wider};
 use super::doubt::one_place;
-use super::fits::{penalised, single, swapped};
+use super::fits::{fitted, penalised, swapped};
 use super::gates::{self, Worth};
 use super::refine::refine;
-use super::screen::{Screened, screen};
+use super::screen::{Screened, look_alikes, screen};
 use super::search::{Found, MOST_TERMS};
 use super::state::{Context, State};
 use crate::effects::Domain;
 use crate::error::GapError;
-use crate::replay::Variant;
+use crate::replay::{Term, Variant};
 use crate::report::Cause;
 
 /// Rivals that are fitted per cause, besides the declared look-alikes.
@@ -40,11 +40,9 @@ const GREAT_SHARE: f64 = 0.5;
 /// outside the catalogue, seeds 101 to 113) none took more than 0.51 off those, and three of four right ones
 /// 0.69 to 0.82.
 const GREAT_SHARE_OF_FIT: f64 = 0.6;
-/// Two look-alikes are both there if together they take this share off what the cause alone leaves of the
-/// runs that are fitted …
-const MORE_TOGETHER: f64 = 0.25;
-/// … and this one off what it leaves in cross-validation.
-const MORE_TOGETHER_CROSS: f64 = 0.2;
+/// Two look-alikes are both there if together they take this share off what the cause alone leaves, of the runs
+/// that are fitted and in cross-validation.
+const MORE_TOGETHER: f64 = 0.2;
 /// A rival that is so many times as probable takes a cause's place.
 const FAR_MORE: f64 = 2.0;
 /// After so many steps causes are dropped only.
@@ -210,10 +208,7 @@ pub fn name_untried(
 
 /// `best` without its term `index`, refitted.
 fn without(context: &Context, best: &State, index: usize) -> Result<State, GapError> {
-    let mut terms = best.terms.clone();
-    terms.remove(index);
-    let fitted = refine(context, &context.fit, vec![terms], None, None)?;
-    let mut state = single(context, fitted.into_iter().flat_map(|f| f.0).collect())?;
+    let mut state = fitted(context, best.without(index), None)?;
     context.find_basis(&mut state)?;
     Ok(state)
 }
@@ -269,7 +264,7 @@ fn both(context: &Context, best: &State, named: &Named) -> Result<Option<State>,
         }
         // each takes half of what it has alone
         for i in [named.index, terms.len() - 1] {
-            let neutral = terms[i].effect.neutral(model, &terms[i].place);
+            let neutral = terms[i].neutral(model);
             for (v, z) in terms[i].values.iter_mut().zip(neutral) {
                 *v = 0.5 * (*v + z);
             }
@@ -286,7 +281,7 @@ fn both(context: &Context, best: &State, named: &Named) -> Result<Option<State>,
         worth.passed
             && worth.low > 0.0
             && worth.fit > MORE_TOGETHER * worth.fit_of
-            && worth.cross > MORE_TOGETHER_CROSS * worth.of
+            && worth.cross > MORE_TOGETHER * worth.of
             && state.terms.iter().all(|t| gates::matters(context, t))
     };
     Ok(context
@@ -307,7 +302,7 @@ fn is_a_lead(quiet: f64, worth: &Worth) -> bool {
 /// Which of the causes in `order`, greatest first, are leads and no findings ([`is_a_lead`], with all others
 /// in the model): beside one that is surely greater. Of two that take as much nobody knows which makes up for
 /// the other.
-pub fn leads(context: &Context, best: &State, order: &[&Named]) -> Vec<bool> {
+pub fn leads(context: &Context, best: &State, order: &[Named]) -> Vec<bool> {
     let mut out: Vec<bool> = Vec::new();
     let place = |n: &Named| &best.terms[n.index].place;
     for (k, n) in order.iter().enumerate() {
@@ -387,31 +382,18 @@ fn likelihood(own: f64, rival: f64, concerned: f64) -> f64 {
 }
 
 /// Declared look-alikes at their best place, and whatever screening likes.
-fn rivals<'a>(term: &crate::replay::Term, screened: &'a [Screened]) -> Vec<&'a Screened> {
-    let mut chosen: Vec<&Screened> = Vec::new();
-    let own = |s: &Screened| s.effect == term.effect;
-    for id in term.effect.look_alikes() {
-        let near = screened.iter().filter(|s| s.effect.id == id);
-        // at the same place if it can be there, else wherever it does best
-        let mut near: Vec<&Screened> = near.collect();
-        near.sort_by_key(|s| s.place != term.place);
-        chosen.extend(near.first());
-    }
-    let mut more = 0;
-    for s in screened.iter().filter(|s| s.gain > 0.0 && !own(s)) {
-        if chosen.iter().any(|c| c.effect == s.effect && c.place == s.place) {
-            continue;
-        }
-        chosen.push(s);
-        more += 1;
-        if more == RIVALS {
-            break;
-        }
-    }
+fn rivals<'a>(term: &Term, screened: &'a [Screened]) -> Vec<&'a Screened> {
+    let declared = |s: &&Screened| term.effect.look_alikes().any(|id| id == s.effect.id);
+    let mut chosen = look_alikes(term, screened);
+    chosen.retain(declared);
+    let own = |s: &&Screened| s.effect == term.effect;
+    let promise = || screened.iter().filter(|s| s.gain > 0.0);
+    let new = |s: &&Screened| !chosen.iter().any(|c| c.effect == s.effect && c.place == s.place);
+    let others = promise().filter(|s| !own(s) && new(s)).take(RIVALS);
     // the same effect at other places: where it is belongs to the name
-    for s in screened.iter().filter(|s| own(s) && s.place != term.place && s.gain > 0.0).take(3) {
-        chosen.push(s);
-    }
+    let elsewhere = promise().filter(|s| own(s) && s.place != term.place).take(3);
+    let more: Vec<&Screened> = others.chain(elsewhere).collect();
+    chosen.extend(more);
     chosen
 }
 

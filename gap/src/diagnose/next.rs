@@ -11,18 +11,16 @@ use super::naming::{Named, Rival};
 use super::request::Request;
 use super::search::Found;
 use super::state::{Context, State};
-use crate::effects::{Domain, Effect, Layer};
+use crate::effects::{Domain, Layer};
 use crate::error::GapError;
 use crate::excitation::Excitation;
 use crate::excite::{self, DEFAULT_RATE_HZ};
 use crate::plant::{anchor_m, lever};
-use crate::prospects::as_run;
+use crate::prospects::{LONGEST_S, as_run};
 use crate::replay::{Data, SegmentOptions, Term, Variant};
 use crate::report::{Cause, LocalGap, NextExperiment, Verdict};
 use crate::trial::{Kind, Run};
 
-/// Longest trial that is proposed, s: longer ones are for what takes as long to build up.
-const LONGEST_S: f64 = 60.0;
 /// Root mean square difference of a joint's angle that tells two models apart, rad: several counts of an
 /// encoder, and more than repeats of a careful lab differ by.
 const TELLS_RAD: f64 = 0.003;
@@ -200,22 +198,14 @@ fn in_the_dark<'a>(
     }
     let model = context.replayer.model();
     for &effect in &context.effects {
-        let Some(place) = effect.places(model).into_iter().next() else {
+        let place = effect.places(model).into_iter().next();
+        let why = place.as_ref().and_then(|p| (effect.unseen)(&context.excitation, p));
+        let (Some(place), Some(why)) = (place, why) else {
             continue;
         };
-        let Some(why) = (effect.unseen)(&context.excitation, &place) else {
-            continue;
-        };
-        let middle = effect.grid.len() / 2;
-        if middle >= effect.grid.len() {
-            continue;
-        }
+        let values = effect.sizes(model, &place, effect.grid.len() / 2);
         let mut with = found.best.terms.clone();
-        with.push(Term {
-            effect,
-            values: effect.sizes(model, &place, middle),
-            place: place.clone(),
-        });
+        with.push(Term { effect, values, place: place.clone() });
         let pair = [found.best.terms.clone(), with];
         // a trial after which it could not be seen either is no help
         let made_for = |trial: &excite::Trial| {
@@ -225,7 +215,17 @@ fn in_the_dark<'a>(
             trial.excites.iter().any(|e| e == effect.id) && seen()
         };
         if let Some((trial, apart_rad)) = most_telling(context, request, &pair, made_for, None)? {
-            return Ok(Some(told(effect, why, trial, apart_rad)));
+            return Ok(Some(NextExperiment {
+                trial,
+                joints: Vec::new(),
+                reason: format!(
+                    "{} could not be seen: {why}; in this trial one of middling size would change angles by {:.1} mrad",
+                    effect.id,
+                    1e3 * apart_rad
+                ),
+                separates: vec![effect.id.to_owned()],
+                payload: None,
+            }));
         }
     }
     let rivals = named.iter().flat_map(|n| &n.rivals);
@@ -234,7 +234,7 @@ fn in_the_dark<'a>(
         let term = &r.state.terms[r.index];
         let why = format!(
             "neither what was found nor {}, which comes nearest to it, explains these runs; in this trial",
-            term.place.label(term.effect.id)
+            term.label()
         );
         (&r.state.terms, term, why)
     };
@@ -265,20 +265,6 @@ fn apart(
     }))
 }
 
-fn told(effect: &Effect, why: &str, trial: String, apart_rad: f64) -> NextExperiment {
-    NextExperiment {
-        trial,
-        joints: Vec::new(),
-        reason: format!(
-            "{} could not be seen: {why}; in this trial one of middling size would change angles by {:.1} mrad",
-            effect.id,
-            1e3 * apart_rad
-        ),
-        separates: vec![effect.id.to_owned()],
-        payload: None,
-    }
-}
-
 /// The trial that is not in the logs in which a joint's angle differs most between two models, and by how
 /// much, rad. None where it does not in any.
 fn most_telling(
@@ -306,7 +292,7 @@ fn most_telling(
         run.meta.payload.extend(weight.cloned());
         let data = Data::new(model, vec![run], SegmentOptions::default());
         let predictions = context.replayer.predict(&data, pair)?;
-        for piece in data.segments.iter().flat_map(|s| &s.pieces) {
+        for piece in data.pieces() {
             let off = |k: usize| f64::from(predictions[0][k] - predictions[1][k]).powi(2);
             let square: f64 = piece.range.clone().map(off).sum();
             let apart_rad = (square / piece.range.len().max(1) as f64).sqrt();
@@ -331,9 +317,7 @@ mod tests {
         let model = RobotModel::load(file.as_ref()).unwrap();
         let one = |id: &str| {
             let effect = crate::effects::find(id).unwrap();
-            let place = places(&model, effect.domain).pop().unwrap();
-            let values = effect.neutral(&model, &place);
-            vec![Term { effect, place, values }]
+            vec![Term::nothing(&model, effect, places(&model, effect.domain).pop().unwrap())]
         };
         let hung = |a: &str, b: &str| known_weight(&model, &[one(a), one(b)]);
         let weight = hung("point_mass", "torque_constant").unwrap();

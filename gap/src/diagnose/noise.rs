@@ -2,11 +2,13 @@
 //! counts, jitter, and what the joint's own motion does not explain.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 use caudata_model::RobotModel;
 use caudata_runlog::BaseHold;
 
 use super::unexplained::unexplained;
+use crate::check::series::median;
 use crate::replay::{Data, Piece};
 use crate::trial::{Channel, Kind, Trial};
 
@@ -24,12 +26,8 @@ fn relative(kind: Kind) -> f64 {
 /// A servo that gives next to no torque reads its idle current, one way or the other: up to so many times
 /// that, a reading tells no more than that.
 const IDLE: f64 = 1.3;
-/// Repeats that differ this many times more than usual in a block have been disturbed.
-const DISTURBED: f64 = 10.0;
 /// So many samples are the beginning of a stretch.
 const BEGINS: usize = 5;
-/// Repeats are not expected to agree better than this, rad.
-const LEAST_RAD: f64 = 0.004;
 
 /// Noise of a set of runs.
 #[derive(Debug, Clone, Default)]
@@ -51,7 +49,6 @@ pub struct Noise {
 
 impl Noise {
     /// Measures the noise of `data`.
-    #[must_use]
     pub fn of(model: &RobotModel, data: &Data) -> Self {
         let mut noise = Self {
             sigma: vec![1.0; data.len()],
@@ -61,10 +58,8 @@ impl Noise {
         };
         // a run in stretches has one noise of repeats: sum of squares and samples of each channel
         let mut repeats = BTreeMap::new();
-        for segment in &data.segments {
-            for piece in &segment.pieces {
-                noise.piece(model, data, segment.trial, piece, &mut repeats);
-            }
+        for (segment, piece) in data.parts() {
+            noise.piece(model, data, segment.trial, piece, &mut repeats);
         }
         noise.repeat = (repeats.into_iter())
             .map(|(channel, (square, n))| (channel, (square / n).sqrt()))
@@ -72,10 +67,10 @@ impl Noise {
         noise
     }
 
-    /// Makes the noise of sample `k` `factor` times what it was.
-    pub fn grow(&mut self, k: usize, factor: f32) {
-        self.sigma[k] *= factor;
-        self.difference[k] /= factor;
+    /// Makes the noise of these samples `factor` times what it was.
+    pub fn grow(&mut self, samples: Range<usize>, factor: f32) {
+        self.sigma[samples.clone()].iter_mut().for_each(|x| *x *= factor);
+        self.difference[samples].iter_mut().for_each(|x| *x /= factor);
     }
 
     fn piece(
@@ -90,7 +85,8 @@ impl Noise {
         let channel = &own.channels[piece.channel];
         let range = piece.range.clone();
         let values = &data.value[range.clone()];
-        let floor = (quantum(model, channel) / 12.0_f64.sqrt()).max(white(piece.kind, values));
+        let counts = quantum(model, channel) / 12.0_f64.sqrt();
+        let floor = counts.max(white(piece.kind, values));
         let least = (self.white.entry((trial, piece.kind, piece.index))).or_insert(floor);
         *least = least.min(floor);
         let members: Vec<(f64, &Channel)> = (own.members.iter())
@@ -102,7 +98,6 @@ impl Noise {
         let began: Vec<f64> = (members.iter())
             .map(|(shift, c)| if swims { began_at(data, piece, *shift, c) } else { 0.0 })
             .collect();
-        self.left[range.clone()].fill(rough(values) as f32);
         let (m, mut sum) = (members.len() as f64, 0.0);
         let mut differences = vec![0.0; values.len()];
         if members.len() > 1 {
@@ -118,11 +113,14 @@ impl Noise {
             }
             self.repeated = true;
         }
+        let apart = (sum / values.len().max(1) as f64).sqrt();
+        let left = white_left(values, (m > 1.0).then(|| counts.max(apart / m.sqrt())));
+        self.left[range.clone()].fill(left as f32);
         let time_s = &data.time_s[range.clone()];
         // what the guess holds besides noise is what its law lacks: where repeats show the noise, none is made
         let shown = |t: &Trial| t.members.len() > 1 && t.channel(piece.kind, piece.index).is_some();
         let repeat = match members.len() > 1 || data.trials.iter().any(shown) {
-            true => (sum / values.len().max(1) as f64).sqrt(),
+            true => apart,
             false => unexplained(own, piece.kind, piece.index, time_s, values),
         };
         if members.len() > 1 && !values.is_empty() {
@@ -162,60 +160,6 @@ fn in_all_stretches(data: &Data, trial: usize, piece: &Piece) -> Vec<f64> {
     let stretches = data.segments.iter().filter(|s| s.trial == trial);
     let same = stretches.flat_map(|s| &s.pieces).filter(|p| p.channel == piece.channel);
     same.flat_map(|p| &data.value[p.range.clone()]).copied().collect()
-}
-
-/// Stretches in which one of at least three repeats departs from the others far more than usual: (trial,
-/// from, to), s.
-#[must_use]
-pub fn disturbed(trials: &[Trial]) -> Vec<(usize, f64, f64)> {
-    let mut levels: Vec<(f64, usize, f64, f64)> = Vec::new();
-    for (number, trial) in trials.iter().enumerate() {
-        let others: Vec<&Trial> = (trials.iter().enumerate())
-            .filter(|(k, t)| *k != number && t.group == trial.group)
-            .map(|(_, t)| t)
-            .collect();
-        // with only two runs nobody knows which of them was touched
-        if others.len() < 2 {
-            continue;
-        }
-        for block in 0..trial.duration_s().floor() as usize {
-            let from = trial.span_s.0 + block as f64;
-            let mut sum = (0.0, 0.0);
-            for c in trial.channels.iter().filter(|c| c.kind == Kind::Position) {
-                let same: Vec<(f64, &Channel)> = (others.iter())
-                    .filter_map(|o| {
-                        Some((o.span_s.0 - trial.span_s.0, o.channel(c.kind, c.index)?))
-                    })
-                    .collect();
-                if same.len() < 2 {
-                    continue;
-                }
-                let low = c.time_s.partition_point(|&t| t < from);
-                let high = c.time_s.partition_point(|&t| t < from + 1.0);
-                for k in low..high {
-                    let mut all: Vec<f64> =
-                        same.iter().map(|(s, o)| o.at(c.time_s[k] + s)).collect();
-                    all.push(c.value[k]);
-                    all.sort_by(f64::total_cmp);
-                    let median = all[all.len() / 2];
-                    sum.0 += (c.value[k] - median).powi(2);
-                    sum.1 += 1.0;
-                }
-            }
-            if sum.1 > 0.0 {
-                let level: f64 = sum.0 / sum.1;
-                levels.push((level.sqrt(), number, from, from + 1.0));
-            }
-        }
-    }
-    let mut sorted: Vec<f64> = levels.iter().map(|l| l.0).collect();
-    sorted.sort_by(f64::total_cmp);
-    let usual = sorted.get(sorted.len() * 9 / 10).copied().unwrap_or(0.0).max(LEAST_RAD);
-    levels
-        .into_iter()
-        .filter(|l| l.0 > DISTURBED * usual)
-        .map(|(_, trial, from, to)| (trial, from, to))
-        .collect()
 }
 
 /// Noise of a reading, SI: where it may be idle current (A; 0: the servo shows none), all of that.
@@ -264,21 +208,21 @@ fn white(kind: Kind, y: &[f64]) -> f64 {
 
 /// White noise by second differences: 1.4826·median|y₊ − 2y + y₋|/√6, which a smooth signal does not add to.
 fn jitter(y: &[f64]) -> f64 {
-    let mut second: Vec<f64> = y.windows(3).map(|w| (w[2] - 2.0 * w[1] + w[0]).abs()).collect();
-    if second.is_empty() {
-        return 0.0;
-    }
-    second.sort_by(f64::total_cmp);
-    1.4826 * second[second.len() / 2] / 6.0_f64.sqrt()
+    let second = y.windows(3).map(|w| (w[2] - 2.0 * w[1] + w[0]).abs());
+    1.4826 * median(second.collect()).unwrap_or(0.0) / 6.0_f64.sqrt()
+}
+
+/// White noise that every model leaves of a channel, no more than the mean of repeats shows: a vibration that comes
+/// again in all of them is none, however fast it is.
+fn white_left(y: &[f64], of_mean: Option<f64>) -> f64 {
+    rough(y).min(of_mean.unwrap_or(f64::INFINITY))
 }
 
 /// White noise by fourth differences, 1.4826·median|Δ⁴y|/√70: motion adds next to nothing to it. (At 100 Hz a swing of
 /// 0.3 rad at 2.5 Hz is 3 mrad of noise by second differences, and 0.02 mrad by these.)
 fn rough(y: &[f64]) -> f64 {
     let fourth = |w: &[f64]| (w[0] - 4.0 * w[1] + 6.0 * w[2] - 4.0 * w[3] + w[4]).abs();
-    let mut all: Vec<f64> = y.windows(5).map(fourth).collect();
-    all.sort_by(f64::total_cmp);
-    1.4826 * all.get(all.len() / 2).copied().unwrap_or(0.0) / 70.0_f64.sqrt()
+    1.4826 * median(y.windows(5).map(fourth).collect()).unwrap_or(0.0) / 70.0_f64.sqrt()
 }
 
 /// The same by the mean square, which outliers add to: √(Σ(y₊ − 2y + y₋)²/6n).
@@ -318,6 +262,8 @@ mod tests {
         let cube: Vec<f64> = (0..100).map(|k| (f64::from(k) * 0.01).powi(3)).collect();
         assert!(rough(&cube) < 1e-12);
         assert!((rough(&rough_rows) - 1.4826 * 16.0 / 70.0_f64.sqrt()).abs() < 1e-9);
+        assert_eq!(white_left(&rough_rows, Some(0.1)), 0.1);
+        assert_eq!(white_left(&rough_rows, None), rough(&rough_rows));
         // one spike of 3 in 102 rows: second differences 3, −6, 3: √(54/600) where the median sees nothing
         let mut rare = vec![7.0; 102];
         rare[50] = 4.0;

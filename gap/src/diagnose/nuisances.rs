@@ -62,10 +62,9 @@ pub fn nuisances(replayer: &Replayer, base: &[Term], wet: bool) -> Vec<Nuisance>
     let nuisance = |(id, parameter, value, tolerances, per_joint): Row| {
         let effect = effects::find(id)?;
         let place = effect.places(model).into_iter().next()?;
-        let mut values = effect.neutral(model, &place);
-        values[parameter] = value;
-        let mut variant = base.to_vec();
-        variant.push(Term { effect, place, values });
+        let mut term = Term::nothing(model, effect, place);
+        term.values[parameter] = value;
+        let variant = [base, &[term]].concat();
         Some(Nuisance { variant, share: (1.0 / tolerances) as f32, per_joint })
     };
     rows.into_iter().filter_map(nuisance).collect()

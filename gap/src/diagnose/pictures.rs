@@ -97,22 +97,17 @@ fn horizons(context: &Context, found: &Found, model: &State) -> Vec<Horizon> {
     let judge = &context.holdout;
     let data = &judge.data;
     let mut by_kind: BTreeMap<Kind, Vec<[f64; 4]>> = BTreeMap::new();
-    for segment in &data.segments {
-        for piece in &segment.pieces {
-            let rows =
-                by_kind.entry(piece.kind).or_insert_with(|| vec![[0.0; 4]; HORIZONS_S.len() + 1]);
-            for k in piece.range.clone() {
-                let age = data.time_s[k] - segment.start_s;
-                let a = data.value[k] - f64::from(found.base.holdout.prediction[k]);
-                let b = data.value[k] - f64::from(model.holdout.prediction[k]);
-                let s = f64::from(judge.noise.sigma[k]);
-                for (h, row) in rows.iter_mut().enumerate() {
-                    if HORIZONS_S.get(h).is_none_or(|limit| age <= *limit) {
-                        row[0] += a * a;
-                        row[1] += b * b;
-                        row[2] += s * s;
-                        row[3] += 1.0;
-                    }
+    for (segment, piece) in data.parts() {
+        let rows =
+            by_kind.entry(piece.kind).or_insert_with(|| vec![[0.0; 4]; HORIZONS_S.len() + 1]);
+        for k in piece.range.clone() {
+            let age = data.time_s[k] - segment.start_s;
+            let off = |model: &State| data.value[k] - f64::from(model.holdout.prediction[k]);
+            let squares = [off(&found.base), off(model), f64::from(judge.noise.sigma[k])];
+            for (h, row) in rows.iter_mut().enumerate() {
+                if HORIZONS_S.get(h).is_none_or(|limit| age <= *limit) {
+                    row.iter_mut().zip(squares).for_each(|(sum, x)| *sum += x * x);
+                    row[3] += 1.0;
                 }
             }
         }
@@ -144,16 +139,14 @@ fn horizons(context: &Context, found: &Found, model: &State) -> Vec<Horizon> {
 fn waterfall(found: &Found, model: &State, named: &[Named]) -> Vec<WaterfallStep> {
     let mut steps =
         vec![WaterfallStep { label: "as given".to_owned(), misfit: found.base.holdout.misfit }];
-    let mut order: Vec<&Named> = named.iter().collect();
-    order.sort_by(|a, b| b.worth.cross.total_cmp(&a.worth.cross));
-    let total: f64 = order.iter().map(|n| n.worth.cross.max(0.0)).sum();
+    let total: f64 = named.iter().map(|n| n.worth.cross.max(0.0)).sum();
     let fall = found.base.holdout.misfit - model.holdout.misfit;
     let mut at = found.base.holdout.misfit;
-    for n in order {
+    for n in named {
         let term = &found.best.terms[n.index];
         // shares of the whole fall, in proportion to what each is worth on top of the others
         at -= fall * n.worth.cross.max(0.0) / total.max(1e-9);
-        steps.push(WaterfallStep { label: term.place.label(term.effect.id), misfit: at });
+        steps.push(WaterfallStep { label: term.label(), misfit: at });
     }
     steps.push(WaterfallStep { label: "floor".to_owned(), misfit: 1.0 });
     steps

@@ -92,7 +92,7 @@ pub fn add_own_misses(
             };
             let miss = (allowed * (sum / n.max(1.0)).sqrt()) as f32;
             for k in piece.range.clone() {
-                noise.grow(k, 1.0_f32.hypot(miss / noise.sigma[k]));
+                noise.grow(k..k + 1, 1.0_f32.hypot(miss / noise.sigma[k]));
             }
         }
     }

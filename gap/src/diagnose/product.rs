@@ -3,7 +3,6 @@
 use nalgebra::DMatrix;
 
 /// Σ x·y in f64.
-#[must_use]
 pub fn dot(x: &[f32], y: &[f32]) -> f64 {
     // eight partial sums: the order of addition is fixed, and the loop is a vector loop
     let mut sums = [0.0_f64; 8];
@@ -18,8 +17,29 @@ pub fn dot(x: &[f32], y: &[f32]) -> f64 {
     sums.iter().sum::<f64>() + rest
 }
 
+/// Takes off `x` what lies along the orthonormal vectors of `basis`.
+pub fn project(basis: &[Vec<f32>], x: &mut [f32]) {
+    for q in basis {
+        let along = dot(q, x) as f32;
+        for (x, q) in x.iter_mut().zip(q) {
+            *x -= along * q;
+        }
+    }
+}
+
+/// Adds what of `column` lies along none of `basis` to it, if that is anything.
+pub fn widen(basis: &mut Vec<Vec<f32>>, mut column: Vec<f32>) {
+    let before = dot(&column, &column);
+    project(basis, &mut column);
+    let square = dot(&column, &column);
+    if square > 1e-6 * before {
+        let length = square.sqrt() as f32;
+        column.iter_mut().for_each(|x| *x /= length);
+        basis.push(column);
+    }
+}
+
 /// Inner products of all pairs of columns. `[P][N]` to `[P, P]`
-#[must_use]
 pub fn gram(columns: &[Vec<f32>]) -> DMatrix<f64> {
     let n = columns.len();
     let mut out = DMatrix::zeros(n, n);

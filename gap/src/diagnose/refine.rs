@@ -178,7 +178,7 @@ pub fn moved(model: &RobotModel, terms: &mut [Term], by: &[f64], steps: &[f64]) 
     let mut change = by.iter().zip(steps).map(|(by, step)| by * step);
     for term in terms {
         for p in 0..term.values.len() {
-            let (low, high) = term.effect.bounds(model, &term.place, p);
+            let (low, high) = term.bounds(model, p);
             let value = term.values[p];
             let most = (0.1 * (high - low)).max(0.5 * value.abs());
             let by = change.next().unwrap_or(0.0).clamp(-most, most);

@@ -8,12 +8,10 @@
 use super::judge::{Judge, group};
 use super::levels::MANY_JOINTS;
 use crate::error::GapError;
-use crate::replay::{Data, Replayer, SegmentOptions};
+use crate::replay::{Data, Replayer, Segment, SegmentOptions};
 
 /// Simulated time per candidate of a scout, s: about what one joint's whole battery has.
 const LENGTH_S: f64 = 40.0;
-/// Recordings that are at most so many times longer are taken whole.
-const WORTH_IT: f64 = 1.2;
 /// Stretches of a held robot, s. Effects that take longer than this to build up are not left to a scout.
 pub const WINDOW_S: f64 = 6.0;
 /// Time that is simulated before each, s: a joint at rest is where friction left it.
@@ -40,7 +38,7 @@ impl Scout {
         options: SegmentOptions,
     ) -> Result<Option<Self>, GapError> {
         let joints = replayer.model().actuated().len();
-        if joints < MANY_JOINTS || whole.data.duration_s() < WORTH_IT * LENGTH_S {
+        if joints < MANY_JOINTS || whole.data.duration_s() <= LENGTH_S {
             return Ok(None);
         }
         let windows = Data::new(
@@ -70,39 +68,20 @@ fn shown(replayer: &Replayer, whole: &Judge, windows: &Data) -> Result<Vec<Vec<f
     let mut residuals = vec![vec![0.0; joints + 1]; count];
     let prediction = replayer.predict(&whole.data, &[Vec::new()])?.swap_remove(0);
     let residual = whole.residual(&prediction);
-    for segment in &whole.data.segments {
-        for piece in &segment.pieces {
-            let group = group(joints, piece);
-            for k in piece.range.clone() {
-                let t = whole.data.time_s[k];
-                let of =
-                    windows.segments.partition_point(|w| (w.trial, w.end_s) <= (segment.trial, t));
-                let inside = windows
-                    .segments
-                    .get(of)
-                    .is_some_and(|w| w.trial == segment.trial && w.start_s <= t);
-                if inside {
-                    window[k] = of;
-                    residuals[of][group] += RESIDUAL_WEIGHT * f64::from(residual[k]).powi(2);
-                }
+    for (segment, piece) in whole.data.parts() {
+        let group = group(joints, piece);
+        for k in piece.range.clone() {
+            let t = whole.data.time_s[k];
+            let of = windows.segments.partition_point(|w| (w.trial, w.end_s) <= (segment.trial, t));
+            let inside = |w: &Segment| w.trial == segment.trial && w.start_s <= t;
+            if windows.segments.get(of).is_some_and(inside) {
+                window[k] = of;
+                residuals[of][group] += RESIDUAL_WEIGHT * f64::from(residual[k]).powi(2);
             }
         }
     }
-    let nuisances = whole.sensitivities(&window, count);
-    let mut features: Vec<(usize, usize)> =
-        nuisances.iter().flat_map(|of| of.keys().copied()).collect();
-    features.sort_unstable();
-    features.dedup();
-    Ok(nuisances
-        .iter()
-        .zip(residuals)
-        .map(|(of, residual)| {
-            let mut row: Vec<f64> =
-                (features.iter()).map(|f| of.get(f).copied().unwrap_or(0.0)).collect();
-            row.extend(residual);
-            row
-        })
-        .collect())
+    let nuisances = whole.sensitivities(&window, count, joints).into_iter();
+    Ok(nuisances.zip(residuals).map(|(of, residual)| [of, residual].concat()).collect())
 }
 
 /// The windows that show most together, in order of recording.
@@ -135,7 +114,7 @@ fn chosen(windows: &Data, shown: &[Vec<f64>]) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::replay::{Segment, Start};
+    use crate::replay::Start;
 
     /// Windows of 5 s, one after the other.
     fn windows(count: usize) -> Data {

@@ -11,10 +11,11 @@ use std::ops::Range;
 use caudata_model::RobotModel;
 use caudata_runlog::BaseHold;
 
+use super::alike::look_alike;
 use super::judge::Judge;
 use super::product::dot;
 use super::state::{Context, On, State, builds_up};
-use super::tracking::scaling;
+use super::tracking::{scale_up, scaling};
 use crate::effects::{Domain, Effect, Place};
 use crate::error::GapError;
 use crate::replay::{Term, Variant};
@@ -37,6 +38,19 @@ pub struct Screened {
     pub starts: Vec<Vec<f64>>,
     /// Mean square of its trace per grid point, largest sensitivity: misfit per (size of grid point)².
     pub traces: Vec<(Vec<f64>, f64)>,
+}
+
+/// Declared look-alikes of `term`, each at its place if it can be there, else where it does best.
+pub fn look_alikes<'a>(term: &Term, screened: &'a [Screened]) -> Vec<&'a Screened> {
+    let mut out: Vec<&Screened> = Vec::new();
+    for s in screened.iter().filter(|s| look_alike(term.effect, s.effect)) {
+        match out.iter().position(|r| r.effect == s.effect) {
+            Some(k) if s.place == term.place => out[k] = s,
+            Some(_) => {}
+            None => out.push(s),
+        }
+    }
+    out
 }
 
 /// What is simulated once for several places.
@@ -89,7 +103,7 @@ pub fn screen(
                 }
                 let change = judge.change(prediction, &on(around).prediction);
                 for ((look, state), out) in looks.iter().zip(parents).zip(&mut out) {
-                    let here = |p: &Place| open(context, state, tried.effect, p);
+                    let here = |p: &Place| open(context, around, state, tried.effect, p);
                     if tried.at.iter().any(here) {
                         for place in tried.judged.iter().filter(|p| here(p)) {
                             weigh(context, look, tried, place, &change, out);
@@ -114,7 +128,7 @@ fn plan(context: &Context, around: &State, parents: &[&State]) -> Vec<Tried> {
     let mut plan = Vec::new();
     for &effect in &context.effects {
         let all = effect.places(model);
-        let wanted = |p: &Place| parents.iter().any(|s| open(context, s, effect, p));
+        let wanted = |p: &Place| parents.iter().any(|s| open(context, around, s, effect, p));
         let together: Vec<Vec<Place>> = match effect.domain {
             Domain::Joints => vec![all.iter().take(1).cloned().collect()],
             Domain::Links => side_by_side(context, all.iter().filter(|p| wanted(p))),
@@ -168,7 +182,7 @@ fn side_by_side<'a>(context: &Context, places: impl Iterator<Item = &'a Place>) 
 /// the branch, or more than joints, show what the link does.
 fn branch(context: &Context, place: &Place) -> Option<usize> {
     let data = &context.fit.data;
-    let mut pieces = data.segments.iter().flat_map(|s| &s.pieces);
+    let mut pieces = data.pieces();
     let held = data.trials.iter().all(|t| t.base == BaseHold::Fixed);
     let (Domain::Links, [link]) = (place.domain, &place.items[..]) else {
         return None;
@@ -199,9 +213,10 @@ fn shown_at(context: &Context, place: &Place) -> Option<Vec<usize>> {
     Some(here.map(|(a, _)| a).collect())
 }
 
-/// Whether the runs can show an effect at a place, and the model does not have it.
-fn open(context: &Context, state: &State, effect: &Effect, place: &Place) -> bool {
-    let mut had = state.terms.iter();
+/// Whether the runs can show an effect at a place, and neither the model nor the one `around` which effects are
+/// simulated has it.
+fn open(context: &Context, around: &State, state: &State, effect: &Effect, place: &Place) -> bool {
+    let mut had = around.terms.iter().chain(&state.terms);
     (effect.unseen)(&context.excitation, place).is_none()
         && !had.any(|t| t.effect == effect && t.place == *place)
 }
@@ -273,7 +288,7 @@ fn weigh(
     let Tried { effect, k, .. } = *tried;
     let n = trace.len().max(1) as f64;
     let ranges = shown_at(context, place).map(|joints| -> Vec<Range<usize>> {
-        (look.judge.data.segments.iter().flat_map(|s| &s.pieces))
+        (look.judge.data.pieces())
             .filter(|p| p.kind.of_joint() && joints.contains(&p.index))
             .map(|p| p.range.clone())
             .collect()
@@ -305,32 +320,19 @@ fn weigh(
     let projected = (2.0 * share * prd - share * share * pdd) / n;
     let direct = (2.0 * rd - dd) / n;
     let gain = projected.max(direct);
-    let start: Vec<f64> = if effect.hinge {
-        sizes.clone()
-    } else {
-        // how many ripples there are in a turn does not grow with them
-        let mut start = sizes.clone();
-        for i in scaling(effect) {
-            let (low, high) = effect.bounds(model, place, i);
-            start[i] = (neutral[i] + share * (sizes[i] - neutral[i])).clamp(low, high);
-        }
-        start
-    };
+    let mut start = Term { effect, place: place.clone(), values: sizes.clone() };
+    scale_up(model, &mut start, share);
     let known = out.iter().position(|s| s.effect == effect && s.place == *place);
-    let entry = &mut match known {
-        Some(k) => out[k..].first_mut(),
-        None => {
-            out.push(Screened {
-                effect,
-                place: place.clone(),
-                gain: f64::NEG_INFINITY,
-                starts: Vec::new(),
-                traces: Vec::new(),
-            });
-            out.last_mut()
-        }
-    };
-    let Some(entry) = entry else { return };
-    entry.traces.push((sizes, look.dilution * dd / n));
-    entry.take(gain, start);
+    let known = known.unwrap_or_else(|| {
+        out.push(Screened {
+            effect,
+            place: place.clone(),
+            gain: f64::NEG_INFINITY,
+            starts: Vec::new(),
+            traces: Vec::new(),
+        });
+        out.len() - 1
+    });
+    out[known].traces.push((sizes, look.dilution * dd / n));
+    out[known].take(gain, start.values);
 }

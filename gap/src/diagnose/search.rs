@@ -1,5 +1,4 @@
-//! The search for causes: add the best, refit all, try to delete, try look-alikes; a beam of candidates side
-//! by side.
+//! The search for causes: add the best, refit all, try to delete, try look-alikes.
 //!
 //! Which of several look-alikes it is may show only when the next cause, or the one after it, stands beside
 //! it. So where much is left, look-alikes of what was found go on beside it as lines of their own, each in
@@ -25,16 +24,12 @@ use crate::replay::{Term, Variant};
 
 /// Most effects at once.
 pub const MOST_TERMS: usize = 8;
-/// Candidates that are kept side by side.
-const BEAM: usize = 2;
 /// Screened candidates that are fitted in earnest, per state.
 const FITTED: usize = 12;
 /// The same once something was found.
 const FITTED_LATER: usize = 6;
 /// Places of one effect among them.
 const PLACES: usize = 2;
-/// A candidate whose misfit is so many times that of the best is given up.
-const FAR_BEHIND: f64 = 1.5;
 /// A further effect must explain this share of what the robot as given fails to: what a model lacks in detail
 /// grows with what it has (unless the misfit is still far from the floor).
 const OF_ALL: f64 = 0.035;
@@ -90,7 +85,7 @@ pub fn search(
     found: &mut Found,
     progress: &mut dyn FnMut(Progress),
 ) -> Result<(), GapError> {
-    let mut search = Search { beam: vec![found.base.clone()], lines: Vec::new(), found };
+    let mut search = Search { grows: true, lines: Vec::new(), found };
     for depth in 1..=MOST_TERMS {
         if depth > 1 {
             if gates::worst(context, &search.found.best) < gates::quiet(context) {
@@ -134,7 +129,8 @@ pub fn settle(context: &mut Context, found: &mut Found) -> Result<(), GapError> 
 
 /// A search under way.
 struct Search<'a> {
-    beam: Vec<State>,
+    /// Whether nothing was added yet to the best.
+    grows: bool,
     lines: Vec<Line>,
     found: &'a mut Found,
 }
@@ -145,11 +141,10 @@ impl Search<'_> {
         let Found { base, best, .. } = &mut *self.found;
         rebase(context, &best.terms.clone(), &mut [base, best])?;
         let of_lines = self.lines.iter_mut().map(|l| &mut l.state);
-        let mut all: Vec<&mut State> = self.beam.iter_mut().chain(of_lines).collect();
-        reread(context, &mut all)
+        reread(context, &mut of_lines.collect::<Vec<_>>())
     }
 
-    /// Everything that the beam and the lines come to with one more effect, best first.
+    /// Everything that the best, if it is new, and the lines come to with one more effect, best first.
     fn children(
         &mut self,
         context: &Context,
@@ -158,10 +153,10 @@ impl Search<'_> {
     ) -> Result<Vec<Child>, GapError> {
         let mut children: Vec<Child> = Vec::new();
         let mut seen: BTreeSet<Vec<String>> = BTreeSet::new();
-        let firsts = self.beam.len();
+        let firsts = usize::from(self.grows);
         let best = &self.found.best;
         let of_lines = self.lines.iter().map(|l| &l.state);
-        let parents: Vec<&State> = self.beam.iter().chain(of_lines).collect();
+        let parents: Vec<&State> = self.grows.then_some(best).into_iter().chain(of_lines).collect();
         progress(Progress::new(Stage::Screening, depth, &best.label()));
         let of_parents = screen(context, best, &parents)?;
         for (number, (parent, mut screened)) in parents.into_iter().zip(of_parents).enumerate() {
@@ -195,7 +190,7 @@ impl Search<'_> {
         depth: usize,
         children: Vec<Child>,
     ) -> Result<bool, GapError> {
-        let firsts = self.beam.len();
+        let firsts = usize::from(self.grows);
         let base = &self.found.base;
         let good = |(s, w, _): &&Child| {
             w.passed
@@ -206,8 +201,7 @@ impl Search<'_> {
             true => good(c),
             false => overtakes(context, base, &self.found.best, c, good(c)),
         };
-        let passed = children.iter().filter(passes).map(|(s, _, _)| s.clone());
-        let passed: Vec<State> = passed.collect();
+        let leader = children.iter().find(passes).map(|(s, _, _)| s.clone());
         let mut going_on: Vec<Line> = Vec::new();
         for (k, line) in self.lines.drain(..).enumerate() {
             let mut own = children.iter().filter(|c| c.2 == firsts + k);
@@ -223,15 +217,14 @@ impl Search<'_> {
             let refused = children.into_iter().filter(refused).map(|(s, w, _)| (s, w));
             self.found.refused = refused.take(8).collect();
         }
-        let ahead = |s: &&State| penalised(context, s) < penalised(context, &self.found.best);
-        if let Some(leader) = passed.first().filter(ahead) {
-            let leader = leader.clone();
-            self.accept(context, depth, leader, passed, going_on)?;
-            return Ok(true);
+        let ahead = |s: &State| penalised(context, s) < penalised(context, &self.found.best);
+        let leader = leader.filter(ahead);
+        self.grows = leader.is_some();
+        match leader {
+            Some(leader) => self.accept(context, depth, leader, going_on)?,
+            None => self.lines = chosen_lines(context, &self.found.best, going_on)?,
         }
-        self.beam.clear();
-        self.lines = chosen_lines(context, &self.found.best, &[], going_on)?;
-        Ok(false)
+        Ok(self.grows)
     }
 
     /// Makes `leader` the best, and decides what goes on beside it.
@@ -240,48 +233,27 @@ impl Search<'_> {
         context: &Context,
         depth: usize,
         leader: State,
-        mut next: Vec<State>,
         mut going_on: Vec<Line>,
     ) -> Result<(), GapError> {
         let Found { base, first, .. } = &*self.found;
         let mut best = delete(context, base, leader)?;
-        next.truncate(BEAM);
-        if best.key() != next[0].key() {
-            next.insert(0, best.clone());
-            next.truncate(BEAM);
-        }
-        for state in &mut next {
-            context.find_basis(state)?;
-        }
-        if depth > 1 || next.len() > 1 {
-            // one that is far behind cannot catch up by a single effect more often than it costs
-            let lead = next[0].misfit();
-            next.retain(|s| s.misfit() < FAR_BEHIND * lead);
-        }
-        let little_left = gates::worst(context, &best) < NOTHING_LEFT;
-        if little_left {
-            // what is still to be found is small: one way is enough
-            next.truncate(1);
-        }
         self.lines.clear();
-        if !little_left && depth < MOST_TERMS {
+        // where little is left, what is still to be found is small: one way is enough
+        if gates::worst(context, &best) >= NOTHING_LEFT && depth < MOST_TERMS {
             let others = look_alikes(context, first, &best)?;
             if let Some(other) = others.first()
                 && !other.says_more
                 && penalised(context, &other.state) < penalised(context, &best)
                 && gates::worth(context, &best, &other.state, None).low > 0.0
             {
-                // it is the better name: the one that was found first is the look-alike
-                let earlier = std::mem::replace(&mut best, other.state.clone());
-                next.retain(|s| s.key() != earlier.key());
-                next.insert(0, best.clone());
-                context.find_basis(&mut next[0])?;
+                // it is the better name
+                best = other.state.clone();
             }
             going_on.extend(others);
-            self.lines = chosen_lines(context, &best, &next, going_on)?;
+            self.lines = chosen_lines(context, &best, going_on)?;
         }
+        context.find_basis(&mut best)?;
         self.found.best = best;
-        self.beam = next;
         Ok(())
     }
 }
@@ -306,7 +278,7 @@ fn overtakes(
         return false;
     }
     let ahead = gates::worth(context, best, state, None);
-    let new = |t: &&Term| !best.terms.iter().any(|b| b.effect == t.effect && b.place == t.place);
+    let new = |t: &&Term| !best.terms.iter().any(|b| b.same(t));
     let mut added = state.terms.iter().filter(new);
     let mut whole = || {
         ahead.passed
@@ -398,13 +370,7 @@ fn expand(
 /// Deletes effects that the others make superfluous, one by one: those that would not be added now.
 fn delete(context: &Context, base: &State, mut state: State) -> Result<State, GapError> {
     while state.terms.len() > 1 {
-        let variants: Vec<Variant> = (0..state.terms.len())
-            .map(|i| {
-                let mut terms = state.terms.clone();
-                terms.remove(i);
-                terms
-            })
-            .collect();
+        let variants = (0..state.terms.len()).map(|i| state.without(i)).collect::<Vec<_>>();
         let of: Vec<usize> = (0..variants.len()).collect();
         let before = Before { look: f64::INFINITY, fit: f64::INFINITY };
         let without = best_fits(context, variants, &of, of.len(), before)?;

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::DMatrix;
 
 use super::alike::wider;
+use super::extend::parameters;
 use super::naming::Named;
 use super::product::{gram, stiffen};
 use super::state::{Context, Derivatives, State};
@@ -35,9 +36,9 @@ pub struct Spread {
     variance: Vec<f64>,
 }
 
-/// The parameters of one term with their 95 % intervals. `wider`: variances of them that are larger than
+/// The parameters of term `index` with their 95 % intervals. `wider`: variances of them that are larger than
 /// `spread` says, SI², if any (see [`beside`]).
-pub fn parameters(
+pub fn intervals(
     context: &Context,
     best: &State,
     index: usize,
@@ -47,32 +48,17 @@ pub fn parameters(
     let model = context.replayer.model();
     let offset: usize = best.terms[..index].iter().map(|t| t.values.len()).sum();
     let term = &best.terms[index];
-    let neutral = term.effect.neutral(model, &term.place);
-    let mut out = BTreeMap::new();
-    for (p, spec) in term.effect.parameters.iter().enumerate() {
-        let value = term.values[p];
-        let (low, high) = term.effect.bounds(model, &term.place, p);
+    let neutral = term.neutral(model);
+    // what the model still gets wrong pulls at its parameters as well; and no interval is finer than a part of
+    // what matters
+    let poor = (best.fit.misfit / GOOD_MISFIT).max(1.0).sqrt();
+    parameters(model, term, |p| {
         let variance = spread.variance.get(offset + p).copied().unwrap_or(0.0);
-        let wider = wider.get(p).copied().unwrap_or(0.0);
-        let sd = variance.max(wider).max(0.0).sqrt();
-        // what the model still gets wrong pulls at its parameters as well; and no interval is finer than a
-        // part of what matters
-        let poor = (best.fit.misfit / GOOD_MISFIT).max(1.0).sqrt();
-        let half = (1.96 * sd * poor)
-            .hypot(FINEST * term.effect.scale(model, &term.place, p).abs())
-            .hypot(LAW * poor * (value - neutral[p]).abs());
-        out.insert(
-            spec.name.to_owned(),
-            Parameter {
-                value,
-                unit: spec.unit.to_owned(),
-                ci_low: (value - half).max(low),
-                ci_high: (value + half).min(high),
-                at_bound: term.effect.at_bound(model, &term.place, p, value),
-            },
-        );
-    }
-    out
+        let sd = variance.max(wider.get(p).copied().unwrap_or(0.0)).max(0.0).sqrt();
+        (1.96 * sd * poor)
+            .hypot(FINEST * term.scale(model, p).abs())
+            .hypot(LAW * poor * (term.values[p] - neutral[p]).abs())
+    })
 }
 
 /// (JᵀJ)⁻¹·(Σ over blocks of score·scoreᵀ)·(JᵀJ)⁻¹: holds where residuals hang together within a block.
@@ -133,7 +119,7 @@ pub fn beside(
     let own: usize = terms.iter().map(|t| t.values.len()).sum();
     let mut sizes = Vec::new();
     for rival in rivals {
-        let neutral = rival.effect.neutral(model, &rival.place);
+        let neutral = rival.neutral(model);
         sizes.extend(rival.values.iter().zip(&neutral).map(|(v, z)| (v - z).abs()));
         terms.push(Term { values: neutral, ..(*rival).clone() });
     }
@@ -167,11 +153,11 @@ pub fn beside(
 
 /// A size is known no better than the names beside it: the intervals of `cause`, which is the term `own` of
 /// `best`, hold what it would be with another of its answer set in the place of each other cause.
-pub fn widen(cause: &mut Cause, own: &Term, best: &State, causes: &[&Named]) {
+pub fn widen(cause: &mut Cause, own: &Term, best: &State, causes: &[Named]) {
     let rivals = causes.iter().flat_map(|n| n.rivals.iter().map(move |r| (n, r)));
     for (named, rival) in rivals.filter(|(_, r)| r.in_set) {
         let (instead, of) = (&rival.state.terms[rival.index], &best.terms[named.index]);
-        let same = |t: &&Term| t.effect == own.effect && t.place == own.place;
+        let same = |t: &&Term| t.same(own);
         let other = rival.state.terms.iter().find(same);
         let Some(other) = other.filter(|_| of != own && !wider(of.effect, instead.effect)) else {
             continue;
@@ -183,8 +169,8 @@ pub fn widen(cause: &mut Cause, own: &Term, best: &State, causes: &[&Named]) {
             if (p.ci_low..=p.ci_high).contains(&value) {
                 continue;
             }
-            let instead = instead.place.label(instead.effect.id);
-            let of = of.place.label(of.effect.id);
+            let instead = instead.label();
+            let of = of.label();
             let unit = format!(" {}", spec.unit);
             cause.evidence.push(format!(
                 "with {instead} instead of {of} its {} would be {}{}",
@@ -205,7 +191,7 @@ pub fn correlation(best: &State, spread: &Spread) -> Correlation {
         .terms
         .iter()
         .flat_map(|t| {
-            let label = t.place.label(t.effect.id);
+            let label = t.label();
             t.effect.parameters.iter().map(move |p| format!("{label}.{}", p.name))
         })
         .collect();

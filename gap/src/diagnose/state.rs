@@ -5,7 +5,7 @@ use caudata_model::RobotModel;
 use super::folds::{Folds, Free};
 use super::judge::Judge;
 use super::losses::Losses;
-use super::product::dot;
+use super::product::widen;
 use super::scout::{Scout, WINDOW_S};
 use crate::calibration::Calibration;
 use crate::effects::Effect;
@@ -52,7 +52,6 @@ pub struct On {
 
 impl On {
     /// Judges a prediction.
-    #[must_use]
     pub fn new(judge: &Judge, prediction: Vec<f32>) -> Self {
         let residual = judge.residual(&prediction);
         Self { misfit: judge.misfit(&residual), residual, prediction }
@@ -80,23 +79,27 @@ pub struct State {
 
 impl State {
     /// What it is ranked by: its misfit in cross-validation.
-    #[must_use]
     pub fn misfit(&self) -> f64 {
         self.cross.misfit
     }
 
     /// How it does where candidates are looked at first.
-    #[must_use]
     pub fn on_scout(&self) -> &On {
         self.scout.as_ref().unwrap_or(&self.fit)
     }
 
+    /// Its effects but the one with this number.
+    pub fn without(&self, index: usize) -> Variant {
+        let mut terms = self.terms.clone();
+        terms.remove(index);
+        terms
+    }
+
     /// Number of parameters that are not where they are without the effect: one that leaves no trace stays
     /// there.
-    #[must_use]
     pub fn parameters(&self, model: &RobotModel) -> usize {
         let moved = |t: &Term| {
-            let neutral = t.effect.neutral(model, &t.place);
+            let neutral = t.neutral(model);
             let same = t.values.iter().zip(neutral).filter(|(v, z)| *v == z);
             t.values.len() - same.count()
         };
@@ -104,24 +107,19 @@ impl State {
     }
 
     /// Its effects in words.
-    #[must_use]
     pub fn label(&self) -> String {
-        let names: Vec<String> = self.terms.iter().map(|t| t.place.label(t.effect.id)).collect();
-        names.join(" + ")
+        self.terms.iter().map(Term::label).collect::<Vec<_>>().join(" + ")
     }
 
     /// Effects and places, in an order that does not depend on that of discovery.
-    #[must_use]
     pub fn key(&self) -> Vec<String> {
-        let mut names: Vec<String> =
-            self.terms.iter().map(|t| t.place.label(t.effect.id)).collect();
+        let mut names: Vec<String> = self.terms.iter().map(Term::label).collect();
         names.sort();
         names
     }
 }
 
 /// Whether an effect takes far longer to build up than a stretch of a scout lasts.
-#[must_use]
 pub fn builds_up(effect: &Effect) -> bool {
     let slow = |p: &crate::effects::ParameterSpec| p.unit == "s" && p.high > 12.0 * WINDOW_S;
     effect.parameters.iter().any(slow)
@@ -152,7 +150,6 @@ impl Context {
     }
 
     /// Where candidates are looked at first: the scout, or the runs to fit to.
-    #[must_use]
     pub fn first_look(&self) -> &Judge {
         self.scout.as_ref().map_or(&self.fit, |s| &s.judge)
     }
@@ -234,20 +231,8 @@ impl Context {
     /// As [`Replayer::predict`].
     pub fn find_basis(&self, state: &mut State) -> Result<(), GapError> {
         state.basis.clear();
-        for mut column in self.jacobian(self.first_look(), &state.terms)?.0 {
-            for q in &state.basis {
-                let along = dot(q, &column) as f32;
-                for (c, q) in column.iter_mut().zip(q) {
-                    *c -= along * q;
-                }
-            }
-            let length = dot(&column, &column).sqrt();
-            if length > 1e-3 {
-                for c in &mut column {
-                    *c /= length as f32;
-                }
-                state.basis.push(column);
-            }
+        for column in self.jacobian(self.first_look(), &state.terms)?.0 {
+            widen(&mut state.basis, column);
         }
         Ok(())
     }
@@ -284,12 +269,11 @@ impl Context {
 pub type Derived = (Vec<Vec<f32>>, Vec<f64>);
 
 /// How far each parameter of `terms` is from no effect and may go, in `steps` (SI).
-#[must_use]
 pub fn frees(replayer: &Replayer, terms: &[Term], steps: &[f64]) -> Vec<Free> {
     let model = replayer.model();
     let of = |t: &Term, p: usize| {
-        let (low, high) = t.effect.bounds(model, &t.place, p);
-        let neutral = t.effect.neutral(model, &t.place)[p];
+        let (low, high) = t.bounds(model, p);
+        let neutral = t.neutral(model)[p];
         (t.values[p] - neutral, low - t.values[p], high - t.values[p])
     };
     let all = terms.iter().flat_map(|t| (0..t.values.len()).map(move |p| of(t, p)));
@@ -302,18 +286,16 @@ pub fn frees(replayer: &Replayer, terms: &[Term], steps: &[f64]) -> Vec<Free> {
 }
 
 /// Parameter `p` of `term` up and down by a step, within its bounds, SI.
-#[must_use]
 pub fn up_and_down(replayer: &Replayer, term: &Term, p: usize) -> (f64, f64) {
     let model = replayer.model();
-    let scale = term.effect.scale(model, &term.place, p).abs();
-    let neutral = term.effect.neutral(model, &term.place)[p];
+    let scale = term.scale(model, p).abs();
+    let neutral = term.neutral(model)[p];
     let step = (0.3 * scale).max(0.02 * (term.values[p] - neutral).abs());
-    let (low, high) = term.effect.bounds(model, &term.place, p);
+    let (low, high) = term.bounds(model, p);
     ((term.values[p] + step).min(high), (term.values[p] - step).max(low))
 }
 
 /// Two candidates per parameter, up and down by a step, and half the distance between them, SI.
-#[must_use]
 pub fn differences(replayer: &Replayer, terms: &[Term]) -> (Vec<Variant>, Vec<f64>) {
     let (mut variants, mut steps) = (Vec::new(), Vec::new());
     for (i, term) in terms.iter().enumerate() {

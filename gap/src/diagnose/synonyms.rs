@@ -8,35 +8,26 @@ use crate::prospects::{as_run, measured, tolerance};
 use crate::replay::{Data, SegmentOptions, Variant};
 use crate::report::Cause;
 
-/// Says of `causes`, which are in `best`, which of their alternatives are the very same robot.
+/// Which of the alternatives of `cause`, which is `own` in `best`, are the very same robot.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
-pub fn find_synonyms(
+pub fn synonyms(
     context: &Context,
-    causes: &mut [Cause],
+    cause: &Cause,
     best: &State,
-    named: &[Named],
-) -> Result<(), GapError> {
-    for cause in causes.iter_mut().filter(|c| !c.alternatives.is_empty()) {
-        let Some(own) = named.iter().find(|n| n.is(best, cause)) else {
-            continue;
-        };
-        let mut without = best.terms.clone();
-        without.remove(own.index);
-        for rival in own.rivals.iter().filter(|r| r.in_set) {
-            let id = rival.state.terms[rival.index].effect.id;
-            let has = |of: &[String]| of.iter().any(|a| a == id);
-            if !has(&cause.alternatives) || has(&cause.synonyms) {
-                continue;
-            }
-            let robots = [without.clone(), best.terms.clone(), rival.state.terms.clone()];
-            if one_robot(context, &robots)? {
-                cause.synonyms.push(id.to_owned());
-            }
+    own: &Named,
+) -> Result<Vec<String>, GapError> {
+    let mut out: Vec<String> = Vec::new();
+    for rival in own.rivals.iter().filter(|r| r.in_set) {
+        let id = rival.state.terms[rival.index].effect.id;
+        let has = |of: &[String]| of.iter().any(|a| a == id);
+        if has(&cause.alternatives) && !has(&out) {
+            let robots = [best.without(own.index), best.terms.clone(), rival.state.terms.clone()];
+            out.extend(one_robot(context, &robots)?.then(|| id.to_owned()));
         }
     }
-    Ok(())
+    Ok(out)
 }
 
 /// Whether no channel of any trial of the battery tells the last two of `robots` apart by more than three
@@ -49,7 +40,7 @@ fn one_robot(context: &Context, robots: &[Variant; 3]) -> Result<bool, GapError>
         let run = as_run(&trial, &measured(model, &trial, true));
         let data = Data::new(model, vec![run], SegmentOptions::default());
         let predictions = context.replayer.predict(&data, robots)?;
-        for piece in data.segments.iter().flat_map(|s| &s.pieces) {
+        for piece in data.pieces() {
             let Some(tolerance) = tolerance(piece.kind) else {
                 continue;
             };

@@ -11,13 +11,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use caudata_model::RobotModel;
 use caudata_runlog::BaseHold;
 
 use super::alike::look_alike;
 use super::doubt::{meet, sizes};
-use super::joints::{Angles, Joints, Linear, mean_abs, place_of, scale, values, weights};
+use super::joints::{Angles, Joints, Linear, mean_abs, place_of, scale, weights};
 use super::levels::BUILT;
-use super::product::dot;
+use super::product::{dot, project, widen};
 use super::request::{Progress, Stage};
 use super::state::{Context, builds_up};
 use crate::effects::{self, Domain, Effect};
@@ -37,8 +38,6 @@ const TRIED: usize = 3;
 const POOL: usize = 12;
 /// What an effect must leave of a joint's error in cross-validation at most.
 const EARNS: f64 = 0.97;
-/// An effect whose absence leaves less than this of it goes.
-const MISSED: f64 = 1.005;
 /// An error of less than so many counts of the encoder is none: rounding alone makes it a quarter of one.
 const COUNTS: f64 = 0.5;
 
@@ -114,7 +113,7 @@ impl Model {
         for terms in joints.own.iter_mut().chain([&mut joints.shared]) {
             terms.retain(|t| !said(t, |f, own| f == own));
             for t in terms.iter_mut().filter(|t| said(t, look_alike)) {
-                t.values = t.effect.neutral(context.replayer.model(), &t.place);
+                t.values = t.neutral(context.replayer.model());
             }
         }
         joints.fixed = fixed;
@@ -153,12 +152,11 @@ impl Tracking {
             };
             for a in (0..joints).filter(|&a| angles.measured(a)) {
                 let own = standard.own.iter().filter_map(|id| effects::find(id));
-                model.own[a].extend(own.map(|e| without_effect(context, e, a)));
+                model.own[a].extend(own.map(|e| Term::nothing(robot, e, place_of(context, a))));
             }
             for effect in standard.shared.iter().filter_map(|id| effects::find(id)) {
                 let place = effect.places(robot).swap_remove(0);
-                let values = effect.neutral(robot, &place);
-                model.shared.push(Term { effect, place, values });
+                model.shared.push(Term::nothing(robot, effect, place));
             }
             let linear = angles.fit(&mut model, ROUNDS, None)?;
             let fitted = judged(&angles, standard.name, model, &linear);
@@ -199,7 +197,6 @@ impl Tracking {
         let mut linear = angles.linear(&model, None)?;
         let (mut errors, _) = angles.cross(&model, &linear);
         self.keep(&angles, &model, &linear);
-        let standard: Vec<usize> = model.own.iter().map(Vec::len).collect();
         let mut open: Vec<bool> = (0..errors.len()).map(|a| is_off(a, errors[a])).collect();
         let mut pool: Option<Vec<BTreeSet<&str>>> = None;
         for depth in 1..=MOST_ADDED {
@@ -243,7 +240,6 @@ impl Tracking {
             }
             self.keep(&angles, &model, &linear);
         }
-        prune(&angles, &mut model, linear, &mut errors, &standard)?;
         let whole = Angles::of(context, &context.fit.data);
         let linear = whole.fit(&mut model, ROUNDS_MORE, None)?;
         self.keep(&whole, &model, &linear);
@@ -290,13 +286,6 @@ impl Tracking {
             })
             .collect())
     }
-}
-
-/// `effect` at joint `a`, of no size.
-fn without_effect(context: &Context, effect: &'static Effect, a: usize) -> Term {
-    let place = place_of(context, a);
-    let values = effect.neutral(context.replayer.model(), &place);
-    Term { effect, place, values }
 }
 
 fn judged(angles: &Angles<'_>, name: &str, joints: Joints, linear: &Linear) -> Model {
@@ -353,9 +342,8 @@ fn ranked(
             let mut best: BTreeMap<&str, (f64, Term)> = BTreeMap::new();
             for (&(effect, k), change) in plans[a].iter().zip(&changes) {
                 let mut term = at(effect, k, a);
-                let neutral = effect.neutral(robot, &term.place);
                 let (gain, share) = rest.promises(&change[a], effect.hinge);
-                scaled(context, &mut term, &neutral, share);
+                scale_up(robot, &mut term, share);
                 if gain > 0.0 && best.get(effect.id).is_none_or(|b| gain > b.0) {
                     best.insert(effect.id, (gain, term));
                 }
@@ -368,13 +356,13 @@ fn ranked(
 }
 
 /// Makes a term that is not a threshold `share` times as large.
-fn scaled(context: &Context, term: &mut Term, neutral: &[f64], share: f64) {
+pub fn scale_up(model: &RobotModel, term: &mut Term, share: f64) {
     if term.effect.hinge {
         return;
     }
-    let model = context.replayer.model();
+    let neutral = term.neutral(model);
     for p in scaling(term.effect) {
-        let (low, high) = term.effect.bounds(model, &term.place, p);
+        let (low, high) = term.bounds(model, p);
         term.values[p] = (neutral[p] + share * (term.values[p] - neutral[p])).clamp(low, high);
     }
 }
@@ -397,36 +385,12 @@ struct Rest {
 impl Rest {
     fn new(residual: &[f32], columns: &[Vec<f32>]) -> Self {
         let weight = weights(residual, scale(residual));
-        let mut rest = Self {
-            left: residual.iter().zip(&weight).map(|(r, w)| r * w).collect(),
-            weight,
-            basis: Vec::new(),
-        };
-        for column in columns {
-            let weighted = column.iter().zip(&rest.weight).map(|(c, w)| c * w);
-            let mut own: Vec<f32> = weighted.collect();
-            let before = dot(&own, &own);
-            rest.project(&mut own);
-            let square = dot(&own, &own);
-            if square > 1e-6 * before && square > 0.0 {
-                let length = square.sqrt() as f32;
-                own.iter_mut().for_each(|x| *x /= length);
-                rest.basis.push(own);
-            }
-        }
-        let mut left = std::mem::take(&mut rest.left);
-        rest.project(&mut left);
-        rest.left = left;
-        rest
-    }
-
-    fn project(&self, x: &mut [f32]) {
-        for q in &self.basis {
-            let along = dot(q, x) as f32;
-            for (x, q) in x.iter_mut().zip(q) {
-                *x -= along * q;
-            }
-        }
+        let weighted = |x: &[f32]| x.iter().zip(&weight).map(|(x, w)| x * w).collect::<Vec<f32>>();
+        let mut basis = Vec::new();
+        columns.iter().for_each(|c| widen(&mut basis, weighted(c)));
+        let mut left = weighted(residual);
+        project(&basis, &mut left);
+        Self { weight, basis, left }
     }
 
     /// What a trace promises to take off the sum of squares, and at which share of its size.
@@ -434,7 +398,7 @@ impl Rest {
         let weighted = trace.iter().zip(&self.weight).map(|(c, w)| c * w);
         let mut own: Vec<f32> = weighted.collect();
         let before = dot(&own, &own);
-        self.project(&mut own);
+        project(&self.basis, &mut own);
         let square = dot(&own, &own);
         // what other parameters can do nearly as well promises nothing
         if square < 1e-3 * before || square <= 0.0 {
@@ -445,39 +409,6 @@ impl Rest {
         let share = (along / square).clamp(low, high);
         (2.0 * share * along - share * share * square, share)
     }
-}
-
-/// Drops effects that nobody misses, one at each joint at a time, but none of the first `standard` ones. `linear`:
-/// what the parameters of `model` can do.
-fn prune(
-    angles: &Angles<'_>,
-    model: &mut Joints,
-    mut linear: Linear,
-    errors: &mut [f64],
-    standard: &[usize],
-) -> Result<(), GapError> {
-    let most = model.own.iter().map(Vec::len).max().unwrap_or(0);
-    let least = standard.iter().copied().min().unwrap_or(0);
-    for i in (least..most).rev() {
-        let (mut with, mut known) = (model.clone(), linear.clone());
-        for (a, own) in with.own.iter_mut().enumerate() {
-            if i >= standard[a] && own.len() > i {
-                let from = values(&own[..i]);
-                let gone = own.remove(i);
-                known.forget(a, from..from + gone.values.len());
-            }
-        }
-        let fitted = angles.fit(&mut with, 1, Some(&known))?;
-        let (after, _) = angles.cross(&with, &fitted);
-        for a in 0..errors.len() {
-            if with.own[a].len() < model.own[a].len() && after[a] < MISSED * errors[a] {
-                model.own[a].clone_from(&with.own[a]);
-                errors[a] = after[a];
-                linear.take(&fitted, a);
-            }
-        }
-    }
-    Ok(())
 }
 
 #[cfg(test)]

@@ -9,6 +9,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::check::series::median;
 use crate::trial::{Kind, Trial};
 
 /// A speed is taken over so long before and after, s.
@@ -22,7 +23,6 @@ const WEIGHINGS: usize = 4;
 
 /// Standard deviation of what a law of joint `index` leaves of its `values` (SI) of `kind` at `time_s`; 0 where
 /// that is not known.
-#[must_use]
 pub fn unexplained(trial: &Trial, kind: Kind, index: usize, time_s: &[f64], values: &[f64]) -> f64 {
     let (Some(angle), Some(command)) =
         (trial.channel(Kind::Position, index), trial.commands.get(index))
@@ -76,9 +76,8 @@ fn left(rows: &[Vec<f64>], values: &[f64]) -> f64 {
         for ((r, row), y) in residual.iter_mut().zip(rows).zip(values) {
             *r = y - row.iter().zip(by.iter()).map(|(x, b)| x * b).sum::<f64>();
         }
-        let mut size: Vec<f64> = residual.iter().map(|r| r.abs()).collect();
-        size.sort_by(f64::total_cmp);
-        scale = 1.4826 * size[size.len() / 2];
+        let size = residual.iter().map(|r| r.abs()).collect();
+        scale = 1.4826 * median(size).unwrap_or(0.0);
         for (w, r) in weight.iter_mut().zip(&residual) {
             *w = (1.345 * scale / r.abs().max(1e-12)).min(1.0);
         }

@@ -1,6 +1,6 @@
 //! The verdict and the report.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use caudata_model::RobotModel;
 
@@ -15,9 +15,9 @@ use super::local::local_gaps;
 use super::naming::{self, Named};
 use super::request::{Diagnosis, Request, Split};
 use super::search::Found;
-use super::spread::{Spread, beside, correlation, parameters, spread, widen};
-use super::state::{Context, On, State};
-use super::synonyms::find_synonyms;
+use super::spread::{Spread, beside, correlation, intervals, spread, widen};
+use super::state::{Context, State};
+use super::synonyms::synonyms;
 use super::tracking::Tracking;
 use super::words::{self, evidence, summary};
 use super::{gates, leftover, next, pictures};
@@ -26,9 +26,8 @@ use crate::error::GapError;
 use crate::extension::Extension;
 use crate::plots::Plots;
 use crate::replay::Term;
-use crate::report::{
-    Cause, Compute, Gain, Grounds, LocalGap, Parameter, Rejected, Report, RunUse, Verdict,
-};
+use crate::report::{Cause, Gain, Grounds, LocalGap, Parameter, Rejected, Report, RunUse, Verdict};
+use crate::trial::Kind;
 
 /// The report of a diagnosis that stops at its data.
 pub fn data_fault(request: &Request, model: &RobotModel, runs: Vec<RunUse>) -> Diagnosis {
@@ -39,22 +38,9 @@ pub fn data_fault(request: &Request, model: &RobotModel, runs: Vec<RunUse>) -> D
         report: Report {
             verdict: Verdict::DataFault,
             summary: format!("The data contradict themselves before any physics: {what}"),
-            divergence: Vec::new(),
-            divergence_after: Vec::new(),
-            causes: Vec::new(),
-            leads: Vec::new(),
-            doubts: Vec::new(),
-            gain: BTreeMap::new(),
-            position_errors: Vec::new(),
-            model: Vec::new(),
-            local_gaps: Vec::new(),
-            unfinished: false,
-            unexplained: Vec::new(),
-            next_experiment: None,
-            detection_floor: BTreeMap::new(),
             data_faults: request.data_faults.clone(),
             runs,
-            compute: Compute::default(),
+            ..Report::default()
         },
         extension: Extension { base: model.hash_hex(), ..Extension::default() },
         plots: Plots::default(),
@@ -87,18 +73,16 @@ fn told_of<'a>(context: &Context, found: &'a Found, named: &[Named]) -> Result<T
     let (base, best) = (&found.base, &found.best);
     let derivatives = context.derivatives(&best.terms)?;
     let spread = spread(context, best, &derivatives);
-    let mut order: Vec<&Named> = named.iter().collect();
-    order.sort_by(|a, b| b.worth.cross.total_cmp(&a.worth.cross));
-    let indices: Vec<usize> = order.iter().map(|n| n.index).collect();
+    let indices: Vec<usize> = named.iter().map(|n| n.index).collect();
     let doubts = Doubts::about(context, base, best, &derivatives, &indices);
-    let told = order.iter().map(|n| cause(context, best, n, &spread, &doubts));
+    let told = named.iter().map(|n| cause(context, best, n, &spread, &doubts));
     let mut all = told.collect::<Result<Vec<_>, _>>()?;
-    let are_leads = naming::leads(context, best, &order);
+    let are_leads = naming::leads(context, best, named);
     let leads = indices.iter().zip(&are_leads).filter(|(_, lead)| **lead);
     let leads: Vec<usize> = leads.map(|(index, _)| *index).collect();
     let doubts = doubts.without(&leads);
-    for (cause, own) in all.iter_mut().zip(&order) {
-        widen(cause, &best.terms[own.index], best, &order);
+    for (cause, own) in all.iter_mut().zip(named) {
+        widen(cause, &best.terms[own.index], best, named);
     }
     Ok(Told { all, are_leads, doubts, spread })
 }
@@ -168,11 +152,10 @@ pub fn conclude(
             )?,
             local_gaps: local,
             detection_floor: floors(context, &found.first, best.misfit()),
-            data_faults: Vec::new(),
             causes,
             leads,
             runs,
-            compute: Compute::default(),
+            ..Report::default()
         },
         extension,
         plots,
@@ -296,7 +279,7 @@ fn cause(
         true => Vec::new(),
         false => beside(context, best, named.index, &weighed.open, spread)?,
     };
-    let parameters = parameters(context, best, named.index, spread, &wider);
+    let parameters = intervals(context, best, named.index, spread, &wider);
     let grounds = grounds(context, named, term, weighed.same_name, &parameters, doubts);
     Ok(Cause {
         effect: term.effect.id.to_owned(),
@@ -321,9 +304,9 @@ fn count_synonyms(
     best: &State,
     named: &[Named],
 ) -> Result<(), GapError> {
-    find_synonyms(context, causes, best, named)?;
     for cause in causes {
         if let Some(own) = named.iter().find(|n| n.is(best, cause)) {
+            cause.synonyms = synonyms(context, cause, best, own)?;
             let weighed = weigh(best, own, &cause.synonyms);
             cause.confidence = confidence(context, &cause.grounds, &weighed);
         }
@@ -358,7 +341,7 @@ fn grounds(
 
 /// How far the size of `term` is from no effect, in halves of its 95 % interval.
 fn distance(context: &Context, term: &Term, parameters: &BTreeMap<String, Parameter>) -> f64 {
-    let neutral = (term.effect).neutral(context.replayer.model(), &term.place);
+    let neutral = term.neutral(context.replayer.model());
     let of = |p: usize| {
         let of = &parameters[term.effect.parameters[p].name];
         let end = if of.value < neutral[p] { of.ci_high } else { of.ci_low };
@@ -375,60 +358,33 @@ fn another(one: &Place, other: &Place) -> bool {
         && one.items.iter().all(|i| !other.items.contains(i))
 }
 
+/// Error of each kind of channel on held-out runs before and after.
 fn gain(context: &Context, base: &State, best: &State) -> BTreeMap<String, Gain> {
-    let judge = &context.holdout;
-    let mut kinds = BTreeSet::new();
-    for s in &judge.data.segments {
-        kinds.extend(s.pieces.iter().map(|p| p.kind));
-    }
-    let mut out = BTreeMap::new();
-    for kind in kinds {
-        let mut of_kind = vec![false; judge.data.len()];
-        for s in &judge.data.segments {
-            for p in s.pieces.iter().filter(|p| p.kind == kind) {
-                of_kind[p.range.clone()].fill(true);
+    let data = &context.holdout.data;
+    // sums of squares by block, and samples
+    let mut of: BTreeMap<Kind, (Vec<[f64; 2]>, f64)> = BTreeMap::new();
+    for piece in data.pieces() {
+        let (squares, n) =
+            of.entry(piece.kind).or_insert_with(|| (vec![[0.0; 2]; data.blocks], 0.0));
+        for k in piece.range.clone() {
+            for (sum, on) in squares[data.block[k] as usize].iter_mut().zip([base, best]) {
+                *sum += (data.value[k] - f64::from(on.holdout.prediction[k])).powi(2);
             }
+            *n += 1.0;
         }
-        let squares = |on: &On| -> Vec<f64> {
-            judge.by_block(|k| {
-                if of_kind[k] {
-                    (judge.data.value[k] - f64::from(on.prediction[k])).powi(2)
-                } else {
-                    0.0
-                }
-            })
-        };
-        let n = of_kind.iter().filter(|x| **x).count().max(1) as f64;
-        let (a, b) = (squares(&base.holdout), squares(&best.holdout));
-        let rms = |x: &[f64]| (x.iter().sum::<f64>() / n).sqrt();
-        let (before, after) = (rms(&a), rms(&b));
-        let (ci_low, ci_high) = ratio_interval(&a, &b, context.seed);
-        out.insert(
-            kind.name().to_owned(),
-            Gain { before, after, ratio: after / before.max(1e-12), ci_low, ci_high },
-        );
     }
-    out
-}
-
-/// 95 % interval of √(Σb/Σa) over blocks drawn with replacement.
-fn ratio_interval(a: &[f64], b: &[f64], seed: u64) -> (f64, f64) {
-    use caudata_random::{Key, Purpose, Stream};
-    let mut stream = Stream::new(Key::for_run(seed), Purpose::Minibatch);
-    let n = a.len().max(1);
-    let mut ratios: Vec<f64> = (0..400)
-        .map(|_| {
-            let (mut x, mut y) = (0.0, 0.0);
-            for _ in 0..n {
-                let k = ((f64::from(stream.uniform(0.0, 1.0)) * n as f64) as usize).min(n - 1);
-                x += a.get(k).copied().unwrap_or(0.0);
-                y += b.get(k).copied().unwrap_or(0.0);
-            }
-            (y / x.max(1e-300)).sqrt()
-        })
-        .collect();
-    ratios.sort_by(f64::total_cmp);
-    (ratios[9], ratios[389])
+    let of_kind = |(kind, (squares, n)): (Kind, (Vec<[f64; 2]>, f64))| {
+        let rms = |i: usize| (squares.iter().map(|s| s[i]).sum::<f64>() / n).sqrt();
+        let (before, after) = (rms(0), rms(1));
+        let ratios = gates::resampled(squares.len(), context.seed, |drawn| {
+            let sum = |i: usize| drawn.iter().map(|k| squares[*k][i]).sum::<f64>();
+            (sum(1) / sum(0).max(1e-300)).sqrt()
+        });
+        let [ci_low, ci_high] = [0.025, 0.975].map(|share| gates::at(&ratios, share));
+        let ratio = after / before.max(1e-12);
+        (kind.name().to_owned(), Gain { before, after, ratio, ci_low, ci_high })
+    };
+    of.into_iter().map(of_kind).collect()
 }
 
 #[cfg(test)]
@@ -456,17 +412,8 @@ mod tests {
     fn rivals_are_told_with_their_places() {
         let mut cause = Cause {
             effect: "girdle_play".to_owned(),
-            layer: "structure".to_owned(),
             location: vec!["hind".to_owned()],
-            parameters: BTreeMap::new(),
-            confidence: 0.9,
-            alternatives: Vec::new(),
-            synonyms: Vec::new(),
-            elsewhere: Vec::new(),
-            evidence: Vec::new(),
-            rejected: Vec::new(),
-            assumed: Vec::new(),
-            grounds: Grounds::default(),
+            ..Cause::default()
         };
         assert!(!cause.is_open());
         cause.elsewhere = vec![vec!["front".to_owned()]];

@@ -35,7 +35,7 @@ pub fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {
             return;
         };
         let other = &rival.state.terms[rival.index];
-        let label = other.place.label(other.effect.id);
+        let label = other.label();
         lines.push(match rival.short > 0.0 {
             true => format!("{as_what} {label} leaves {:.0} % of it", 100.0 * rival.short),
             false => format!("{as_what} {label} takes as much off, or more"),
@@ -268,7 +268,7 @@ fn headline(
         }
         Verdict::InsufficientData => {
             let close = found.refused.first().map_or(String::new(), |(s, w)| {
-                let name = s.terms.last().map_or(String::new(), |t| t.place.label(t.effect.id));
+                let name = s.terms.last().map_or(String::new(), |t| t.label());
                 format!(" {name} would explain the runs it was fitted to, but: {}.", w.why)
             });
             format!("These runs cannot decide it.{close} See the next experiment.")
