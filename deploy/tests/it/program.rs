@@ -1,5 +1,6 @@
 //! The program from outside: a real policy server, a robot on a port, and what is left on the disk.
 
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::time::Duration;
 
@@ -208,7 +209,8 @@ fn follows_newer_policies_while_it_walks_and_stops_on_a_signal() {
     server.publish(standing(1));
     let mut command = program("run", server.address, &state);
     command.args(["--bus", &format!("sim:{}", perfect_robot()), "--follow"]);
-    let running = start(command);
+    let mut running = start(command);
+    let mut said = BufReader::new(running.stderr.take().unwrap()).lines().map_while(Result::ok);
     let active = |version: u64| {
         // Bounded by the patience of whoever runs the tests; nothing is asserted about time.
         while status_of(&state)["active"]["version"] != version {
@@ -222,10 +224,17 @@ fn follows_newer_policies_while_it_walks_and_stops_on_a_signal() {
     }
     server.publish(standing(3));
     active(3);
-    // Time for the loop to take it over; later it would only not be counted.
-    std::thread::sleep(Duration::from_secs(2));
+    // The loop takes it over at a safe moment.
+    let mut errors = String::new();
+    for line in said.by_ref() {
+        errors += &line;
+        if line.contains("policy swapped in") {
+            break;
+        }
+    }
     kill(Pid::from_raw(running.id() as i32), Posix::SIGTERM).unwrap();
-    let (code, summary, errors) = ended(running);
+    let (code, summary, _) = ended(running);
+    errors.extend(said);
     assert_eq!((code, &summary["ended"]), (0, &Value::from("signal")), "{errors}");
     assert_eq!(summary["policy_version"], 3, "{errors}");
     assert_eq!(summary["policy_swaps"], 1);

@@ -69,56 +69,56 @@ impl Evidence<'_> {
     }
 }
 
-type Need = (&'static [&'static str], fn(&Evidence<'_>) -> Option<&'static str>);
+type Need = (&'static [&'static str], fn(&Evidence<'_>) -> Option<&'static str>, &'static str);
 
 fn unless(holds: bool, missing: &'static str) -> Option<&'static str> {
     (!holds).then_some(missing)
 }
 
-/// Effects, and what is missing for them (`None`: nothing).
+/// Effects, what is missing for them (`None`: nothing), and the trial that gives just that.
 #[rustfmt::skip]
 const NEEDS: &[Need] = &[
-    (&["encoder_offset"], |e| unless((e.has("cur") || e.has("tau") || e.sees_links()) && e.total(|j| j.holds as f64) >= 4.0, "holds in four or more poses with current, IMU, foot or motion capture")),
-    (&["encoder_gain"], |e| unless(e.has("mocap") || e.has("foot"), "motion capture or foot positions: joint logs alone cannot show it")),
-    (&["velocity_lag"], |e| unless(e.has("vel") && e.joint(|j| j.band_hz[1] > 1.0), "speeds logged, above 1 Hz")),
-    (&["current_bias"], |e| unless(e.has("cur"), "motor current")),
-    (&["current_lag"], |e| unless(e.has("cur") && e.joint(|j| j.band_hz[1] > 1.0), "motor current, above 1 Hz")),
-    (&["imu_tilt"], |e| unless(e.has("imu.acc") || e.has("imu.grav"), "accelerometer or gravity direction")),
-    (&["gyro_bias"], |e| unless(e.has("imu.gyro"), "gyroscope")),
-    (&["imu_delay"], |e| unless(e.has("imu.gyro") && e.moving_joints() > 0, "gyroscope while the trunk moves")),
-    (&["mocap_frame"], |e| unless(e.has("mocap"), "motion capture")),
-    (&["command_delay", "command_low_pass", "servo_loop_delay"], |e| unless(e.joint(|j| j.band_hz[1] >= 2.5 && j.band_hz[0] > 0.0 && j.band_hz[1] / j.band_hz[0] >= 4.0), "commands over two octaves, up to 2.5 Hz or more")),
-    (&["measurement_delay"], |e| unless(e.has("imu.gyro") || e.has("mocap") || e.total(|j| j.off_s) > 0.2, "a second sensor (IMU, motion capture) or a drop with the servo let go")),
-    (&["bus_skew"], |e| unless(e.moving_joints() >= 3 && e.joint(|j| j.band_hz[1] > 1.0), "three or more joints moving at once above 1 Hz")),
-    (&["dropped_frames"], |e| unless(e.moving_joints() > 0, "motion")),
-    (&["clock_drift"], |e| unless(e.runs.iter().any(|r| r.duration_s >= 100.0), "one run of 100 s or more")),
-    (&["profile_limit"], |e| unless(e.total(|j| j.steps[2] as f64) >= 1.0 || e.joint(|j| j.speed_max_radps > 4.0), "large steps")),
-    (&["kp_error", "duty_supply", "controller_dead_band", "integral_action"], |e| unless(e.total(|j| j.holds as f64) >= 3.0, "holds under load")),
-    (&["kd_error"], |e| unless(e.total(|j| (j.steps[0] + j.steps[1] + j.steps[2]) as f64) >= 2.0 || e.joint(|j| j.band_hz[1] > 2.5), "steps, or commands above 2.5 Hz")),
-    (&["torque_constant"], |e| unless(e.has("cur"), "motor current")),
-    (&["winding_resistance", "voltage_limit", "supply_level"], |e| unless(e.total(|j| j.fast_s) > 0.3, "fast motion (above 1.5 rad/s) for 0.3 s or more")),
-    (&["torque_limit", "braking_asymmetry"], |e| unless(e.joint(|j| j.steps[2] > 0) || e.joint(|j| j.effort > 0.5), "large steps or loads near the torque limit")),
-    (&["supply_sag"], |e| unless(e.has("volt") && e.moving_joints() >= 2, "supply voltage, with several joints under load")),
-    (&["thermal_derating"], |e| unless(e.has("temp") && e.runs.iter().any(|r| r.warming_k > 8.0), "temperature over a hard hold of some minutes")),
-    (&["coulomb_friction", "viscous_friction", "direction_asymmetry"], |e| unless(e.total(|j| j.reversals as f64) >= 4.0, "reversals")),
-    (&["stribeck_friction", "cogging"], |e| unless(e.total(|j| j.slow_s) > 2.0, "slow motion (0.02 to 0.3 rad/s) for 2 s or more")),
-    (&["load_dependent_friction", "drive_asymmetry"], |e| unless(e.joint(|j| j.range_rad[1] - j.range_rad[0] > 0.8 && j.reversals >= 2), "one speed under several loads: lift and lower over 0.8 rad or more")),
-    (&["pre_sliding"], |e| unless(e.total(|j| j.small_reversals as f64) >= 4.0, "reversals of a few mrad")),
-    (&["gear_backlash", "gear_compliance"], |e| unless(e.total(|j| j.reversals as f64) >= 6.0 && (e.has("cur") || e.joint(|j| j.band_hz[1] > 2.0)), "reversals at small load, with current or above 2 Hz")),
-    (&["friction_drift"], |e| unless(e.runs.len() >= 3 || e.runs.iter().any(|r| r.duration_s > 200.0), "a session: three or more runs, or one of some minutes")),
-    (&["girdle_play"], |e| unless(e.sees_links(), "IMU, foot positions or motion capture: encoders sit before the play and cannot show it")),
-    (&["parallel_spring"], |e| unless(e.total(|j| j.holds as f64) >= 4.0, "holds over the range")),
+    (&["encoder_offset"], |e| unless((e.has("cur") || e.has("tau") || e.sees_links()) && e.total(|j| j.holds as f64) >= 4.0, "holds in four or more poses with current, IMU, foot or motion capture"), "holds"),
+    (&["encoder_gain"], |e| unless(e.has("mocap") || e.has("foot"), "motion capture or foot positions: joint logs alone cannot show it"), "sweep_full"),
+    (&["velocity_lag"], |e| unless(e.has("vel") && e.joint(|j| j.band_hz[1] > 1.0), "speeds logged, above 1 Hz"), "chirp_medium"),
+    (&["current_bias"], |e| unless(e.has("cur"), "motor current"), "holds"),
+    (&["current_lag"], |e| unless(e.has("cur") && e.joint(|j| j.band_hz[1] > 1.0), "motor current, above 1 Hz"), "chirp_medium"),
+    (&["imu_tilt"], |e| unless(e.has("imu.acc") || e.has("imu.grav"), "accelerometer or gravity direction"), "rest"),
+    (&["gyro_bias"], |e| unless(e.has("imu.gyro"), "gyroscope"), "rest"),
+    (&["imu_delay"], |e| unless(e.has("imu.gyro") && e.moving_joints() > 0, "gyroscope while the trunk moves"), "rock_x"),
+    (&["mocap_frame"], |e| unless(e.has("mocap"), "motion capture"), "holds"),
+    (&["command_delay", "command_low_pass", "servo_loop_delay"], |e| unless(e.joint(|j| j.band_hz[1] >= 2.5 && j.band_hz[0] > 0.0 && j.band_hz[1] / j.band_hz[0] >= 4.0), "commands over two octaves, up to 2.5 Hz or more"), "chirp_small"),
+    (&["measurement_delay"], |e| unless(e.has("imu.gyro") || e.has("mocap") || e.total(|j| j.off_s) > 0.2, "a second sensor (IMU, motion capture) or a drop with the servo let go"), "drop_high"),
+    (&["bus_skew"], |e| unless(e.moving_joints() >= 3 && e.joint(|j| j.band_hz[1] > 1.0), "three or more joints moving at once above 1 Hz"), "all_chirp"),
+    (&["dropped_frames"], |e| unless(e.moving_joints() > 0, "motion"), "prbs"),
+    (&["clock_drift"], |e| unless(e.runs.iter().any(|r| r.duration_s >= 100.0), "one run of 100 s or more"), "gait_long"),
+    (&["profile_limit"], |e| unless(e.total(|j| j.steps[2] as f64) >= 1.0 || e.joint(|j| j.speed_max_radps > 4.0), "large steps"), "steps_large"),
+    (&["kp_error", "duty_supply", "controller_dead_band", "integral_action"], |e| unless(e.total(|j| j.holds as f64) >= 3.0, "holds under load"), "holds"),
+    (&["kd_error"], |e| unless(e.total(|j| (j.steps[0] + j.steps[1] + j.steps[2]) as f64) >= 2.0 || e.joint(|j| j.band_hz[1] > 2.5), "steps, or commands above 2.5 Hz"), "steps_medium"),
+    (&["torque_constant"], |e| unless(e.has("cur"), "motor current"), "holds"),
+    (&["winding_resistance", "voltage_limit", "supply_level"], |e| unless(e.total(|j| j.fast_s) > 0.3, "fast motion (above 1.5 rad/s) for 0.3 s or more"), "steps_large"),
+    (&["torque_limit", "braking_asymmetry"], |e| unless(e.joint(|j| j.steps[2] > 0) || e.joint(|j| j.effort > 0.5), "large steps or loads near the torque limit"), "steps_large"),
+    (&["supply_sag"], |e| unless(e.has("volt") && e.moving_joints() >= 2, "supply voltage, with several joints under load"), "all_steps"),
+    (&["thermal_derating"], |e| unless(e.has("temp") && e.runs.iter().any(|r| r.warming_k > 8.0), "temperature over a hard hold of some minutes"), "hot_hold"),
+    (&["coulomb_friction", "viscous_friction", "direction_asymmetry"], |e| unless(e.total(|j| j.reversals as f64) >= 4.0, "reversals"), "triangle_medium"),
+    (&["stribeck_friction", "cogging"], |e| unless(e.total(|j| j.slow_s) > 2.0, "slow motion (0.02 to 0.3 rad/s) for 2 s or more"), "triangle_slow"),
+    (&["load_dependent_friction", "drive_asymmetry"], |e| unless(e.joint(|j| j.range_rad[1] - j.range_rad[0] > 0.8 && j.reversals >= 2), "one speed under several loads: lift and lower over 0.8 rad or more"), "lift_lower"),
+    (&["pre_sliding"], |e| unless(e.total(|j| j.small_reversals as f64) >= 4.0, "reversals of a few mrad"), "micro"),
+    (&["gear_backlash", "gear_compliance"], |e| unless(e.total(|j| j.reversals as f64) >= 6.0 && (e.has("cur") || e.joint(|j| j.band_hz[1] > 2.0)), "reversals at small load, with current or above 2 Hz"), "micro"),
+    (&["friction_drift"], |e| unless(e.runs.len() >= 3 || e.runs.iter().any(|r| r.duration_s > 200.0), "a session: three or more runs, or one of some minutes"), "gait_long"),
+    (&["girdle_play"], |e| unless(e.sees_links(), "IMU, foot positions or motion capture: encoders sit before the play and cannot show it"), "rock_x"),
+    (&["parallel_spring"], |e| unless(e.total(|j| j.holds as f64) >= 4.0, "holds over the range"), "holds"),
     (&["hard_stop"], |e| {
         let limits: BTreeMap<&str, (f64, f64)> = e.robot.actuated_names().into_iter().zip(e.robot.joint_limits_rad().iter().copied()).collect();
         unless(e.joint(|j| limits.get(j.joint.as_str()).is_some_and(|(low, high)| j.range_rad[1] - j.range_rad[0] > 0.85 * (high - low))), "motion over the whole range")
-    }),
-    (&["link_mass", "link_com", "point_mass"], |e| unless(e.total(|j| j.holds as f64) >= 3.0 && e.joint(|j| j.range_rad[1] - j.range_rad[0] > 0.6), "holds in several poses")),
-    (&["link_inertia", "armature"], |e| unless(e.joint(|j| j.band_hz[1] > 2.5) || e.total(|j| j.fast_s) > 0.3, "fast motion")),
-    (&["payload"], |e| unless(e.has("cur") || e.has("base.pos") || e.has("imu.acc") || e.total(|j| j.holds as f64) >= 3.0, "holds with current")),
-    (&["floor_slope"], |e| unless(e.free() && (e.has("imu.acc") || e.has("imu.grav")), "the robot on the ground, with its IMU")),
-    (&["contact_friction"], |e| unless(e.free() && (e.has("base.vel") || e.has("base.pos") || e.has("mocap")), "walking on the ground, with where the base is")),
-    (&["belly_friction"], |e| unless(e.free() && (e.has("base.vel") || e.has("base.pos")), "low walking on the ground, with where the base is")),
-    (&["linear_drag", "quadratic_drag", "added_mass", "buoyancy", "buoyancy_centre", "heave_damping", "water_current", "water_level"], |e| unless(e.wet(), "runs in water (base = \"water\")")),
+    }, "sweep_full"),
+    (&["link_mass", "link_com", "point_mass"], |e| unless(e.total(|j| j.holds as f64) >= 3.0 && e.joint(|j| j.range_rad[1] - j.range_rad[0] > 0.6), "holds in several poses"), "holds"),
+    (&["link_inertia", "armature"], |e| unless(e.joint(|j| j.band_hz[1] > 2.5) || e.total(|j| j.fast_s) > 0.3, "fast motion"), "chirp_large"),
+    (&["payload"], |e| unless(e.has("cur") || e.has("base.pos") || e.has("imu.acc") || e.total(|j| j.holds as f64) >= 3.0, "holds with current"), "holds"),
+    (&["floor_slope"], |e| unless(e.free() && (e.has("imu.acc") || e.has("imu.grav")), "the robot on the ground, with its IMU"), "rest"),
+    (&["contact_friction"], |e| unless(e.free() && (e.has("base.vel") || e.has("base.pos") || e.has("mocap")), "walking on the ground, with where the base is"), "gait"),
+    (&["belly_friction"], |e| unless(e.free() && (e.has("base.vel") || e.has("base.pos")), "low walking on the ground, with where the base is"), "gait_low"),
+    (&["linear_drag", "quadratic_drag", "added_mass", "buoyancy", "buoyancy_centre", "heave_damping", "water_current", "water_level"], |e| unless(e.wet(), "runs in water (base = \"water\")"), "swim"),
 ];
 
 /// What the runs excite by the catalogue's own measure; none where no run can be replayed.
@@ -161,13 +161,14 @@ pub fn blind(
             let places = effect.places(robot);
             places.iter().map(|p| (effect.unseen)(excitation.as_ref()?, p)).collect()
         };
-        let missing = need.and_then(|n| n.1(&evidence));
-        let Some(missing) = missing.or_else(|| unseen()?.first().copied()) else {
+        let missing = need.and_then(|n| Some((n.1(&evidence)?, n.2)));
+        let unseen = || Some((*unseen()?.first()?, effect.trial));
+        let Some((missing, trial)) = missing.or_else(unseen) else {
             continue;
         };
         // a trial that this robot cannot do is replaced by the one of its own that shows most of it
-        let record = match trials.contains(&effect.trial) {
-            true => effect.trial.to_owned(),
+        let record = match trials.contains(&trial) {
+            true => trial.to_owned(),
             false => excite::next(robot, &[effect.id], &[]).map_or_else(String::new, |n| n.trial),
         };
         out.insert(effect.id.to_owned(), Blind { missing: missing.to_owned(), record });

@@ -141,22 +141,6 @@ fn runs_of<'a>(logs: &[(&'a str, &'a RunLog)], robot: &'a RobotModel) -> Vec<Run
     logs.iter().map(run).collect()
 }
 
-/// Stretches of runs (name and log) in which one of three or more repeats was touched, and what is said of each.
-pub(crate) fn touched(logs: &[(&str, &RunLog)], robot: &RobotModel) -> Vec<(OddSpan, DataFault)> {
-    let runs = runs_of(logs, robot);
-    let channels: Vec<Vec<Channels>> = runs.iter().map(Channels::all).collect();
-    // of two nobody knows which one it was
-    let groups = repeats::groups(&runs, &channels).into_iter().filter(|g| g.len() > 2);
-    let of = |group: Vec<usize>| {
-        let told = |s: OddSpan| {
-            let fault = fault("", repeats::finding(&s, group.len()));
-            (s, fault)
-        };
-        repeats::odd_spans(&runs, &channels, &group).into_iter().map(told).collect::<Vec<_>>()
-    };
-    groups.flat_map(of).collect()
-}
-
 /// Checks runs (name and log) of `robot` together.
 pub fn check(logs: &[(&str, &RunLog)], robot: &RobotModel) -> Checked {
     let runs = runs_of(logs, robot);

@@ -52,7 +52,6 @@ use std::time::{Duration, Instant};
 use caudata_model::RobotModel;
 
 use crate::calibration::Calibration;
-use crate::check;
 use crate::effects::{self, DROPPED_FRAMES, Effect};
 use crate::error::GapError;
 use crate::excitation::Excitation;
@@ -94,7 +93,7 @@ pub fn diagnose(
     for (run, trial) in runs.iter_mut().zip(&trials) {
         run.role = role_name(trial.role).to_owned();
     }
-    let faults = mask_touched(request, &model, &mut trials);
+    let faults = mask_disturbed(&mut trials);
     let mut context = context(request, &model, trials, split)?;
     let mut found = search::Found::nothing(&context)?;
     let mut named = Vec::new();
@@ -223,18 +222,23 @@ fn hold_out(trials: &mut [Trial]) -> Split {
     Split::SetAside
 }
 
-/// Takes stretches out in which one run departs from its repeats; what the request does not say of them yet.
-fn mask_touched(request: &Request, model: &RobotModel, trials: &mut [Trial]) -> Vec<DataFault> {
-    let logs: Vec<_> = request.runs.iter().map(|r| (r.name.as_str(), &r.log)).collect();
-    let mut faults = Vec::new();
-    for (span, fault) in check::touched(&logs, model) {
-        for trial in trials.iter_mut().filter(|t| t.name == span.run) {
-            trial.masked_s.push((span.from_s, span.to_s));
-        }
-        faults.push(fault);
-    }
-    faults.retain(|f| !request.data_faults.contains(f));
-    faults
+/// Takes stretches out in which one run departs from its repeats, and says so.
+fn mask_disturbed(trials: &mut [Trial]) -> Vec<DataFault> {
+    noise::disturbed(trials)
+        .into_iter()
+        .map(|(trial, from, to)| {
+            trials[trial].masked_s.push((from, to));
+            DataFault {
+                kind: "disturbance".to_owned(),
+                location: trials[trial].name.clone(),
+                detail: format!(
+                    "from {from:.2} s to {to:.2} s the run departs from its repeats far more than elsewhere, as if somebody had touched the robot; \
+                     this stretch is left out"
+                ),
+                fatal: false,
+            }
+        })
+        .collect()
 }
 
 /// Height of the water's surface that a run notes, m.

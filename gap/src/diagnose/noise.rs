@@ -26,8 +26,12 @@ fn relative(kind: Kind) -> f64 {
 /// A servo that gives next to no torque reads its idle current, one way or the other: up to so many times
 /// that, a reading tells no more than that.
 const IDLE: f64 = 1.3;
+/// Repeats that differ this many times more than usual in a block have been disturbed.
+const DISTURBED: f64 = 10.0;
 /// So many samples are the beginning of a stretch.
 const BEGINS: usize = 5;
+/// Repeats are not expected to agree better than this, rad.
+const LEAST_RAD: f64 = 0.004;
 
 /// Noise of a set of runs.
 #[derive(Debug, Clone, Default)]
@@ -160,6 +164,59 @@ fn in_all_stretches(data: &Data, trial: usize, piece: &Piece) -> Vec<f64> {
     let stretches = data.segments.iter().filter(|s| s.trial == trial);
     let same = stretches.flat_map(|s| &s.pieces).filter(|p| p.channel == piece.channel);
     same.flat_map(|p| &data.value[p.range.clone()]).copied().collect()
+}
+
+/// Stretches in which one of at least three repeats departs from the others far more than usual: (trial,
+/// from, to), s.
+pub fn disturbed(trials: &[Trial]) -> Vec<(usize, f64, f64)> {
+    let mut levels: Vec<(f64, usize, f64, f64)> = Vec::new();
+    for (number, trial) in trials.iter().enumerate() {
+        let others: Vec<&Trial> = (trials.iter().enumerate())
+            .filter(|(k, t)| *k != number && t.group == trial.group)
+            .map(|(_, t)| t)
+            .collect();
+        // with only two runs nobody knows which of them was touched
+        if others.len() < 2 {
+            continue;
+        }
+        for block in 0..trial.duration_s().floor() as usize {
+            let from = trial.span_s.0 + block as f64;
+            let mut sum = (0.0, 0.0);
+            for c in trial.channels.iter().filter(|c| c.kind == Kind::Position) {
+                let same: Vec<(f64, &Channel)> = (others.iter())
+                    .filter_map(|o| {
+                        Some((o.span_s.0 - trial.span_s.0, o.channel(c.kind, c.index)?))
+                    })
+                    .collect();
+                if same.len() < 2 {
+                    continue;
+                }
+                let low = c.time_s.partition_point(|&t| t < from);
+                let high = c.time_s.partition_point(|&t| t < from + 1.0);
+                for k in low..high {
+                    let mut all: Vec<f64> =
+                        same.iter().map(|(s, o)| o.at(c.time_s[k] + s)).collect();
+                    all.push(c.value[k]);
+                    all.sort_by(f64::total_cmp);
+                    let median = all[all.len() / 2];
+                    sum.0 += (c.value[k] - median).powi(2);
+                    sum.1 += 1.0;
+                }
+            }
+            if sum.1 > 0.0 {
+                let level: f64 = sum.0 / sum.1;
+                levels.push((level.sqrt(), number, from, from + 1.0));
+            }
+        }
+    }
+    let mut sorted: Vec<f64> = levels.iter().map(|l| l.0).collect();
+    sorted.sort_by(f64::total_cmp);
+    let usual = sorted.get(sorted.len() * 9 / 10).copied().unwrap_or(0.0).max(LEAST_RAD);
+    levels
+        .into_iter()
+        .filter(|l| l.0 > DISTURBED * usual)
+        .map(|(_, trial, from, to)| (trial, from, to))
+        .collect()
 }
 
 /// Noise of a reading, SI: where it may be idle current (A; 0: the servo shows none), all of that.

@@ -27,12 +27,13 @@ pub fn project(basis: &[Vec<f32>], x: &mut [f32]) {
     }
 }
 
-/// Adds what of `column` lies along none of `basis` to it, if that is anything.
-pub fn widen(basis: &mut Vec<Vec<f32>>, mut column: Vec<f32>) {
+/// Adds what of `column` lies along none of `basis` to it, if that is anything: a millionth of its square, and
+/// more than `least`.
+pub fn widen(basis: &mut Vec<Vec<f32>>, mut column: Vec<f32>, least: f64) {
     let before = dot(&column, &column);
     project(basis, &mut column);
     let square = dot(&column, &column);
-    if square > 1e-6 * before {
+    if square > (1e-6 * before).max(least) {
         let length = square.sqrt() as f32;
         column.iter_mut().for_each(|x| *x /= length);
         basis.push(column);

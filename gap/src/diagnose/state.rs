@@ -13,6 +13,9 @@ use crate::error::GapError;
 use crate::excitation::Excitation;
 use crate::replay::{Replayer, Term, Variant};
 
+/// A whitened trace of less than this square is rounding.
+const LEAST_SQUARE: f64 = 1e-6;
+
 /// Everything that does not change from candidate to candidate.
 pub struct Context {
     /// The simulator.
@@ -232,7 +235,7 @@ impl Context {
     pub fn find_basis(&self, state: &mut State) -> Result<(), GapError> {
         state.basis.clear();
         for column in self.jacobian(self.first_look(), &state.terms)?.0 {
-            widen(&mut state.basis, column);
+            widen(&mut state.basis, column, LEAST_SQUARE);
         }
         Ok(())
     }

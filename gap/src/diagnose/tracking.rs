@@ -387,7 +387,7 @@ impl Rest {
         let weight = weights(residual, scale(residual));
         let weighted = |x: &[f32]| x.iter().zip(&weight).map(|(x, w)| x * w).collect::<Vec<f32>>();
         let mut basis = Vec::new();
-        columns.iter().for_each(|c| widen(&mut basis, weighted(c)));
+        columns.iter().for_each(|c| widen(&mut basis, weighted(c), 0.0));
         let mut left = weighted(residual);
         project(&basis, &mut left);
         Self { weight, basis, left }

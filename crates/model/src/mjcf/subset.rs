@@ -105,11 +105,25 @@ pub(super) fn check(root: &Element, remarks: &mut Remarks) {
     }
 }
 
+/// Attributes that are read in a file of another tool alone.
+#[rustfmt::skip]
+const MORE: &[(&str, &[&str])] = &[
+    ("compiler", &["boundmass", "boundinertia", "settotalmass", "discardvisual", "meshdir", "assetdir"]),
+    ("body", &["axisangle", "xyaxes", "zaxis", "gravcomp", "mocap"]),
+    ("joint", &["actuatorfrcrange", "springdamper"]),
+    ("geom", &["mass", "density", "mesh", "axisangle", "xyaxes", "zaxis"]),
+    ("position", &["inheritrange", "dampratio"]),
+    ("general", &["joint", "class", "forcerange", "ctrlrange", "gainprm", "biasprm", "gaintype", "biastype"]),
+];
+
 /// Refuses in a file of another tool what is one letter off an attribute that is read: MuJoCo has no such one.
 pub(super) fn misspelt(e: &Element, remarks: &mut Remarks) {
-    let known = ELEMENTS.iter().find(|row| row.0 == e.tag).map_or(&[][..], |row| row.1);
-    for key in e.attributes.keys().filter(|key| key.len() > 4 && !known.contains(&key.as_str())) {
-        if let Some(meant) = known.iter().find(|k| strsim::osa_distance(k, key) == 1) {
+    let own = ELEMENTS.iter().find(|row| row.0 == e.tag).map_or(&[][..], |row| row.1);
+    let more = MORE.iter().find(|row| row.0 == e.tag).map_or(&[][..], |row| row.1);
+    let known: Vec<&str> = own.iter().chain(more).copied().collect();
+    for key in e.attributes.keys().filter(|key| key.len() > 2 && !known.contains(&key.as_str())) {
+        let slip = |k: &&&str| k.len() > 3 && strsim::osa_distance(k, key) == 1;
+        if let Some(meant) = known.iter().find(slip) {
             let message = format!("attribute `{key}`: is not known; did you mean `{meant}`?");
             remarks.refuse_of(e, message);
         }

@@ -241,8 +241,8 @@ fn slips_in_an_mjcf_are_refused_once_each_where_they_stand() {
   <worldbody><body name="base">
     <freejoint/>
     <geom type="box" size="0.1 0.05 0.02" mass="-1"/>
-    <body name="left"><joint name="l" axis="0 1 0" frictionlos="0.1"/><geom size="0.02"/></body>
-    <body name="right"><joint name="r" axis="0 1 0"/><geom size="0.02" density="-3"/></body>
+    <body name="left"><joint name="l" axis="0 1 0" frictionlos="0.1"/><geom size="0.02" densty="5"/></body>
+    <body name="right"><joint name="r" axs="0 1 0"/><geom size="0.02" density="-3"/></body>
   </body></worldbody>
 </mujoco>"#;
     let said = refused("slips.xml", text).join("\n");
@@ -251,6 +251,8 @@ fn slips_in_an_mjcf_are_refused_once_each_where_they_stand() {
         "2 <joint> of a default: attribute `damping`: `soft` is not a usable number",
         "5 <geom>: attribute `mass`: is -1; it must not be negative",
         "6 <joint name=\"l\">: attribute `frictionlos`: is not known; did you mean `frictionloss`?",
+        "6 <geom>: attribute `densty`: is not known; did you mean `density`?",
+        "7 <joint name=\"r\">: attribute `axs`: is not known; did you mean `axis`?",
         "7 <geom>: attribute `density`: is -3; it must not be negative",
     ] {
         assert_eq!(said.matches(wanted).count(), 1, "{wanted} in\n{said}");
