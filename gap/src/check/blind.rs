@@ -157,12 +157,12 @@ pub fn blind(
     let mut out = BTreeMap::new();
     for effect in effects::ALL.iter().filter(|e| !impossible(e)) {
         let need = NEEDS.iter().find(|n| n.0.contains(&effect.id));
-        let unseen = || -> Option<Vec<&str>> {
+        let unseen = || {
             let places = effect.places(robot);
-            places.iter().map(|p| (effect.unseen)(excitation.as_ref()?, p)).collect()
+            let why = places.iter().map(|p| (effect.unseen)(excitation.as_ref()?, p));
+            Some((*why.collect::<Option<Vec<&str>>>()?.first()?, effect.trial))
         };
         let missing = need.and_then(|n| Some((n.1(&evidence)?, n.2)));
-        let unseen = || Some((*unseen()?.first()?, effect.trial));
         let Some((missing, trial)) = missing.or_else(unseen) else {
             continue;
         };
