@@ -130,7 +130,7 @@ def _is_left(run: Path) -> bool:
     try:
         with open(run / "supervisor.lock", encoding="utf-8") as lock:
             fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except (BlockingIOError, FileNotFoundError):  # at work, or nobody's: a learner of a cluster
+    except OSError:  # at work; nobody's: a learner of a cluster; or where files cannot be locked
         return False
     return True
 

@@ -200,6 +200,33 @@ impl Element {
     pub fn number(&self, attribute: &str, remarks: &mut Remarks) -> Option<f64> {
         self.array::<1>(attribute, remarks).map(|[x]| x)
     }
+
+    /// A number that is refused below zero.
+    pub fn not_negative(&self, attribute: &str, remarks: &mut Remarks) -> Option<f64> {
+        let number = self.number(attribute, remarks)?;
+        if number < 0.0 {
+            let message = format!("attribute `{attribute}`: is {number}; it must not be negative");
+            remarks.refuse_of(self, message);
+            return None;
+        }
+        Some(number)
+    }
+
+    /// Refuses attributes that are one letter off a known one.
+    pub fn misspelt(&self, known: &[&str], remarks: &mut Remarks) {
+        for key in self.attributes.keys().filter(|key| !known.contains(&key.as_str())) {
+            if let Some(meant) = meant(key, known) {
+                let message = format!("attribute `{key}`: is not known; did you mean `{meant}`?");
+                remarks.refuse_of(self, message);
+            }
+        }
+    }
+}
+
+/// The known word of four letters or more that another one is one letter off.
+pub(crate) fn meant<'a>(word: &str, known: &[&'a str]) -> Option<&'a str> {
+    let slip = |k: &&&str| k.len() > 3 && strsim::osa_distance(k, word) == 1;
+    known.iter().find(slip).copied()
 }
 
 /// The bytes of a file, if there are not too many.

@@ -148,7 +148,12 @@ fn limit_actuated(robot: &mut Robot, remarks: &mut Remarks) {
             };
             joint.range = Some((-half, half));
             let label = joint.element.label();
-            remarks.note(&joint.element, format!("{label} has no limits; ±{half:.4} written"));
+            let wheel = match joint.motion {
+                JointMotion::Hinge => ", where a wheel would stop",
+                JointMotion::Slide => "",
+            };
+            let message = format!("{label} has no limits; ±{half:.4} written{wheel}");
+            remarks.note(&joint.element, message);
         }
     }
 }

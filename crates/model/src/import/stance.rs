@@ -21,6 +21,8 @@ const HEIGHT_OFF_MAX: f64 = 0.12;
 const AHEAD_MAX: f64 = 0.4;
 /// A shorter limb is no leg, of the longest.
 const LEG_SHARE: f64 = 0.75;
+/// Lengths of like legs differ by this part at most.
+const ALIKE: f64 = 0.02;
 /// Nearer to its ends a joint is not put, of its range.
 const MARGIN: f64 = 0.08;
 /// Where the search begins, rad, at each joint.
@@ -69,6 +71,13 @@ impl Limb {
         end.point(self.tip_m)
     }
 
+    fn is_like(&self, other: &Limb) -> bool {
+        let near = |a: f64, b: f64| (a - b).abs() <= ALIKE * other.length_m();
+        self.chain.len() == other.chain.len()
+            && near(self.length_m(), other.length_m())
+            && near(self.deepest_m, other.deepest_m)
+    }
+
     fn length_m(&self) -> f64 {
         self.hip_m[2] - self.deepest_m
     }
@@ -101,8 +110,11 @@ pub(super) fn find(robot: &mut Robot) -> bool {
     };
     // a mesh that is missing leaves hips alike
     let paired = |l: &Limb| mirrored(l, |l| l.zero_m) || mirrored(l, |l| l.hip_m);
-    let paired: Vec<bool> = legs.iter().map(paired).collect();
-    let mut keep = paired.into_iter();
+    let paired: Vec<&Limb> = legs.iter().filter(|l| paired(l)).collect();
+    // the third leg of three is in the middle, and like the two
+    let kept = |l: &Limb| paired.iter().any(|p| l.is_like(p));
+    let kept: Vec<bool> = legs.iter().map(kept).collect();
+    let mut keep = kept.into_iter();
     legs.retain(|_| keep.next() == Some(true));
     let longest_m = legs.iter().map(Limb::length_m).fold(0.0, f64::max);
     legs.retain(|l| l.length_m() > LEG_SHARE * longest_m);

@@ -7,7 +7,7 @@ use crate::geometry::Inertial;
 use crate::mesh::Meshes;
 use crate::parts::{Actuator, Body, Joint, Painted, Robot};
 use crate::pose::{self, Pose};
-use crate::tree::{Element, Remarks};
+use crate::tree::{Element, Remarks, meant};
 use crate::types::{Geom, JointMotion, Shape, Softness};
 
 /// Deepest chain of links.
@@ -31,6 +31,42 @@ struct Reader<'a> {
     robot: Robot,
 }
 
+/// Elements, their attributes, and what they hold.
+#[rustfmt::skip]
+const PARTS: &[(&str, &[&str], &[&str])] = &[
+    ("link", &["name"], &["inertial", "visual", "collision"]),
+    ("joint", &["name", "type"],
+        &["origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "calibration", "safety_controller"]),
+    ("inertial", &[], &["origin", "mass", "inertia"]),
+    ("visual", &["name"], &["origin", "geometry", "material"]),
+    ("collision", &["name"], &["origin", "geometry", "material"]),
+    ("geometry", &[], &["box", "sphere", "cylinder", "capsule", "mesh"]),
+    ("parent", &["link"], &[]),
+    ("child", &["link"], &[]),
+    ("limit", &["lower", "upper", "effort", "velocity"], &[]),
+    ("dynamics", &["damping", "friction"], &[]),
+    ("mass", &["value"], &[]),
+    ("box", &["size"], &[]),
+    ("sphere", &["radius"], &[]),
+    ("cylinder", &["radius", "length"], &[]),
+    ("capsule", &["radius", "length"], &[]),
+    ("mesh", &["filename", "scale"], &[]),
+];
+
+/// Refuses what is one letter off an element or an attribute that is read.
+fn slips(e: &Element, remarks: &mut Remarks) {
+    let Some((_, attributes, inside)) = PARTS.iter().find(|row| row.0 == e.tag) else { return };
+    e.misspelt(attributes, remarks);
+    for child in &e.children {
+        match meant(&child.tag, inside).filter(|_| !inside.contains(&child.tag.as_str())) {
+            Some(meant) => {
+                remarks.refuse_of(child, format!("is not known; did you mean <{meant}>?"));
+            }
+            None => slips(child, remarks),
+        }
+    }
+}
+
 /// Reads `<robot>`.
 pub(super) fn read(
     root: &Element,
@@ -40,7 +76,8 @@ pub(super) fn read(
 ) -> Option<Robot> {
     for other in &root.children {
         match other.tag.as_str() {
-            "link" | "joint" | "mujoco" | "material" => {}
+            "link" | "joint" => slips(other, remarks),
+            "mujoco" | "material" => {}
             tag => remarks.note_once(other, format!("<{tag}> is not kept")),
         }
     }
@@ -271,22 +308,30 @@ impl<'a> Reader<'a> {
         if e.first("mimic").is_some() {
             self.remarks.note_of(e, "<mimic> is not simulated; the joint has a drive of its own");
         }
-        let of = |remarks: &mut Remarks, tag: &str, key: &str| {
-            e.first(tag).and_then(|l| l.number(key, remarks))
-        };
-        // as MuJoCo and Bullet have it: an end that is not below the other, or none, is no limit
-        let range = limited.then(|| {
-            let low = of(self.remarks, "limit", "lower").unwrap_or(0.0);
-            (low, of(self.remarks, "limit", "upper").unwrap_or(0.0))
+        let range = e.first("limit").filter(|_| limited).map(|limit| {
+            let mut end = |key: &str| limit.number(key, self.remarks).unwrap_or(0.0);
+            let (low, high) = (end("lower"), end("upper"));
+            if low > high {
+                let message = format!(
+                    "attribute `lower`: is {low}, above `upper`, {high}; a joint without limits is continuous"
+                );
+                self.remarks.refuse_of(limit, message);
+            }
+            (low, high)
         });
+        // as MuJoCo and Bullet have it: two ends that are the same, or none, are no limit
         let range = range.filter(|(low, high)| low < high);
-        let effort = of(self.remarks, "limit", "effort").filter(|t| *t > 0.0);
+        let mut of = |tag: &str, key: &str| e.first(tag)?.not_negative(key, self.remarks);
+        let effort = of("limit", "effort").filter(|t| *t > 0.0);
+        let speed = of("limit", "velocity").filter(|v| *v > 0.0);
+        let damping = of("dynamics", "damping").unwrap_or(0.0);
+        let friction_loss = of("dynamics", "friction").unwrap_or(0.0);
         let name = e.get("name").unwrap_or("joint").to_owned();
         self.robot.actuators.push(Actuator {
             joint: name.clone(),
             gains: None,
             force_limit: effort,
-            speed_limit: of(self.remarks, "limit", "velocity").filter(|v| *v > 0.0),
+            speed_limit: speed,
             element: e.clone(),
         });
         Some(Joint {
@@ -298,9 +343,9 @@ impl<'a> Reader<'a> {
             stop: Softness::default(),
             stiffness: 0.0,
             spring_ref: 0.0,
-            damping: of(self.remarks, "dynamics", "damping").unwrap_or(0.0).max(0.0),
+            damping,
             armature: 0.0,
-            friction_loss: of(self.remarks, "dynamics", "friction").unwrap_or(0.0).max(0.0),
+            friction_loss,
             force_limit: effort,
             element: e.clone(),
         })
@@ -343,8 +388,13 @@ impl<'a> Reader<'a> {
         let collides = e.tag == "collision";
         let mut at = self.origin(e);
         let geometry = e.first("geometry")?.children.first()?.clone();
-        let number =
-            |key: &str, remarks: &mut Remarks| geometry.number(key, remarks).filter(|x| *x > 0.0);
+        let number = |key: &str, remarks: &mut Remarks| {
+            let found = geometry.not_negative(key, remarks);
+            if found.is_none_or(|x| x == 0.0) && collides {
+                remarks.note_of(&geometry, format!("has no {key}; the shape is left out"));
+            }
+            found.filter(|x| *x > 0.0)
+        };
         let shape = match geometry.tag.as_str() {
             "sphere" => Shape::Sphere { radius_m: number("radius", self.remarks)? },
             "box" => {

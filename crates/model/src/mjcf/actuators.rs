@@ -3,7 +3,6 @@
 use std::collections::BTreeSet;
 
 use super::context::Context;
-use super::joint::not_negative;
 use crate::parts::{Actuator, Robot};
 use crate::tree::Element;
 
@@ -58,7 +57,7 @@ pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot)
         };
         let gains = gains(context, &e).map(|(kp, kd)| (kp * gear * gear, kd * gear * gear));
         for key in ["kp", "kv"] {
-            not_negative(context, &e, key);
+            e.not_negative(key, context.remarks);
         }
         let (force, control) = (limit(context, "forcerange"), limit(context, "ctrlrange"));
         let by_control = control.filter(|_| gains.is_none() && e.tag == "motor");
@@ -80,8 +79,10 @@ fn gains(context: &mut Context<'_>, e: &Element) -> Option<(f64, f64)> {
         "position" => {
             let kp = e.number("kp", context.remarks).unwrap_or(1.0);
             let kv = e.number("kv", context.remarks).unwrap_or(0.0);
-            if e.get("dampratio").is_some() {
-                context.remarks.note_once(e, "dampratio is not read; kv is 0 in its place");
+            if e.number("dampratio", context.remarks).is_some_and(|d| d != 0.0) {
+                let message = "dampratio is not read, nothing damps in its place; write the kv that MuJoCo makes of \
+                               it (actuator_biasprm)";
+                context.remarks.note_once(e, message);
             }
             Some((kp, kv))
         }
@@ -90,11 +91,16 @@ fn gains(context: &mut Context<'_>, e: &Element) -> Option<(f64, f64)> {
             let bias = e.numbers("biasprm", context.remarks);
             let kp = first(gain, 0).unwrap_or(1.0);
             let (back, kv) = (first(bias.clone(), 1).unwrap_or(0.0), first(bias, 2).unwrap_or(0.0));
-            ((kp + back).abs() <= 1e-9 * kp.abs() && kp > 0.0).then_some((kp, -kv))
+            let servo = (kp + back).abs() <= 1e-9 * kp.abs() && kp > 0.0;
+            if !servo {
+                let message = "a general actuator that holds no position is read as one of torque";
+                context.remarks.note_once(e, message);
+            }
+            servo.then_some((kp, -kv))
         }
         "motor" | "general" => None,
         other => {
-            context.remarks.note_of(e, format!("a {other} actuator is read as one of torque"));
+            context.remarks.note_once(e, format!("a {other} actuator is read as one of torque"));
             None
         }
     }

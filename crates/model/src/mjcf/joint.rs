@@ -53,32 +53,25 @@ pub(super) fn read(
     }
     let spring_ref = number(context, "springref").map_or(0.0, |s| s * unit) - start;
     let force_limit = e.array::<2>("actuatorfrcrange", context.remarks);
+    let range = range(context, e, unit).map(|(low, high)| (low - start, high - start));
+    let stop = softness(e, "solreflimit", "solimplimit", context.remarks);
+    let mut not_negative = |key: &str| e.not_negative(key, context.remarks).unwrap_or(0.0);
     let joint = Joint {
         name: name(e, robot),
         motion,
         axis: frame.rotate(axis.map(|a| a / length.max(1e-9))),
         anchor_m: frame.point(anchor),
-        range: range(context, e, unit).map(|(low, high)| (low - start, high - start)),
-        stop: softness(e, "solreflimit", "solimplimit", context.remarks),
-        stiffness: not_negative(context, e, "stiffness"),
+        range,
+        stop,
+        stiffness: not_negative("stiffness"),
         spring_ref,
-        damping: not_negative(context, e, "damping"),
-        armature: not_negative(context, e, "armature"),
-        friction_loss: not_negative(context, e, "frictionloss"),
+        damping: not_negative("damping"),
+        armature: not_negative("armature"),
+        friction_loss: not_negative("frictionloss"),
         force_limit: force_limit.map(|[low, high]| low.abs().max(high.abs())),
         element: e.clone(),
     };
     robot.bodies[index].joints.push(joint);
-}
-
-/// A number that is 0 where it is absent, or negative.
-pub(super) fn not_negative(context: &mut Context<'_>, e: &Element, key: &str) -> f64 {
-    let x = e.number(key, context.remarks).unwrap_or(0.0);
-    if x < 0.0 {
-        let message = format!("attribute `{key}`: is {x}; it must not be negative");
-        context.remarks.refuse_if_strict(e, message);
-    }
-    x.max(0.0)
 }
 
 /// The joint of a free base.

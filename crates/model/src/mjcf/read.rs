@@ -298,6 +298,10 @@ impl Context<'_> {
                 "camera" | "light" => {
                     self.remarks.note_once(child, "cameras and lights are not kept")
                 }
+                "replicate" | "composite" | "flexcomp" | "attach" => {
+                    let message = "is not read; let MuJoCo expand it (mujoco.mj_saveLastXML), then import that";
+                    self.remarks.refuse_of(child, message);
+                }
                 tag => self
                     .remarks
                     .refuse(child, format!("<{tag}> inside <body> is not read; take it out")),

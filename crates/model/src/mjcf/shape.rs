@@ -27,8 +27,8 @@ impl Context<'_> {
         let collides = contype != 0 || conaffinity != 0;
         let Some((shape, at, solid)) = self.shape(e, kind, collides) else { return (None, None) };
         let at = within(frame, at);
-        let mass = self.not_negative(e, "mass");
-        let density = self.not_negative(e, "density").unwrap_or(DENSITY_KG_PER_M3);
+        let mass = e.not_negative("mass", self.remarks);
+        let density = e.not_negative("density", self.remarks).unwrap_or(DENSITY_KG_PER_M3);
         let inertial = solid.and_then(|solid: Solid| {
             let mass = mass.unwrap_or(density * solid.volume_m3);
             (mass > 0.0).then(|| solid.with_mass(mass, &at))
@@ -38,7 +38,7 @@ impl Context<'_> {
         let friction = friction.and_then(|f| f.first().copied()).unwrap_or(1.0);
         if friction < 0.0 {
             let message = format!("attribute `friction`: is {friction}; it must not be negative");
-            self.remarks.refuse_if_strict(e, message);
+            self.remarks.refuse_of(e, message);
         }
         let Some(shape) = shape else { return (None, inertial) };
         let geom = Geom {
@@ -52,17 +52,6 @@ impl Context<'_> {
         };
         let rgba = e.get("rgba").map(str::to_owned);
         (Some(Painted { geom, rgba }), inertial)
-    }
-
-    /// A number that is refused below zero.
-    fn not_negative(&mut self, e: &Element, key: &str) -> Option<f64> {
-        let number = e.number(key, self.remarks)?;
-        if number < 0.0 {
-            let message = format!("attribute `{key}`: is {number}; it must not be negative");
-            self.remarks.refuse_of(e, message);
-            return None;
-        }
-        Some(number)
     }
 
     /// The shape of a geom, its place, and its volume. A mesh that collides becomes the box that it fills.
@@ -124,8 +113,9 @@ impl Context<'_> {
                 "plane" => "attribute `type`: a plane belongs in <worldbody>, not on a link",
                 _ => "attribute `size`: is missing, too short or not above zero",
             };
-            self.remarks.refuse_if_strict(e, message);
-            if matches!(kind, "plane" | "hfield") || collides {
+            if self.remarks.strict || size.iter().any(|s| *s < 0.0) {
+                self.remarks.refuse_of(e, message);
+            } else if matches!(kind, "plane" | "hfield") || collides {
                 self.remarks.note_of(e, format!("a {kind} of this size is left out"));
             }
             return None;

@@ -120,14 +120,7 @@ const MORE: &[(&str, &[&str])] = &[
 pub(super) fn misspelt(e: &Element, remarks: &mut Remarks) {
     let own = ELEMENTS.iter().find(|row| row.0 == e.tag).map_or(&[][..], |row| row.1);
     let more = MORE.iter().find(|row| row.0 == e.tag).map_or(&[][..], |row| row.1);
-    let known: Vec<&str> = own.iter().chain(more).copied().collect();
-    for key in e.attributes.keys().filter(|key| key.len() > 2 && !known.contains(&key.as_str())) {
-        let slip = |k: &&&str| k.len() > 3 && strsim::osa_distance(k, key) == 1;
-        if let Some(meant) = known.iter().find(slip) {
-            let message = format!("attribute `{key}`: is not known; did you mean `{meant}`?");
-            remarks.refuse_of(e, message);
-        }
-    }
+    e.misspelt(&[own, more].concat(), remarks);
     for child in &e.children {
         misspelt(child, remarks);
     }

@@ -260,6 +260,70 @@ fn slips_in_an_mjcf_are_refused_once_each_where_they_stand() {
 }
 
 #[test]
+fn slips_in_a_urdf_are_refused_where_they_stand() {
+    let right = quadruped();
+    assert!(read("right.urdf", &right).is_ok());
+    for (from, to, wanted) in [
+        (
+            "radius=",
+            "radus=",
+            "4 <sphere>: attribute `radus`: is not known; did you mean `radius`?",
+        ),
+        (
+            "radius=\"",
+            "radius=\"-",
+            "4 <sphere>: attribute `radius`: is -0.012; it must not be negative",
+        ),
+        ("lower=", "lowr=", "3 <limit>: attribute `lowr`: is not known; did you mean `lower`?"),
+        (
+            "upper=\"",
+            "upper=\"-2",
+            "3 <limit>: attribute `lower`: is -1.57, above `upper`, -21.57;",
+        ),
+        (
+            "effort=\"",
+            "effort=\"-",
+            "3 <limit>: attribute `effort`: is -1.5; it must not be negative",
+        ),
+        (
+            "velocity=\"",
+            "velocity=\"-",
+            "3 <limit>: attribute `velocity`: is -6; it must not be negative",
+        ),
+        ("limit ", "limits ", "3 <limits>: is not known; did you mean <limit>?"),
+    ] {
+        let said = refused("wrong.urdf", &right.replacen(from, to, 1));
+        assert!(said.iter().any(|s| s.starts_with(wanted)), "{wanted} in {said:?}");
+    }
+}
+
+#[test]
+fn what_is_negative_in_an_mjcf_is_refused_where_it_stands() {
+    let text = r#"<mujoco><worldbody><body name="base">
+    <freejoint/><geom type="box" size="0.1 0.05 0.02"/>
+    <body><joint name="l" axis="0 1 0" damping="-0.1"/><geom size="-0.02" contype="0" conaffinity="0"/></body>
+    <body><joint name="r" axis="0 1 0" frictionloss="-0.1" armature="-1"/><geom size="0.02" friction="-1"/></body>
+  </body></worldbody><actuator>
+    <position joint="l" kp="-3"/>
+    <position joint="r" kv="-1"/>
+  </actuator></mujoco>"#;
+    let said = refused("negative.xml", text);
+    for (line, key) in [
+        (3, "damping"),
+        (3, "size"),
+        (4, "frictionloss"),
+        (4, "armature"),
+        (4, "friction"),
+        (6, "kp"),
+        (7, "kv"),
+    ] {
+        let found = said.iter().filter(|s| s.starts_with(&format!("{line} ")));
+        let count = found.filter(|s| s.contains(&format!("attribute `{key}`"))).count();
+        assert_eq!(count, 1, "{key} in {said:#?}");
+    }
+}
+
+#[test]
 fn what_is_expanded_is_not_written_onto_itself_and_other_namespaces_are_no_xacro() {
     let text =
         "<robot xmlns:xacro=\"http://www.ros.org/wiki/xacro\" name=\"x\"><xacro:leg/></robot>";
