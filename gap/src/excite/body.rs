@@ -133,27 +133,6 @@ impl<'a> Body<'a> {
         });
     }
 
-    /// The legs of one side, then of the other; spine joints to one side, then to the other.
-    pub fn mirror(&mut self) {
-        for side in [0, 1] {
-            self.play(5.0, |b, t, fade, row| {
-                for (i, leg) in b.legs.iter().enumerate().filter(|(i, _)| i % 2 == side) {
-                    for (k, &a) in leg.iter().enumerate() {
-                        let size = b.limits[a].sine_rad(0.35, 0.8);
-                        row[a] += fade * size * (TAU * 0.8 * t + 0.7 * (k + i / 2) as f64).sin();
-                    }
-                }
-                // neighbours turn against each other: a held body that all of them bend the same way swings
-                // up on its own weight
-                for (i, &a) in b.spine.iter().enumerate() {
-                    let turn = if side == i % 2 { 1.0 } else { -1.0 };
-                    let size = b.limits[a].sine_rad(0.25, 0.4);
-                    row[a] += fade * turn * size * (TAU * 0.4 * t).sin();
-                }
-            });
-        }
-    }
-
     /// Legs of one side (or one end) stretch while the others give way: the trunk rolls (or pitches).
     pub fn rock(&mut self, roll: bool) {
         for hz in [0.3, 0.8, 1.6] {
@@ -180,19 +159,6 @@ impl<'a> Body<'a> {
                 }
             });
             self.hold(0.5);
-        }
-    }
-
-    pub fn stamp(&mut self) {
-        for i in 0..self.legs.len() {
-            for _ in 0..3 {
-                self.play(0.8, |b, t, fade, row| {
-                    if let Some(&knee) = b.legs[i].last() {
-                        // up smoothly, down at once
-                        row[knee] -= if t < 0.45 { 0.5 * fade } else { 0.0 };
-                    }
-                });
-            }
         }
     }
 

@@ -15,6 +15,9 @@ fn commands_hold(robot: &RobotModel) -> usize {
             trial.duration_s
         );
         assert!(!trial.excites.is_empty());
+        for id in &trial.excites {
+            assert!(caudata_gap::effects::find(id).is_some(), "{}: {id}", trial.name);
+        }
         let share = if trial.name == "hot_hold" { HOT_SHARE } else { HOLD_SHARE };
         assert!(
             trial.effort <= share + 0.01,
