@@ -6,6 +6,7 @@ use caudata_gap::check;
 use caudata_gap::report::DataFault;
 use caudata_gap::{GapError, Options, Report, Request, Role, Run};
 use caudata_model::{ModelError, RobotModel};
+use caudata_runlog::{LogError, RunLog};
 
 /// Runs whose folder begins so are held out.
 const HOLDOUT: &str = "holdout";
@@ -29,6 +30,14 @@ pub enum ExamineeError {
         /// What.
         what: &'static str,
     },
+    /// A log that is there.
+    #[error("{} cannot be read: {reason}", run.display())]
+    Unread {
+        /// The run's folder.
+        run: PathBuf,
+        /// Why not.
+        reason: LogError,
+    },
     /// The robot file.
     #[error("{0}")]
     Model(#[from] ModelError),
@@ -49,20 +58,26 @@ pub(crate) struct Read {
     faults: Vec<DataFault>,
 }
 
-/// Reads the case in `folder`.
+/// Reads the case in `folder`, all of whose logs can be read: what a decoy does to one can.
 pub(crate) fn read(folder: &Path) -> Result<Read, ExamineeError> {
     let missing = |what| ExamineeError::Missing { folder: folder.to_owned(), what };
-    let mut entries: Vec<PathBuf> = std::fs::read_dir(folder)
-        .map_err(failed(folder))?
-        .filter_map(|e| Some(e.ok()?.path()))
-        .collect();
+    let entries = std::fs::read_dir(folder).map_err(failed(folder))?;
+    let paths = entries.map(|e| e.map(|e| e.path()));
+    let mut entries: Vec<PathBuf> = paths.collect::<Result<_, _>>().map_err(failed(folder))?;
     entries.sort();
     let named = |end: &str| entries.iter().find(|p| p.to_string_lossy().ends_with(end)).cloned();
     let robot = named(".robot.toml").ok_or_else(|| missing("robot file"))?;
     let mjcf = named(".xml").ok_or_else(|| missing("MJCF"))?;
     let model = RobotModel::load(&robot)?;
     let dirs: Vec<&PathBuf> = entries.iter().filter(|p| p.is_dir()).collect();
-    let (logs, checked) = check::check_dirs(&dirs, &model);
+    let log = |(dir, name): (&&PathBuf, String)| match RunLog::read(dir) {
+        Ok(log) => Ok((name, log)),
+        Err(reason) => Err(ExamineeError::Unread { run: dir.to_path_buf(), reason }),
+    };
+    let names = check::run_names(&dirs);
+    let logs = dirs.iter().zip(names).map(log).collect::<Result<Vec<_>, _>>()?;
+    let named: Vec<(&str, &RunLog)> = logs.iter().map(|(n, l)| (n.as_str(), l)).collect();
+    let faults = check::check(&named, &model).faults;
     let run = |(name, log): (String, _)| Run {
         role: if name.starts_with(HOLDOUT) { Role::Holdout } else { Role::Fit },
         name,
@@ -70,7 +85,7 @@ pub(crate) fn read(folder: &Path) -> Result<Read, ExamineeError> {
         sha256: String::new(),
     };
     let runs = logs.into_iter().map(run).collect();
-    Ok(Read { robot, mjcf, model, runs, faults: checked.faults })
+    Ok(Read { robot, mjcf, model, runs, faults })
 }
 
 fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> ExamineeError + use<> {
@@ -99,4 +114,24 @@ pub fn write_report(folder: &Path, options: Options) -> Result<(), ExamineeError
     let text = serde_json::to_vec(&diagnose(folder, options)?)?;
     let path = Path::new("report.json");
     std::fs::write(path, text).map_err(failed(path))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_log_that_cannot_be_read_is_an_error_and_not_left_out() {
+        let rigs = Path::new(env!("CARGO_MANIFEST_DIR")).join("rigs");
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["pendulum.robot.toml", "pendulum.xml"] {
+            std::fs::copy(rigs.join(name), folder.path().join(name)).unwrap();
+        }
+        let run = folder.path().join("fit_0");
+        std::fs::create_dir(&run).unwrap();
+        std::fs::write(run.join("log.toml"), "robot = \"pendulum\"\nbase = \"fixed\"\n").unwrap();
+        std::fs::write(run.join("log.csv"), "t,cmd.swing\n0,none\n").unwrap();
+        let why = read(folder.path()).err().unwrap();
+        assert!(matches!(&why, ExamineeError::Unread { run: of, .. } if *of == run), "{why}");
+    }
 }
