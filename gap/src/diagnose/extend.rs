@@ -6,6 +6,7 @@ use caudata_model::RobotModel;
 
 use super::request::Request;
 use super::state::Context;
+use super::stops::Passed;
 use crate::effects::ParameterSpec;
 use crate::extension::{self, Extension, ExtensionEffect};
 use crate::replay::Term;
@@ -32,6 +33,7 @@ pub fn extended(
         logs: request.runs.iter().map(|r| r.sha256.clone()).collect(),
         effect: (model.extension().into_iter().flat_map(|e| e.effect.iter().cloned()))
             .chain(losses.map(entry))
+            .chain(context.passed.iter().map(|p| no_stop(context, p)))
             .chain(effects.iter().cloned())
             .collect(),
         observation_noise: noise
@@ -39,6 +41,21 @@ pub fn extended(
             .map(|(k, (sum, n))| (k, (sum / n as f64).sqrt()))
             .collect(),
         lane: extension::lane(model, &context.replayer.with_given(terms)),
+    }
+}
+
+/// Stops that are passed as a robot file has them.
+fn no_stop(context: &Context, passed: &Passed) -> ExtensionEffect {
+    let Passed { term, note } = passed;
+    ExtensionEffect {
+        id: term.effect.id.to_owned(),
+        location: term.place.names.clone(),
+        confidence: context.calibration.surest,
+        alternatives: Vec::new(),
+        elsewhere: Vec::new(),
+        evidence: vec![note.detail.clone()],
+        randomise: BTreeMap::new(),
+        parameters: parameters(context.replayer.model(), term, |_| 0.0),
     }
 }
 

@@ -40,6 +40,7 @@ mod search;
 mod signature;
 mod spread;
 mod state;
+mod stops;
 mod synonyms;
 mod tracking;
 mod unexplained;
@@ -52,7 +53,7 @@ use std::time::{Duration, Instant};
 use caudata_model::RobotModel;
 
 use crate::calibration::Calibration;
-use crate::effects::{self, DROPPED_FRAMES, Effect};
+use crate::effects::{self, DROPPED_FRAMES, Effect, PASSED_STOP};
 use crate::error::GapError;
 use crate::excitation::Excitation;
 use crate::go_on::GoOn;
@@ -129,6 +130,7 @@ pub fn diagnose(
     let mut diagnosis = verdict::conclude(request, &context, &evidence, runs, split)?;
     diagnosis.report.data_faults.extend(request.data_faults.iter().cloned());
     diagnosis.report.data_faults.extend(faults);
+    diagnosis.report.data_faults.extend(context.passed.iter().map(|p| p.note.clone()));
     let (rollouts, simulated_s) = context.replayer.spent();
     diagnosis.report.compute =
         Compute { candidates: found.tried, rollouts, simulated_s, seconds: 0.0 };
@@ -281,6 +283,11 @@ fn context(
             && (request.options.only.is_empty() || named(&request.options.only))
     };
     let mut effects: Vec<&'static Effect> = effects::ALL.iter().copied().filter(wanted).collect();
+    effects.retain(|e| e.id != PASSED_STOP.id);
+    let whole = fit_trials.iter().chain(&held_out).cloned().collect();
+    let passed = stops::find(&replayer, &Data::new(model, whole, options))?;
+    let also = |replayer: Replayer, p: &stops::Passed| replayer.with_also(p.term.clone());
+    let replayer = passed.iter().fold(replayer, also);
     let same_runs = split == Split::Same;
     let losses = if effects.iter().any(|e| e.id == DROPPED_FRAMES.id) {
         losses::find(&replayer, &fit_trials, (!same_runs).then_some(&held_out[..]))?
@@ -306,6 +313,7 @@ fn context(
         holdout,
         same_runs,
         losses,
+        passed,
         effects,
         excitation,
         calibration: Calibration::shipped()?,

@@ -7,6 +7,7 @@ use super::judge::Judge;
 use super::losses::Losses;
 use super::product::widen;
 use super::scout::{Scout, WINDOW_S};
+use super::stops::Passed;
 use crate::calibration::Calibration;
 use crate::effects::Effect;
 use crate::error::GapError;
@@ -32,6 +33,8 @@ pub struct Context {
     pub same_runs: bool,
     /// Frames that were lost, which the simulator loses as well.
     pub losses: Option<Losses>,
+    /// Stops of the robot file that are passed, which the simulator does not have either.
+    pub passed: Vec<Passed>,
     /// Effects that are tried.
     pub effects: Vec<&'static Effect>,
     /// What the runs to fit to excite.

@@ -97,6 +97,9 @@ pub fn summary(
             state.label()
         ));
     }
+    for passed in &context.passed {
+        text.push_str(&format!(" {} {}.", passed.note.location, passed.note.detail));
+    }
     if context.losses.is_some() {
         text.push_str(" Lost frames show in what repeats differ by, not in their mean.");
     }

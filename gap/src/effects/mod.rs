@@ -20,6 +20,7 @@ mod water;
 
 pub use crate::place::{Domain, Place};
 pub use effect::{Effect, Layer, ParameterSpec, Reference};
+pub use structure::PASSED_STOP;
 pub use timing::DROPPED_FRAMES;
 
 /// The catalogue.
@@ -71,6 +72,7 @@ pub static ALL: &[&Effect] = &[
     &structure::GIRDLE_PLAY,
     &structure::PARALLEL_SPRING,
     &structure::HARD_STOP,
+    &structure::PASSED_STOP,
     &inertia::LINK_MASS,
     &inertia::LINK_COM,
     &inertia::POINT_MASS,

@@ -53,6 +53,27 @@ pub static PARALLEL_SPRING: Effect = Effect {
     ..OF_STRUCTURE
 };
 
+/// Measured for itself, where angles pass a stop: no motion within the stops shows it.
+pub static PASSED_STOP: Effect = Effect {
+    id: "passed_stop",
+    parameters: &[
+        parameter("below_rad", "rad", 0.0, (0.0, 20.0), 0.005, One),
+        parameter("above_rad", "rad", 0.0, (0.0, 20.0), 0.005, One),
+    ],
+    grid: &[&[0.3, 0.3]],
+    hinge: true,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            let joint = &mut plant.lane.joints[a];
+            joint.low_rad -= v[0] as f32;
+            joint.high_rad += v[1] as f32;
+        }
+    },
+    trial: "sweep_full",
+    signature: "angles are measured beyond the end stop of the robot file",
+    ..OF_STRUCTURE
+};
+
 pub static HARD_STOP: Effect = Effect {
     id: "hard_stop",
     parameters: &[

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use caudata_gap::repeats;
 use caudata_gap::replay::{Data, Replayer, SegmentOptions};
-use caudata_gap::report::Verdict;
+use caudata_gap::report::{DataFault, Verdict};
 use caudata_gap::trial::Trial;
 use caudata_gap::{Diagnosis, GapError, GoOn, Options, Request, Role, Run, diagnose, extension};
 use caudata_model::RobotModel;
@@ -132,6 +132,20 @@ fn nothing_is_found_where_nothing_is_wrong() {
     assert_eq!(d.report.verdict, Verdict::NoGap, "{} {:?}", d.report.summary, names(&d));
     let floor = &d.report.detection_floor["kp_error@swing"];
     assert!(floor.excited && (floor.value - 1.0).abs() < 0.25, "{floor:?}");
+}
+
+#[test]
+fn a_stop_that_angles_pass_is_told_and_simulated_nowhere() {
+    let mut asked = request(0, &|_| {});
+    let wide = String::from_utf8(asked.mjcf).unwrap();
+    asked.mjcf = wide.replacen("range=\"-3.14159 3.14159\"", "range=\"-0.5 0.6\"", 1).into_bytes();
+    let d = diagnose(&asked, &mut |_| {}).unwrap();
+    assert_eq!(d.report.verdict, Verdict::NoGap, "{} {:?}", d.report.summary, names(&d));
+    let told = |f: &&DataFault| f.kind == "range" && f.location == "swing" && !f.fatal;
+    assert_eq!(d.report.data_faults.iter().filter(told).count(), 1);
+    assert!(d.report.summary.contains("past the end stop"), "{}", d.report.summary);
+    assert_eq!(d.extension.effect[0].id, "passed_stop");
+    assert!(d.extension.lane["joints.swing.high_rad"] > 3.0);
 }
 
 #[test]

@@ -1,0 +1,116 @@
+//! End stops of the robot file that measured angles pass. There the file is wrong whatever else is, and nothing is
+//! to make up for it: such a stop is simulated nowhere.
+
+use crate::effects::{Domain, PASSED_STOP, Place};
+use crate::error::GapError;
+use crate::replay::{Data, Replayer, Term};
+use crate::report::DataFault;
+use crate::trial::{Kind, Trial};
+
+/// A stop gives way by less than this share of the range, beyond what the simulated one does.
+const GIVES_WAY: f64 = 0.01;
+/// So many samples are no slip of the encoder.
+const SAMPLES: usize = 5;
+/// Farther than any stop, rad.
+const FAR_RAD: f64 = 10.0;
+
+/// Stops of a joint that are passed.
+#[derive(Debug, Clone)]
+pub struct Passed {
+    /// What is simulated in their place.
+    pub term: Term,
+    /// What is said of it.
+    pub note: DataFault,
+}
+
+/// How far angles go beyond the two stops of each joint: the farthest few samples, rad; below 0: not at all.
+struct Beyond(Vec<[Vec<f64>; 2]>);
+
+impl Beyond {
+    fn of<X: Into<f64> + Copy>(limits: &[(f64, f64)], data: &Data, values: &[X]) -> Self {
+        let mut all = vec![[Vec::new(), Vec::new()]; limits.len()];
+        for piece in data.pieces().filter(|p| p.kind == Kind::Position) {
+            let (low, high) = limits[piece.index];
+            for k in piece.range.clone() {
+                let at: f64 = values[k].into();
+                for (side, over) in [low - at, at - high].into_iter().enumerate() {
+                    if over > 0.0 {
+                        all[piece.index][side].push(over);
+                    }
+                }
+            }
+        }
+        for over in all.iter_mut().flatten() {
+            over.sort_by(|a, b| b.total_cmp(a));
+        }
+        Self(all)
+    }
+
+    /// By how much, at the `rank`-th farthest.
+    fn at(&self, joint: usize, side: usize, rank: usize) -> f64 {
+        self.0[joint][side].get(rank).copied().unwrap_or(0.0)
+    }
+}
+
+/// The joints of `trials` that pass a stop of the robot file where the simulated robot does not.
+///
+/// # Errors
+/// As [`Replayer::predict`].
+pub fn find(replayer: &Replayer, data: &Data) -> Result<Vec<Passed>, GapError> {
+    let model = replayer.model();
+    let Some(trial) = data.trials.first() else { return Ok(Vec::new()) };
+    let limits = limits(replayer, trial);
+    let measured = Beyond::of(&limits, data, &data.value);
+    let gives_way = |a: usize| GIVES_WAY * (limits[a].1 - limits[a].0);
+    let may = |a: usize, s: usize| measured.at(a, s, SAMPLES) > gives_way(a);
+    if !(0..limits.len()).any(|a| may(a, 0) || may(a, 1)) {
+        return Ok(Vec::new());
+    }
+    let simulated = replayer.predict(data, &[Vec::new()])?.swap_remove(0);
+    let simulated = Beyond::of(&limits, data, &simulated);
+    let passed =
+        |a: usize, s: usize| measured.at(a, s, SAMPLES) > simulated.at(a, s, 0) + gives_way(a);
+    let joints = (0..limits.len()).filter(|a| passed(*a, 0) || passed(*a, 1));
+    Ok(joints
+        .map(|a| {
+            let sides = [0, 1].map(|s| passed(a, s));
+            let name = model.actuated_names()[a].to_owned();
+            Passed {
+                note: note(&name, limits[a], sides, |s| measured.at(a, s, 0)),
+                term: Term {
+                    effect: &PASSED_STOP,
+                    place: Place { domain: Domain::Joints, items: vec![a], names: vec![name] },
+                    values: sides.map(|out| if out { FAR_RAD } else { 0.0 }).to_vec(),
+                },
+            }
+        })
+        .collect())
+}
+
+/// Where the stops of the joints are that `trial` is replayed with, rad.
+fn limits(replayer: &Replayer, trial: &Trial) -> Vec<(f64, f64)> {
+    let plant = replayer.plant(trial, &[]);
+    let joints = plant.lane.joints.iter();
+    joints.map(|j| (f64::from(j.low_rad), f64::from(j.high_rad))).collect()
+}
+
+fn note(
+    joint: &str,
+    (low, high): (f64, f64),
+    sides: [bool; 2],
+    over: impl Fn(usize) -> f64,
+) -> DataFault {
+    let reached = match sides {
+        [true, false] => format!("{:.2} rad", low - over(0)),
+        [false, true] => format!("{:.2} rad", high + over(1)),
+        _ => format!("{:.2} and {:.2} rad", low - over(0), high + over(1)),
+    };
+    DataFault {
+        kind: "range".to_owned(),
+        location: joint.to_owned(),
+        detail: format!(
+            "reaches {reached}, past the end stop of the robot file ({low:.2} to {high:.2} rad), which the simulated robot does not: range or zero of the file are wrong. It is simulated without this stop, and so is the extended robot"
+        ),
+        fatal: false,
+    }
+}
