@@ -60,8 +60,8 @@ struct Tried {
     at: Vec<Place>,
     /// … and the places that its trace speaks for.
     judged: Vec<Place>,
-    /// Which of the effect's sizes.
-    k: usize,
+    /// Which of the effect's sizes; none: that which the model around has, and `variant` goes without.
+    k: Option<usize>,
     variant: Variant,
 }
 
@@ -101,12 +101,23 @@ pub fn screen(
                 if !Judge::sound(prediction) {
                     continue;
                 }
-                let change = judge.change(prediction, &on(around).prediction);
+                let (with, without) = match tried.k {
+                    Some(_) => (prediction, &on(around).prediction),
+                    None => (&on(around).prediction, prediction),
+                };
+                let change = judge.change(with, without);
                 for ((look, state), out) in looks.iter().zip(parents).zip(&mut out) {
-                    let here = |p: &Place| open(context, around, state, tried.effect, p);
+                    let here = |p: &Place| {
+                        open(context, state, tried.effect, p)
+                            && has(around, tried.effect, p) == tried.k.is_none()
+                    };
                     if tried.at.iter().any(here) {
                         for place in tried.judged.iter().filter(|p| here(p)) {
-                            weigh(context, look, tried, place, &change, out);
+                            let sizes = match tried.k {
+                                Some(k) => tried.effect.sizes(context.replayer.model(), place, k),
+                                None => size_in(around, tried.effect, place),
+                            };
+                            weigh(context, look, tried.effect, sizes, place, &change, out);
                         }
                     }
                 }
@@ -128,7 +139,8 @@ fn plan(context: &Context, around: &State, parents: &[&State]) -> Vec<Tried> {
     let mut plan = Vec::new();
     for &effect in &context.effects {
         let all = effect.places(model);
-        let wanted = |p: &Place| parents.iter().any(|s| open(context, around, s, effect, p));
+        let lacks = |p: &Place| parents.iter().any(|s| open(context, s, effect, p));
+        let wanted = |p: &Place| !has(around, effect, p) && lacks(p);
         let together: Vec<Vec<Place>> = match effect.domain {
             Domain::Joints => vec![all.iter().take(1).cloned().collect()],
             Domain::Links => side_by_side(context, all.iter().filter(|p| wanted(p))),
@@ -149,9 +161,17 @@ fn plan(context: &Context, around: &State, parents: &[&State]) -> Vec<Tried> {
                         _ => at.clone(),
                     },
                     at: at.clone(),
-                    k,
+                    k: Some(k),
                 });
             }
+        }
+    }
+    // what the model around has and one of the others has not: as much as is found
+    for (i, term) in around.terms.iter().enumerate() {
+        if parents.iter().any(|s| open(context, s, term.effect, &term.place)) {
+            let at = vec![term.place.clone()];
+            let variant = around.without(i);
+            plan.push(Tried { effect: term.effect, judged: at.clone(), at, k: None, variant });
         }
     }
     plan
@@ -213,12 +233,20 @@ fn shown_at(context: &Context, place: &Place) -> Option<Vec<usize>> {
     Some(here.map(|(a, _)| a).collect())
 }
 
-/// Whether the runs can show an effect at a place, and neither the model nor the one `around` which effects are
-/// simulated has it.
-fn open(context: &Context, around: &State, state: &State, effect: &Effect, place: &Place) -> bool {
-    let mut had = around.terms.iter().chain(&state.terms);
-    (effect.unseen)(&context.excitation, place).is_none()
-        && !had.any(|t| t.effect == effect && t.place == *place)
+/// Whether the runs can show an effect at a place, and the model does not have it.
+fn open(context: &Context, state: &State, effect: &Effect, place: &Place) -> bool {
+    (effect.unseen)(&context.excitation, place).is_none() && !has(state, effect, place)
+}
+
+/// Whether a model has an effect at a place.
+fn has(state: &State, effect: &Effect, place: &Place) -> bool {
+    state.terms.iter().any(|t| t.effect == effect && t.place == *place)
+}
+
+/// The size that a model which has an effect at a place has found for it.
+fn size_in(state: &State, effect: &Effect, place: &Place) -> Vec<f64> {
+    let mut own = state.terms.iter().filter(|t| t.effect == effect && t.place == *place);
+    own.next().map_or_else(Vec::new, |t| t.values.clone())
 }
 
 /// Where candidates are looked at: runs, how a model does on them, and what its parameters can do there.
@@ -275,17 +303,17 @@ fn shares(
     (if low < 0.0 { low } else { 0.05 }, 3.0)
 }
 
-/// What `tried` at a place promises to explain of what a model leaves.
+/// What an effect of these `sizes` at a place promises to explain of what a model leaves.
 fn weigh(
     context: &Context,
     look: &Look<'_>,
-    tried: &Tried,
+    effect: &'static Effect,
+    sizes: Vec<f64>,
     place: &Place,
     trace: &[f32],
     out: &mut Vec<Screened>,
 ) {
     let model = context.replayer.model();
-    let Tried { effect, k, .. } = *tried;
     let n = trace.len().max(1) as f64;
     let ranges = shown_at(context, place).map(|joints| -> Vec<Range<usize>> {
         (look.judge.data.pieces())
@@ -310,7 +338,6 @@ fn weigh(
         pdd -= qd * qd;
     }
     let pdd = pdd.max(0.01 * dd);
-    let sizes = effect.sizes(model, place, k);
     let neutral = effect.neutral(model, place);
     let (low, high) = match effect.hinge {
         true => (0.4, 1.6),
