@@ -149,15 +149,9 @@ fn simpler(
         if r.state.parameters(model) == best.parameters(model) {
             return indistinguishable(best, &r.state);
         }
-        if wider(r.state.terms[r.index].effect, own.effect) {
-            // what the wider law has beyond its special case must earn its place as a further cause beside it
-            // would
-            let more = gates::worth(context, &r.state, best, Some(&own.place));
-            return !more.passed || is_a_lead(gates::quiet(context), &more);
-        }
-        // what is clearly worse does not say the same
-        let more = gates::worth(context, &r.state, best, None);
-        more.low <= 0.0 || more.fit <= 0.0
+        // what more parameters say beyond it must earn its place as a further cause beside it would
+        let more = gates::worth(context, &r.state, best, Some(&own.place));
+        !more.passed || is_a_lead(gates::quiet(context), &more)
     };
     // a law is never simpler than its special case, whatever else is left free
     let special = |r: &&Rival| !wider(own.effect, r.state.terms[r.index].effect);
