@@ -82,10 +82,14 @@ fn mean(first: &Trial, members: Vec<Trial>) -> Trial {
 
 /// Whether `other` was commanded the same under the same conditions, times counted from each one's start.
 fn repeats(own: &Trial, other: &Trial) -> bool {
-    if (own.duration_s() - other.duration_s()).abs() > 0.1 || !own.meta.same_conditions(&other.meta)
-    {
-        return false;
-    }
+    (own.duration_s() - other.duration_s()).abs() <= 0.1
+        && own.meta.same_conditions(&other.meta)
+        && same_commands(own, other, 10.0 * SAME_COMMAND_RAD)
+}
+
+/// Whether two runs were sent the same, within `within_rad`, for as long as the shorter one lasts; times counted
+/// from each one's start.
+pub(crate) fn same_commands(own: &Trial, other: &Trial, within_rad: f64) -> bool {
     let duration = own.duration_s().min(other.duration_s());
     // both middle of holds and ramps: a stamp's jitter moves a step by a row, so allow some to disagree
     let (mut wrong, mut all) = (0, 0);
@@ -97,7 +101,7 @@ fn repeats(own: &Trial, other: &Trial) -> bool {
                 .map(|d| (a.at(own.span_s.0 + s + d) - there).abs())
                 .into_iter()
                 .fold(f64::INFINITY, f64::min);
-            wrong += usize::from(near > 10.0 * SAME_COMMAND_RAD);
+            wrong += usize::from(near > within_rad);
             all += 1;
         }
     }

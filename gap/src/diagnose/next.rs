@@ -17,6 +17,7 @@ use crate::excitation::Excitation;
 use crate::excite::{self, DEFAULT_RATE_HZ};
 use crate::plant::{anchor_m, lever};
 use crate::prospects::{LONGEST_S, as_run};
+use crate::repeats;
 use crate::replay::{Data, SegmentOptions, Term, Variant};
 use crate::report::{Cause, LocalGap, NextExperiment, Verdict};
 use crate::trial::{Kind, Run};
@@ -280,10 +281,11 @@ fn most_telling(
     };
     let recorded = |trial: &excite::Trial| {
         let alike = |r: &&Run| r.log.meta.payload.is_empty() == weight.is_none();
-        (request.runs.iter()).filter(alike).any(|r| {
+        let named = (request.runs.iter()).filter(alike).any(|r| {
             excite::names_in(&format!("{} {}", r.name, r.log.meta.notes))
                 == Some(trial.name.as_str())
-        })
+        });
+        named || is_sent(context, trial, weight.is_some())
     };
     let mut best: Option<(String, f64)> = None;
     let can = |t: &&excite::Trial| t.duration_s <= LONGEST_S && !recorded(t);
@@ -304,12 +306,50 @@ fn most_telling(
     Ok(best)
 }
 
+/// Whether a run was sent the commands of `trial`, whatever it is called.
+fn is_sent(context: &Context, trial: &excite::Trial, weighted: bool) -> bool {
+    let own = as_run(trial, &[]);
+    let runs = context.fit.data.trials.iter().chain(&context.holdout.data.trials);
+    runs.filter(|r| r.meta.payload.is_empty() != weighted).any(|r| {
+        r.duration_s() > own.duration_s() - 0.1 && repeats::same_commands(&own, r, small(trial))
+    })
+}
+
+/// What makes no difference to the commands of `trial`, rad: a twentieth of what its joint that moves least does,
+/// and no more than repeats are allowed.
+fn small(trial: &excite::Trial) -> f64 {
+    const MOST_RAD: f64 = 0.008;
+    let span = |a: usize| {
+        let sent = || trial.commands_rad.iter().map(|row| row[a]);
+        sent().fold(f64::NEG_INFINITY, f64::max) - sent().fold(f64::INFINITY, f64::min)
+    };
+    let moves = (0..trial.columns.len()).map(span).filter(|span| *span > 0.0);
+    moves.map(|span| 0.05 * span).fold(MOST_RAD, f64::min)
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
 
     use super::*;
     use crate::place::places;
+
+    #[test]
+    fn a_trial_is_known_by_its_commands_whatever_the_run_is_called() {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/xl330_pendulum.robot.toml");
+        let model = RobotModel::load(file.as_ref()).unwrap();
+        let battery = excite::battery(&model, None, DEFAULT_RATE_HZ).unwrap();
+        for trial in &battery {
+            let own = as_run(trial, &[]);
+            let sent = |other: &&excite::Trial| {
+                let run = as_run(other, &[]);
+                let longer = run.duration_s() > own.duration_s() - 0.1;
+                longer && repeats::same_commands(&own, &run, small(trial))
+            };
+            let known: Vec<&str> = battery.iter().filter(sent).map(|t| t.name.as_str()).collect();
+            assert_eq!(known, [trial.name.as_str()]);
+        }
+    }
 
     #[test]
     fn a_known_weight_is_hung_where_a_mass_is_in_question_and_nothing_else_that_weighs() {

@@ -94,7 +94,7 @@ pub static COGGING: Effect = Effect {
         }
     },
     look_alikes: "parallel_spring encoder_gain stribeck_friction",
-    trial: "triangle_slow",
+    trial: "sweep_full",
     signature: "a torque that repeats with the angle, at any speed",
     ..OF_GEARS
 };
