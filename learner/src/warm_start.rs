@@ -41,7 +41,7 @@ pub fn warm_start(
     let mut values = net.to_vec()?;
     let least = least_std.ln();
     let log_std: Vec<f32> = file.metadata().log_std.iter().map(|x| x.max(least)).collect();
-    net.set_policy(&mut values, &padded(spec, contract.obs_dim()), &log_std).map_err(refuse)?;
+    net.set_policy(&mut values, &spec.widened(contract.obs_dim()), &log_std).map_err(refuse)?;
     net.copy_from_slice(&values).map_err(|error| refuse(error.to_string()))?;
     Ok(moments(spec, net.spec().seen_dim()))
 }
@@ -71,19 +71,6 @@ fn check(net: &ActorCritic, file: &PolicyFile, contract: &PolicyContract) -> Res
         ));
     }
     Ok(())
-}
-
-/// The first layer with columns of zeros for observations that the old task did not have.
-fn padded(spec: &MlpSpec, obs_dim: usize) -> MlpSpec {
-    let mut spec = spec.clone();
-    if let Some(first) = spec.layers.first_mut() {
-        let mut weight = vec![0.0; first.out * obs_dim];
-        for (to, from) in weight.chunks_mut(obs_dim).zip(first.weight.chunks(first.input)) {
-            to[..first.input].copy_from_slice(from);
-        }
-        (first.weight, first.input) = (weight, obs_dim);
-    }
-    spec
 }
 
 fn moments(spec: &MlpSpec, obs_dim: usize) -> Moments {

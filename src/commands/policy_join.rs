@@ -35,8 +35,10 @@ pub struct JoinArgs {
 
 pub fn join(args: &JoinArgs) -> Result<(), Failure> {
     let (low, high) = (files::policy(&args.low)?, files::policy(&args.high)?);
-    let index = index_of(&low, &args.on).ok_or_else(|| {
-        let terms = low.metadata().contract.observation.slices().iter();
+    // an observation may begin with the other's
+    let more = if low.spec().obs_dim() < high.spec().obs_dim() { &high } else { &low };
+    let index = index_of(more, &args.on).ok_or_else(|| {
+        let terms = more.metadata().contract.observation.slices().iter();
         let terms: Vec<String> = terms
             .filter_map(|s| match s.len {
                 1 => Some(s.name.clone()),

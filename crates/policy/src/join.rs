@@ -18,7 +18,8 @@ const SHUT: f64 = 40.0;
 const LAYERS_LEAST: usize = 3;
 
 /// One plain perceptron that acts as `low` where entry `index` of the observation is below `at`, and as `high`
-/// above. It says of itself what `low` says.
+/// above. It says of itself what `low` says, but for two things: it observes what the one that observes more
+/// does (the other does not look at what it has not), and is for the commands that both are for.
 ///
 /// Both networks lie side by side. Of two more units in the first layer one is −1 below and large above, the
 /// other the reverse: the ends of ELU. In the second layer they push every unit of the network that is not to
@@ -35,10 +36,12 @@ pub fn join(
     index: usize,
     at: f32,
 ) -> Result<PolicyFile, PolicyError> {
-    let (a, b) = (low.spec(), high.spec());
+    let contract = contract(low, high);
+    let obs_dim = contract.obs_dim();
     if let Some(problem) = obstacle(low, high, index) {
         return Err(PolicyError::NotJoinable { problem });
     }
+    let (a, b) = (&low.spec().widened(obs_dim), &high.spec().widened(obs_dim));
     // of each entry the wider normaliser, so that neither network meets a cut that it was not trained with
     let (obs_mean, obs_std): (Vec<f32>, Vec<f32>) = (0..a.obs_dim())
         .map(|i| match a.obs_std[i] > b.obs_std[i] {
@@ -60,27 +63,44 @@ pub fn join(
     layers.push(summed(a, b));
     let spec = MlpSpec { obs_mean, obs_std, layers, ..a.clone() };
     let mut metadata = low.metadata().clone();
-    metadata.contract = contract(low, high);
+    metadata.contract = contract;
     metadata.env_steps = metadata.env_steps.saturating_add(high.metadata().env_steps);
     // of the one, not of both
     metadata.evaluation = None;
     PolicyFile::parse(Arc::from(build_onnx(&spec, &metadata)?))
 }
 
-/// The contract of `of`, with the IMU of `other` where it is older than the files that name theirs.
+/// The contract of `of`, with what may differ as it is of both: the IMU of `other` where this one is older than
+/// the files that name theirs, the longer observation where it begins with the other, the narrower commands.
 fn contract(of: &PolicyFile, other: &PolicyFile) -> PolicyContract {
-    let mut contract = of.metadata().contract.clone();
-    let imu = || other.metadata().contract.imu.clone();
-    contract.imu = contract.imu.take().or_else(imu);
+    let (mut contract, other) = (of.metadata().contract.clone(), &other.metadata().contract);
+    contract.imu = contract.imu.take().or_else(|| other.imu.clone());
+    if other.observation.slices().starts_with(contract.observation.slices()) {
+        contract.observation = other.observation.clone();
+    }
+    contract.afloat_above_m = contract.afloat_above_m.or(other.afloat_above_m);
+    let (own, theirs) = (&mut contract.command, &other.command);
+    for (own, theirs) in [
+        (&mut own.vx_mps, theirs.vx_mps),
+        (&mut own.vy_mps, theirs.vy_mps),
+        (&mut own.yaw_rate_radps, theirs.yaw_rate_radps),
+    ] {
+        *own = [own[0].max(theirs[0]), own[1].min(theirs[1])];
+    }
     contract
 }
 
 fn obstacle(low: &PolicyFile, high: &PolicyFile, index: usize) -> Option<&'static str> {
     let (a, b) = (low.spec(), high.spec());
-    if contract(low, high) != contract(high, low) {
+    let both = contract(low, high);
+    if both != contract(high, low) {
         return Some(
-            "their contracts differ: robot, joints, observation, action, clock and commands must agree",
+            "their contracts differ: robot, joints, observation, action and clock must agree",
         );
+    }
+    let command = &both.command;
+    if [command.vx_mps, command.vy_mps, command.yaw_rate_radps].iter().any(|r| r[0] > r[1]) {
+        return Some("there is no command that both are for");
     }
     if a.activation != Activation::Elu || b.activation != Activation::Elu {
         return Some("both must have ELU between their layers");
@@ -91,7 +111,7 @@ fn obstacle(low: &PolicyFile, high: &PolicyFile, index: usize) -> Option<&'stati
     if a.obs_clip != b.obs_clip {
         return Some("their normalisers cut observations off at different heights");
     }
-    (index >= a.obs_dim()).then_some("the value that is to choose is beyond the observation")
+    (index >= both.obs_dim()).then_some("the value that is to choose is beyond the observation")
 }
 
 /// The first layer of `spec` for observations that another normaliser has treated.

@@ -58,6 +58,23 @@ impl MlpSpec {
         self.obs_mean.len()
     }
 
+    /// The same network where observations of `obs_dim` values, at least as many as now, have more at their end:
+    /// it does not look at these.
+    #[must_use]
+    pub fn widened(&self, obs_dim: usize) -> Self {
+        let mut spec = self.clone();
+        spec.obs_mean.resize(obs_dim, 0.0);
+        spec.obs_std.resize(obs_dim, 1.0);
+        if let Some(first) = spec.layers.first_mut() {
+            let mut weight = vec![0.0; first.out * obs_dim];
+            for (to, from) in weight.chunks_mut(obs_dim).zip(first.weight.chunks(first.input)) {
+                to[..first.input].copy_from_slice(from);
+            }
+            (first.weight, first.input) = (weight, obs_dim);
+        }
+        spec
+    }
+
     /// Number of actions.
     pub fn act_dim(&self) -> usize {
         self.layers.last().map_or(0, |layer| layer.out)

@@ -1,6 +1,8 @@
 //! Two policies in one network.
 
-use super::{metadata, normals, stream};
+use caudata_task::ObservationLayout;
+
+use super::{FEET, metadata, normals, stream};
 use crate::{
     Activation, Dense, MlpSpec, PolicyError, PolicyFile, PolicyMetadata, build_onnx, evaluate_mlp,
     join,
@@ -13,8 +15,9 @@ const GRAVITY_Z: usize = 37;
 /// Random layers of 8 and as many units between them as asked.
 fn file(seed: u64, hidden: &[usize], metadata: &PolicyMetadata) -> PolicyFile {
     let mut stream = stream(seed);
+    let obs_dim = metadata.contract.obs_dim();
     let sizes: Vec<usize> =
-        [OBS_DIM].into_iter().chain(hidden.iter().copied()).chain([16]).collect();
+        [obs_dim].into_iter().chain(hidden.iter().copied()).chain([16]).collect();
     let layers = sizes.windows(2).map(|io| Dense {
         out: io[1],
         input: io[0],
@@ -23,8 +26,8 @@ fn file(seed: u64, hidden: &[usize], metadata: &PolicyMetadata) -> PolicyFile {
     });
     let spec = MlpSpec {
         layers: layers.collect(),
-        obs_mean: normals(&mut stream, OBS_DIM, 0.2),
-        obs_std: (0..OBS_DIM).map(|i| 0.4 + ((seed as usize + i) % 5) as f32 / 5.0).collect(),
+        obs_mean: normals(&mut stream, obs_dim, 0.2),
+        obs_std: (0..obs_dim).map(|i| 0.4 + ((seed as usize + i) % 5) as f32 / 5.0).collect(),
         obs_clip: Some(10.0),
         activation: Activation::Elu,
     };
@@ -53,6 +56,32 @@ fn below_it_is_the_one_and_above_the_other() {
         assert_eq!(joined.metadata().version, low.metadata().version);
         assert_eq!(joined.metadata().evaluation, None);
     }
+}
+
+/// A walker that knows nothing of water and a swimmer that observes the medium, either way round.
+#[test]
+fn who_observes_less_does_not_look_at_the_rest() {
+    let mut wet = metadata();
+    wet.contract.observation = ObservationLayout::new(16, &FEET.map(str::to_owned), true);
+    wet.contract.command.vx_mps = [-0.1, 0.9];
+    let (walker, swimmer) = (file(1, &[12, 9], &metadata()), file(2, &[12, 9], &wet));
+    let joined = join(&walker, &swimmer, OBS_DIM, 0.5).unwrap();
+    let mut obs = normals(&mut stream(3), OBS_DIM + 1, 1.0);
+    for medium in [0.0, 1.0] {
+        obs[OBS_DIM] = medium;
+        let want = match medium {
+            0.0 => actions(&walker, &obs[..OBS_DIM]),
+            _ => actions(&swimmer, &obs),
+        };
+        for (got, want) in actions(&joined, &obs).iter().zip(want) {
+            assert!((got - want).abs() < 2e-4, "{medium}: {got} {want}");
+        }
+    }
+    assert_eq!(joined.metadata().contract.command.vx_mps, [-0.1, 0.5]);
+    assert_eq!(joined.metadata().contract.observation, wet.contract.observation);
+    assert!(join(&swimmer, &walker, OBS_DIM, 0.5).is_ok());
+    wet.contract.command.vx_mps = [5.0, 6.0];
+    assert!(join(&walker, &file(2, &[12, 9], &wet), OBS_DIM, 0.5).is_err());
 }
 
 #[test]
