@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use caudata_config::{Config, ConfigArgs};
 use caudata_model::import::{self, ImportError, ImportOptions};
-use caudata_model::{BaseKind, ModelError, RobotModel};
+use caudata_model::{BaseKind, JointMotion, ModelError, RobotModel};
 use caudata_sim::{Engine, EngineConfig, InitialState, SimError, TerrainConfig};
 use caudata_studies::files;
 use caudata_task::{PolicyContract, TaskConfig};
@@ -406,8 +406,12 @@ fn print(model: &RobotModel, summary: &Summary<'_>) {
     }
     let row = |(index, name): (usize, &&str)| {
         let (lower, upper) = model.joint_limits_rad()[index];
-        let degrees = |x: f64| format!("{:.1}", x.to_degrees());
-        let angles = [model.nominal_pos_rad()[index], lower, upper].map(degrees);
+        let slides = model.joints()[model.actuated()[index]].motion == JointMotion::Slide;
+        let shown = |x: f64| match slides {
+            true => format!("{:.1} mm", 1e3 * x),
+            false => format!("{:.1}", x.to_degrees()),
+        };
+        let angles = [model.nominal_pos_rad()[index], lower, upper].map(shown);
         let gains = [summary.kp_nm_per_rad[index], summary.kd_nm_s_per_rad[index]];
         let own = vec![index.to_string(), (*name).to_owned()];
         let servo = vec![summary.servos[index].to_owned()];

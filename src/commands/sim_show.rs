@@ -377,9 +377,9 @@ fn draw(
         let com = model.centre_of_mass_m(&places);
         let forward = moment.base.rotate([1.0, 0.0, 0.0]);
         let extra = if turn { TAU * k as f64 / count as f64 } else { 0.0 };
-        let yaw = match heading.yaw_rad {
-            // From above a turn of the robot is to be seen: the picture does not turn with it.
-            Some(first_rad) if args.view == View::Top => first_rad,
+        let yaw = match args.view {
+            // From above it is to be seen where the robot faces: the picture does not turn with it.
+            View::Top => 0.0,
             _ => heading.follow(forward[1].atan2(forward[0])),
         };
         let camera = Camera::of_view(args.view, com, yaw + extra, args.distance)

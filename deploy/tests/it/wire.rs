@@ -273,7 +273,7 @@ fn the_program_stands_up_over_the_wire_and_lets_go() {
     assert!(volts.last().unwrap().unwrap() > 10.0);
 }
 
-/// `flat.onnx` while it is upright, `righting.onnx` from 60° on.
+/// `flat.onnx` while it is upright, `righting.onnx` from 73° on.
 fn gets_up() -> Vec<u8> {
     let [flat, righting] = ["flat", "righting"].map(|name| {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../policies");
@@ -282,7 +282,7 @@ fn gets_up() -> Vec<u8> {
     });
     let observation = &flat.metadata().contract.observation;
     let gravity_z = observation.slice("gravity").unwrap().start + 2;
-    let both = caudata_policy::join(&flat, &righting, gravity_z, -0.5).unwrap();
+    let both = caudata_policy::join(&flat, &righting, gravity_z, -0.3).unwrap();
     both.bytes().to_vec()
 }
 

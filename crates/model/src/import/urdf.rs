@@ -311,7 +311,10 @@ impl<'a> Reader<'a> {
         let range = e.first("limit").filter(|_| limited).map(|limit| {
             let mut end = |key: &str| limit.number(key, self.remarks).unwrap_or(0.0);
             let (low, high) = (end("lower"), end("upper"));
-            if low > high {
+            if high == -1.0 && (low == 0.0 || low == 1.0) {
+                let message = "`lower` above `upper` of -1 is Bullet's way to write no limit";
+                self.remarks.note_once(limit, message);
+            } else if low > high {
                 let message = format!(
                     "attribute `lower`: is {low}, above `upper`, {high}; a joint without limits is continuous"
                 );
@@ -321,7 +324,11 @@ impl<'a> Reader<'a> {
         });
         // as MuJoCo and Bullet have it: two ends that are the same, or none, are no limit
         let range = range.filter(|(low, high)| low < high);
-        let mut of = |tag: &str, key: &str| e.first(tag)?.not_negative(key, self.remarks);
+        // -1 is what some exporters write for no limit
+        let mut of = |tag: &str, key: &str| {
+            let element = e.first(tag).filter(|l| tag != "limit" || l.get(key) != Some("-1"))?;
+            element.not_negative(key, self.remarks)
+        };
         let effort = of("limit", "effort").filter(|t| *t > 0.0);
         let speed = of("limit", "velocity").filter(|v| *v > 0.0);
         let damping = of("dynamics", "damping").unwrap_or(0.0);

@@ -263,6 +263,14 @@ fn slips_in_an_mjcf_are_refused_once_each_where_they_stand() {
 fn slips_in_a_urdf_are_refused_where_they_stand() {
     let right = quadruped();
     assert!(read("right.urdf", &right).is_ok());
+    // ways to write no limit
+    for (from, to) in [
+        ("lower=\"-1.57\" upper=\"1.57\"", "lower=\"0\" upper=\"-1\""),
+        ("effort=\"1.5\" velocity=\"6\"", "effort=\"-1\" velocity=\"-1\""),
+    ] {
+        assert!(right.contains(from), "{right}");
+        assert!(read("unlimited.urdf", &right.replacen(from, to, 1)).is_ok(), "{to}");
+    }
     for (from, to, wanted) in [
         (
             "radius=",
