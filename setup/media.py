@@ -99,6 +99,15 @@ def draw(name, flags):
     caudata("sim", "show", "--out", MEDIA / name, *flags.split(), *animated)
 
 
+def getting_up():
+    """An episode that begins with a throw, of the policy that does everything."""
+    with tempfile.TemporaryDirectory() as work:
+        caudata("eval", "policies/everything.onnx", "--preset", "amphibious", "--suite", "righting", "--episodes", "1",
+                "--seconds", "4", "--seed", "5", "--log", work)
+        caudata("sim", "show", "--log", f"{work}/on_its_feet_again", "--out", MEDIA / "up.gif", "--view", "side",
+                "--distance", "1.5", "--width", "320", "--fps", "8")
+
+
 def caudata(*args):
     subprocess.run([CAUDATA, *args], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
 
@@ -145,6 +154,7 @@ def live_page(program):
 def main():
     for name, flags in DRAWN.items():
         draw(name, flags)
+    getting_up()
     program = next((found for found in map(shutil.which, BROWSERS) if found), None)
     if program:
         diagnosis(program)
