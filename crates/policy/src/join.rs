@@ -95,7 +95,7 @@ fn obstacle(low: &PolicyFile, high: &PolicyFile, index: usize) -> Option<&'stati
     let both = contract(low, high);
     if both != contract(high, low) {
         return Some(
-            "their contracts differ: robot, joints, observation, action and clock must agree",
+            "their contracts differ: robot, joints, action and clock must agree, and one observation begin with the other",
         );
     }
     let command = &both.command;

@@ -109,7 +109,7 @@ fn note(
         kind: "range".to_owned(),
         location: joint.to_owned(),
         detail: format!(
-            "reaches {reached}, past the end stop of the robot file ({low:.2} to {high:.2} rad), which the simulated robot does not: range or zero of the file are wrong. It is simulated without this stop, and so is the extended robot"
+            "reaches {reached}, past the end stop of the robot file ({low:.2} to {high:.2} rad), which the simulated robot does not: range or zero of the file, or the encoder, are wrong. It is simulated without this stop, and so is the extended robot"
         ),
         fatal: false,
     }

@@ -308,26 +308,12 @@ impl<'a> Reader<'a> {
         if e.first("mimic").is_some() {
             self.remarks.note_of(e, "<mimic> is not simulated; the joint has a drive of its own");
         }
-        let range = e.first("limit").filter(|_| limited).map(|limit| {
-            let mut end = |key: &str| limit.number(key, self.remarks).unwrap_or(0.0);
-            let (low, high) = (end("lower"), end("upper"));
-            if high == -1.0 && (low == 0.0 || low == 1.0) {
-                let message = "`lower` above `upper` of -1 is Bullet's way to write no limit";
-                self.remarks.note_once(limit, message);
-            } else if low > high {
-                let message = format!(
-                    "attribute `lower`: is {low}, above `upper`, {high}; a joint without limits is continuous"
-                );
-                self.remarks.refuse_of(limit, message);
-            }
-            (low, high)
-        });
-        // as MuJoCo and Bullet have it: two ends that are the same, or none, are no limit
-        let range = range.filter(|(low, high)| low < high);
-        // -1 is what some exporters write for no limit
+        let range = e.first("limit").filter(|_| limited).and_then(|limit| self.range(limit));
         let mut of = |tag: &str, key: &str| {
-            let element = e.first(tag).filter(|l| tag != "limit" || l.get(key) != Some("-1"))?;
-            element.not_negative(key, self.remarks)
+            let element = e.first(tag)?;
+            // what some exporters write for no limit
+            let none = element.get(key).and_then(|t| t.trim().parse().ok()) == Some(-1.0);
+            if tag == "limit" && none { None } else { element.not_negative(key, self.remarks) }
         };
         let effort = of("limit", "effort").filter(|t| *t > 0.0);
         let speed = of("limit", "velocity").filter(|v| *v > 0.0);
@@ -356,6 +342,23 @@ impl<'a> Reader<'a> {
             force_limit: effort,
             element: e.clone(),
         })
+    }
+
+    /// As MuJoCo and Bullet have it: two ends that are the same, or none, are no limit.
+    fn range(&mut self, limit: &Element) -> Option<(f64, f64)> {
+        let mut end = |key: &str| limit.number(key, self.remarks).unwrap_or(0.0);
+        let (low, high) = (end("lower"), end("upper"));
+        let written = ["lower", "upper"].iter().all(|key| limit.get(key).is_some());
+        if high == -1.0 && (low == 0.0 || low == 1.0) {
+            let message = "`lower` above `upper` of -1 is Bullet's way to write no limit";
+            self.remarks.note_once(limit, message);
+        } else if low > high && written {
+            let message = format!(
+                "attribute `lower`: is {low}, above `upper`, {high}; a joint without limits is continuous"
+            );
+            self.remarks.refuse_of(limit, message);
+        }
+        (low < high).then_some((low, high))
     }
 
     /// `<origin xyz rpy>`: turned about fixed axes, x first.
@@ -397,8 +400,9 @@ impl<'a> Reader<'a> {
         let geometry = e.first("geometry")?.children.first()?.clone();
         let number = |key: &str, remarks: &mut Remarks| {
             let found = geometry.not_negative(key, remarks);
-            if found.is_none_or(|x| x == 0.0) && collides {
-                remarks.note_of(&geometry, format!("has no {key}; the shape is left out"));
+            if collides && (found == Some(0.0) || geometry.get(key).is_none()) {
+                let message = format!("has no {key} above 0; the shape is left out");
+                remarks.note_of(&geometry, message);
             }
             found.filter(|x| *x > 0.0)
         };

@@ -266,7 +266,8 @@ fn slips_in_a_urdf_are_refused_where_they_stand() {
     // ways to write no limit
     for (from, to) in [
         ("lower=\"-1.57\" upper=\"1.57\"", "lower=\"0\" upper=\"-1\""),
-        ("effort=\"1.5\" velocity=\"6\"", "effort=\"-1\" velocity=\"-1\""),
+        ("effort=\"1.5\" velocity=\"6\"", "effort=\"-1\" velocity=\"-1.0\""),
+        ("lower=\"-1.57\" upper=\"1.57\"", "lower=\"0.5\""),
     ] {
         assert!(right.contains(from), "{right}");
         assert!(read("unlimited.urdf", &right.replacen(from, to, 1)).is_ok(), "{to}");
