@@ -1,6 +1,8 @@
 //! End stops of the robot file that measured angles pass. There the file is wrong whatever else is, and nothing is
 //! to make up for it: such a stop is simulated nowhere.
 
+use caudata_model::JointMotion;
+
 use crate::effects::{Domain, PASSED_STOP, Place};
 use crate::error::GapError;
 use crate::replay::{Data, Replayer, Term};
@@ -11,8 +13,8 @@ use crate::trial::{Kind, Trial};
 const GIVES_WAY: f64 = 0.01;
 /// So many samples are no slip of the encoder.
 const SAMPLES: usize = 5;
-/// Farther than any stop, rad.
-const FAR_RAD: f64 = 10.0;
+/// Farther than any stop, rad or m.
+const FAR: f64 = 10.0;
 
 /// Stops of a joint that are passed.
 #[derive(Debug, Clone)]
@@ -23,7 +25,7 @@ pub struct Passed {
     pub note: DataFault,
 }
 
-/// How far angles go beyond the two stops of each joint: the farthest few samples, rad; below 0: not at all.
+/// How far angles go beyond the two stops of each joint: the farthest few samples, rad or m; below 0: not at all.
 struct Beyond(Vec<[Vec<f64>; 2]>);
 
 impl Beyond {
@@ -75,12 +77,16 @@ pub fn find(replayer: &Replayer, data: &Data) -> Result<Vec<Passed>, GapError> {
         .map(|a| {
             let sides = [0, 1].map(|s| passed(a, s));
             let name = model.actuated_names()[a].to_owned();
+            let unit = match model.joints()[model.actuated()[a]].motion {
+                JointMotion::Hinge => "rad",
+                JointMotion::Slide => "m",
+            };
             Passed {
-                note: note(&name, limits[a], sides, |s| measured.at(a, s, 0)),
+                note: note(&name, unit, limits[a], sides, |s| measured.at(a, s, 0)),
                 term: Term {
                     effect: &PASSED_STOP,
                     place: Place { domain: Domain::Joints, items: vec![a], names: vec![name] },
-                    values: sides.map(|out| if out { FAR_RAD } else { 0.0 }).to_vec(),
+                    values: sides.map(|out| if out { FAR } else { 0.0 }).to_vec(),
                 },
             }
         })
@@ -96,20 +102,21 @@ fn limits(replayer: &Replayer, trial: &Trial) -> Vec<(f64, f64)> {
 
 fn note(
     joint: &str,
+    unit: &str,
     (low, high): (f64, f64),
     sides: [bool; 2],
     over: impl Fn(usize) -> f64,
 ) -> DataFault {
     let reached = match sides {
-        [true, false] => format!("{:.2} rad", low - over(0)),
-        [false, true] => format!("{:.2} rad", high + over(1)),
-        _ => format!("{:.2} and {:.2} rad", low - over(0), high + over(1)),
+        [true, false] => format!("{:.2} {unit}", low - over(0)),
+        [false, true] => format!("{:.2} {unit}", high + over(1)),
+        _ => format!("{:.2} and {:.2} {unit}", low - over(0), high + over(1)),
     };
     DataFault {
         kind: "range".to_owned(),
         location: joint.to_owned(),
         detail: format!(
-            "reaches {reached}, past the end stop of the robot file ({low:.2} to {high:.2} rad), which the simulated robot does not: range or zero of the file, or the encoder, are wrong. It is simulated without this stop, and so is the extended robot"
+            "reaches {reached}, past the end stop of the robot file ({low:.2} to {high:.2} {unit}), which the simulated robot does not: range or zero of the file, or the encoder, are wrong. It is simulated without this stop, and so is the extended robot"
         ),
         fatal: false,
     }
