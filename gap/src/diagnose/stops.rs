@@ -14,7 +14,7 @@ const GIVES_WAY: f64 = 0.01;
 /// So many samples are no slip of the encoder.
 const SAMPLES: usize = 5;
 /// Farther than any stop, rad or m.
-const FAR: f64 = 10.0;
+const FARTHER: f64 = 10.0;
 
 /// Stops of a joint that are passed.
 #[derive(Debug, Clone)]
@@ -86,7 +86,7 @@ pub fn find(replayer: &Replayer, data: &Data) -> Result<Vec<Passed>, GapError> {
                 term: Term {
                     effect: &PASSED_STOP,
                     place: Place { domain: Domain::Joints, items: vec![a], names: vec![name] },
-                    values: sides.map(|out| if out { FAR } else { 0.0 }).to_vec(),
+                    values: sides.map(|out| if out { FARTHER } else { 0.0 }).to_vec(),
                 },
             }
         })
