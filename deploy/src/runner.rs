@@ -3,6 +3,7 @@
 use caudata_policy::Inference;
 use caudata_task::action::{ActionConfig, ActionFilter};
 use caudata_task::observation::{ObservationInput, Observer};
+use caudata_task::past::Recall;
 use caudata_task::phase::{PhaseClock, PhaseConfig};
 use caudata_task::{ACTION_HISTORY, COMMAND_DIM, JointTable, PerFoot, PerJoint};
 
@@ -36,6 +37,9 @@ pub struct PolicyRunner {
     /// Clipped, newest first.
     actions: [PerJoint; ACTION_HISTORY],
     obs: Vec<f32>,
+    recall: Recall,
+    /// Earlier observations, as far as the policy sees them.
+    memory: Vec<f32>,
 }
 
 /// What the policy sees of one moment.
@@ -66,6 +70,7 @@ impl PolicyRunner {
             .ok_or(DeployError::Internal { what: "a verified policy lacks joints".to_owned() })?;
         let [low_hz, high_hz] = contract.phase.frequency_hz;
         let command = &contract.command;
+        let recall = Recall::new(&contract.observation);
         let phase_rad = carry_on.map_or(0.0, PhaseClock::phase_rad);
         Ok(Self {
             observer: contract
@@ -82,6 +87,8 @@ impl PolicyRunner {
             filter: ActionFilter::new(joints.len()),
             actions: [PerJoint::filled(joints.len(), 0.0); ACTION_HISTORY],
             obs: vec![0.0; contract.obs_dim()],
+            memory: vec![0.0; recall.memory_len()],
+            recall,
             policy: verified.policy,
             proved: verified.proved,
             inference: verified.inference,
@@ -116,7 +123,7 @@ impl PolicyRunner {
         std::array::from_fn(|i| wanted[i].max(self.ranges[i][0]).min(self.ranges[i][1]))
     }
 
-    /// Begins anew: no past actions, filter at rest. The gait clock goes on.
+    /// Begins anew: no past actions and observations, filter at rest. The gait clock goes on.
     pub fn forget(&mut self) {
         let joints = self.joints.len();
         self.fresh = true;
@@ -152,7 +159,11 @@ impl PolicyRunner {
         };
         let mut action = PerJoint::filled(self.joints.len(), 0.0);
         let fresh = std::mem::take(&mut self.fresh);
-        if let Err(error) = self.observer.write(&observation, None, fresh, &mut self.obs) {
+        let (observer, seen) = (&mut self.observer, &mut self.obs);
+        let present = self.recall.present_dim();
+        let written = observer.write(&observation, None, fresh, &mut seen[..present]);
+        let written = written.and_then(|()| self.recall.write(fresh, seen, &mut self.memory));
+        if let Err(error) = written {
             tracing::error!(%error, "no observation");
             return None;
         }

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use caudata_policy::{MlpSpec, PolicyFile};
-use caudata_task::PolicyContract;
+use caudata_task::{ObservationLayout, PolicyContract};
 
 use crate::LearnerError;
 use crate::network::ActorCritic;
@@ -20,7 +20,8 @@ const OBSERVATIONS: u64 = 200_000;
 /// Gives `net` the actor of the policy file at `path`, and answers its normaliser as moments. Its action
 /// noise becomes at least `least_std`.
 ///
-/// The old task may lack observations that the new one appends (the medium bit): they begin with weight zero.
+/// The old task may lack observations that the new one appends (the medium bit, earlier observations): they begin
+/// with weight zero.
 ///
 /// # Errors
 /// [`LearnerError::Read`] when the file cannot be read, [`LearnerError::Policy`] when it is no policy,
@@ -43,7 +44,7 @@ pub fn warm_start(
     let log_std: Vec<f32> = file.metadata().log_std.iter().map(|x| x.max(least)).collect();
     net.set_policy(&mut values, &spec.widened(contract.obs_dim()), &log_std).map_err(refuse)?;
     net.copy_from_slice(&values).map_err(|error| refuse(error.to_string()))?;
-    Ok(moments(spec, net.spec().seen_dim()))
+    Ok(moments(spec, net.spec().seen_dim(), &contract.observation))
 }
 
 fn check(net: &ActorCritic, file: &PolicyFile, contract: &PolicyContract) -> Result<(), String> {
@@ -51,8 +52,7 @@ fn check(net: &ActorCritic, file: &PolicyFile, contract: &PolicyContract) -> Res
     if theirs.joint_names != contract.joint_names {
         return Err("it is for other joints, or another order of them".to_owned());
     }
-    let parts = theirs.observation.slices();
-    if !contract.observation.slices().starts_with(parts) {
+    if !contract.observation.begins_with(&theirs.observation) {
         return Err("its observation is no beginning of this task's".to_owned());
     }
     let wanted = net.spec().activation;
@@ -73,13 +73,20 @@ fn check(net: &ActorCritic, file: &PolicyFile, contract: &PolicyContract) -> Res
     Ok(())
 }
 
-fn moments(spec: &MlpSpec, obs_dim: usize) -> Moments {
-    let mut moments = Moments::new(obs_dim);
+/// Those of `spec`; of an earlier observation that it does not know those of the present one.
+fn moments(spec: &MlpSpec, seen_dim: usize, layout: &ObservationLayout) -> Moments {
+    let mut moments = Moments::new(seen_dim);
     moments.count = OBSERVATIONS;
     moments.m2.fill(OBSERVATIONS as f64);
-    for (d, (&mean, &std)) in spec.obs_mean.iter().zip(&spec.obs_std).enumerate() {
-        moments.mean[d] = f64::from(mean);
-        moments.m2[d] = f64::from(std).powi(2) * OBSERVATIONS as f64;
+    let recalled: Vec<usize> = layout.recalled().flatten().collect();
+    let earlier = layout.past().iter().flat_map(|_| &recalled);
+    let like = (0..layout.present_dim()).chain(earlier.copied());
+    for (d, like) in like.enumerate() {
+        let from = if d < spec.obs_dim() { d } else { like };
+        if let (Some(&mean), Some(&std)) = (spec.obs_mean.get(from), spec.obs_std.get(from)) {
+            moments.mean[d] = f64::from(mean);
+            moments.m2[d] = f64::from(std).powi(2) * OBSERVATIONS as f64;
+        }
     }
     moments
 }
@@ -96,10 +103,12 @@ mod tests {
     use caudata_task::mirror::SignedPermutation;
     use tch::{Device, Kind, Tensor};
 
-    fn contract(observe_medium: bool) -> PolicyContract {
+    /// An amphibious task also looks back.
+    fn contract(amphibious: bool) -> PolicyContract {
         let robot = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robots/polymander.robot.toml");
         let model = RobotModel::load(&robot).unwrap();
-        let task = TaskConfig { observe_medium, ..TaskConfig::default() };
+        let mut task = TaskConfig { observe_medium: amphibious, ..TaskConfig::default() };
+        task.observation.past = if amphibious { vec![2] } else { Vec::new() };
         PolicyContract::new(&model, &task).unwrap()
     }
 
@@ -146,20 +155,23 @@ mod tests {
         let (path, old) = old_policy(dir.path());
         let amphibious = contract(true);
         let net = network(&amphibious, vec![12, 10], 2);
-        let value_before = net.value().forward(&Tensor::ones([1, 98], (Kind::Float, Device::Cpu)));
+        // 97 and the medium bit; of earlier 3 · 16 + 6, and that bit
+        let ones = |n: i64| Tensor::ones([1, n], (Kind::Float, Device::Cpu));
+        let value_before = net.value().forward(&ones(153));
         let moments = warm_start(&net, &path, 0.0, &amphibious).unwrap();
 
         let scaling = moments.scaling(10.0);
-        assert!(scaling.mean[..97].iter().all(|&m| (m - 1.0).abs() < 1e-6));
-        assert!(scaling.std[..97].iter().all(|&s| (s - 2.0).abs() < 1e-5));
-        assert_eq!((scaling.mean[97], scaling.std[97]), (0.0, 1.0));
-
+        for i in 0..153 {
+            let expected = if i == 97 || i == 152 { [0.0, 1.0] } else { [1.0, 2.0] };
+            assert!((scaling.mean[i] - expected[0]).abs() < 1e-6, "{i}");
+            assert!((scaling.std[i] - expected[1]).abs() < 1e-5, "{i}");
+        }
         let x = Tensor::from_slice(&[0.3_f32; 97]).view([1, 97]);
-        let wet = Tensor::cat(&[&x, &Tensor::ones([1, 1], (Kind::Float, Device::Cpu))], 1);
+        let wet = Tensor::cat(&[&x, &ones(56)], 1);
         let gap = |a: &Tensor, b: &Tensor| (a - b).abs().max().double_value(&[]);
         assert!(gap(&old.policy().forward(&x), &net.policy().forward(&wet)) < 1e-6);
         assert!(gap(&old.log_std(), &net.log_std()) < 1e-5);
-        let value = net.value().forward(&Tensor::ones([1, 98], (Kind::Float, Device::Cpu)));
+        let value = net.value().forward(&ones(153));
         assert_eq!(gap(&value, &value_before), 0.0);
     }
 

@@ -75,8 +75,7 @@ pub fn fits(config: &Config) -> Result<(), Failure> {
 fn begins_with(path: &Path, contract: &PolicyContract) -> Result<(), Failure> {
     let policy = files::policy(path)?;
     let theirs = &policy.metadata().contract;
-    let parts = theirs.observation.slices();
-    let what = match contract.observation.slices().starts_with(parts) {
+    let what = match contract.observation.begins_with(&theirs.observation) {
         _ if theirs.joint_names != contract.joint_names => {
             "is for other joints, or another order of them"
         }

@@ -218,8 +218,8 @@ fn show_joints(policy: &PolicyFile) {
 }
 
 fn show_layout(policy: &PolicyFile) {
-    let slices = policy.metadata().contract.observation.slices();
-    let rows = slices.iter().map(|slice| {
+    let layout = &policy.metadata().contract.observation;
+    let rows = layout.slices().iter().map(|slice| {
         vec![
             slice.start.to_string(),
             slice.len.to_string(),
@@ -229,6 +229,14 @@ fn show_layout(policy: &PolicyFile) {
         ]
     });
     say::table(&["start", "size", "observation", "unit", "frame"], rows);
+    let [present, all] = [layout.present_dim(), layout.dim()];
+    if present < all {
+        say::line(format!(
+            "{present} to {}: the same {:?} control steps ago, without phase and command",
+            all - 1,
+            layout.past()
+        ));
+    }
 }
 
 fn pull(

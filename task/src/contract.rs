@@ -279,6 +279,7 @@ impl PolicyContract {
         }
         let terms = self.observation.terms();
         let known = ObservationLayout::of(&terms, &self.joint_names, &self.phase.feet);
+        let known = known.and_then(|known| known.with_past(self.observation.past()));
         if !known.is_ok_and(|known| known == self.observation) {
             let reason =
                 "is not a layout that this version knows for these joints and feet".to_owned();

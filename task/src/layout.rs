@@ -10,6 +10,10 @@ use crate::{ACTION_HISTORY, COMMAND_DIM, TaskError};
 
 /// Most control steps that a term may hold.
 pub const HISTORY_MAX: u32 = 16;
+/// Most earlier observations that a policy sees.
+const PAST_MAX: usize = 16;
+/// Most control steps that it looks back.
+const AGE_MAX: u32 = 64;
 
 named! {
     /// The observation terms that are functions here; any other is an expression.
@@ -120,11 +124,14 @@ pub struct Wanted<'a> {
     pub history: Option<u32>,
 }
 
-/// The observation's slices, in order and without gaps.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// The observation's slices, in order and without gaps, and behind them those of earlier control steps.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ObservationLayout {
     slices: Vec<Slice>,
+    /// How many control steps ago each earlier observation was, ascending.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    past: Vec<u32>,
 }
 
 impl ObservationLayout {
@@ -132,7 +139,7 @@ impl ObservationLayout {
     /// amphibious tasks where `medium` asks for it.
     pub fn new(joints: usize, feet: &[String], medium: bool) -> Self {
         let parts = Part::ALL.into_iter().filter(|&part| medium || part != Part::Medium);
-        let mut layout = Self { slices: Vec::new() };
+        let mut layout = Self::default();
         for part in parts {
             layout.push_part(part, None, joints, feet);
         }
@@ -144,7 +151,7 @@ impl ObservationLayout {
     /// # Errors
     /// [`TaskError::Term`] for a term that is unknown, or whose expression or history is wrong.
     pub fn of(terms: &[Wanted<'_>], joints: &[String], feet: &[String]) -> Result<Self, TaskError> {
-        let mut layout = Self { slices: Vec::new() };
+        let mut layout = Self::default();
         for term in terms {
             let wrong =
                 |reason: String| TaskError::term("task.observation.term", term.name, reason);
@@ -168,7 +175,7 @@ impl ObservationLayout {
                 }
             }
         }
-        match layout.dim() {
+        match layout.present_dim() {
             0 => Err(TaskError::term("task.observation", "term", "gives no value".to_owned())),
             _ => Ok(layout),
         }
@@ -177,7 +184,7 @@ impl ObservationLayout {
     fn push_part(&mut self, part: Part, history: Option<u32>, joints: usize, feet: &[String]) {
         let mut slice = Slice {
             name: part.name().to_owned(),
-            start: self.dim(),
+            start: self.present_dim(),
             len: 0,
             unit: part.unit().to_owned(),
             frame: part.frame(feet),
@@ -202,7 +209,7 @@ impl ObservationLayout {
         let program = expression::compile(value, Names { joints, feet })?;
         self.slices.push(Slice {
             name: term.name.to_owned(),
-            start: self.dim(),
+            start: self.present_dim(),
             len: program.len() * term.history.unwrap_or(1) as usize,
             unit: program.unit().unwrap_or(Unit::ONE).to_string(),
             frame: program.shape().name().to_owned(),
@@ -210,6 +217,35 @@ impl ObservationLayout {
             history: term.history,
         });
         Ok(())
+    }
+
+    /// The same with observations of so many control steps ago behind it (see [`Self::recalled`]).
+    ///
+    /// # Errors
+    /// [`TaskError::Term`] where these are not ascending, too many or too long ago.
+    pub fn with_past(self, past: &[u32]) -> Result<Self, TaskError> {
+        check_past(past)?;
+        Ok(Self { past: past.to_vec(), ..self })
+    }
+
+    /// How many control steps ago each earlier observation was, ascending.
+    pub fn past(&self) -> &[u32] {
+        &self.past
+    }
+
+    /// What an observation has of an earlier one: the newest of each term, without clock and command, of which the
+    /// present ones tell.
+    pub fn recalled(&self) -> impl Iterator<Item = Range<usize>> {
+        let repeats = [Part::Phase, Part::Command].map(Part::name);
+        let kept = move |s: &&Slice| s.value.is_some() || !repeats.contains(&s.name.as_str());
+        self.slices.iter().filter(kept).map(|s| s.start..s.start + s.width())
+    }
+
+    /// Whether observations of `other` are the first values of those of this layout.
+    pub fn begins_with(&self, other: &Self) -> bool {
+        let alike = self.slices.len() == other.slices.len();
+        self.slices.starts_with(&other.slices)
+            && (other.past.is_empty() || alike && self.past.starts_with(&other.past))
     }
 
     /// The terms that it is made of.
@@ -238,10 +274,27 @@ impl ObservationLayout {
         self.slices.iter().find(|s| s.name == name)
     }
 
-    /// Number of values in an observation.
+    /// Number of values in an observation, what it has of earlier ones included.
     pub fn dim(&self) -> usize {
+        let recalled: usize = self.recalled().map(|range| range.len()).sum();
+        self.present_dim() + self.past.len() * recalled
+    }
+
+    /// Number of values that are of the present.
+    pub fn present_dim(&self) -> usize {
         self.slices.iter().map(|s| s.len).sum()
     }
+}
+
+/// Refuses ages that are not ascending, too many or too long ago: they bound a robot's memory.
+pub(crate) fn check_past(ages: &[u32]) -> Result<(), TaskError> {
+    let ascending = ages.windows(2).all(|pair| pair[0] < pair[1]);
+    let within = ages.iter().all(|age| (1..=AGE_MAX).contains(age));
+    if ascending && within && ages.len() <= PAST_MAX {
+        return Ok(());
+    }
+    let reason = format!("must be at most {PAST_MAX} ascending numbers of 1 to {AGE_MAX}");
+    Err(TaskError::term("task.observation", "past", reason))
 }
 
 #[cfg(test)]

@@ -24,6 +24,7 @@ pub mod layout;
 pub mod mirror;
 pub mod noise;
 pub mod observation;
+pub mod past;
 pub mod phase;
 pub mod push;
 pub mod randomise;

@@ -68,6 +68,14 @@ impl SignedPermutation {
         all
     }
 
+    /// What it does to the values `kept` of a row, ascending, which it exchanges among themselves.
+    fn of_part(&self, kept: &[usize]) -> Self {
+        Self {
+            source: kept.iter().map(|&i| kept.partition_point(|&k| k < self.source[i])).collect(),
+            sign: kept.iter().map(|&i| self.sign[i]).collect(),
+        }
+    }
+
     /// The mirror image of `values`, which must have the permutation's length.
     pub fn apply(&self, values: &[f32]) -> Vec<f32> {
         let pairs = self.source.iter().zip(&self.sign);
@@ -115,7 +123,7 @@ impl Mirror {
         let action = joints(model, &at_nominal)?;
         let feet_names: Vec<String> = model.feet().iter().map(|f| f.name.clone()).collect();
         let usual = |medium| ObservationLayout::new(action.source.len(), &feet_names, medium);
-        if *layout != usual(false) && *layout != usual(true) {
+        if [false, true].iter().all(|&medium| layout.slices() != usual(medium).slices()) {
             return Err(TaskError::term(
                 "task.observation",
                 "term",
@@ -123,7 +131,7 @@ impl Mirror {
                     .to_owned(),
             ));
         }
-        let mut observation = SignedPermutation::identity(layout.dim());
+        let mut observation = SignedPermutation::identity(layout.present_dim());
         let start = |part| layout.range(part).start;
         observation.place(start(Part::JointVel), &action);
         observation.place(start(Part::JointPos), &action);
@@ -148,6 +156,10 @@ impl Mirror {
                 observation.source[phase + 2 * foot + part] = phase + 2 * other + part;
             }
         }
+        let recalled: Vec<usize> = layout.recalled().flatten().collect();
+        let earlier = observation.of_part(&recalled);
+        let observation =
+            layout.past().iter().fold(observation, |all, _| all.followed_by(&earlier));
         Ok(Self { observation, action, feet })
     }
 }
@@ -215,6 +227,7 @@ fn no_counterpart(model: &RobotModel, part: &str) -> TaskError {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::past::Recall;
     use std::path::Path;
 
     fn layout(medium: bool) -> ObservationLayout {
@@ -277,12 +290,21 @@ mod tests {
             let model = RobotModel::load(&file).unwrap();
             let names: Vec<String> = model.feet().iter().map(|f| f.name.clone()).collect();
             let layout = ObservationLayout::new(model.actuated().len(), &names, false);
+            let layout = layout.with_past(&[1, 3]).unwrap();
             let mirror = Mirror::new(&model, &layout).unwrap();
             assert_eq!(mirror.feet, feet, "{name}");
             let seen: Vec<f32> = (0..layout.dim()).map(|i| i as f32 + 1.0).collect();
             let image = mirror.observation.apply(&seen);
             assert_ne!(image, seen, "{name}");
             assert_eq!(mirror.observation.apply(&image), seen, "{name}");
+            // what was seen earlier is mirrored as what is seen now
+            let recall = Recall::new(&layout);
+            let mut memory = vec![0.0; recall.memory_len()];
+            let [seen, image] = [seen, image].map(|mut row| {
+                recall.write(true, &mut row, &mut memory).unwrap();
+                row
+            });
+            assert_eq!(mirror.observation.apply(&seen), image, "{name}");
         }
     }
 

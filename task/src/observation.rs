@@ -5,7 +5,7 @@ use std::ops::Range;
 use serde::{Deserialize, Serialize};
 
 use crate::expression::{self, Names, Program, Signal, Source};
-use crate::layout::{ObservationLayout, Part, Wanted};
+use crate::layout::{ObservationLayout, Part, Wanted, check_past};
 use crate::{ACTION_HISTORY, COMMAND_DIM, JointTable, PerFoot, PerJoint, TaskError};
 
 /// Table `[task.observation]`: what the policy sees.
@@ -15,6 +15,11 @@ pub struct ObservationConfig {
     /// The terms, in order. Default none, which stands for the standard observation: joint_vel,
     /// joint_pos_offset, gyro, gravity, phase, command, actions, and with `task.observe_medium` medium.
     pub term: Vec<ObservationTerm>,
+    /// How many control steps ago earlier observations were that the policy sees behind the present one:
+    /// ascending, at most 16, each 1 to 64, such as `[2, 4, 6]`. Default none. Of each it sees the newest of every
+    /// term but `phase` and `command`, which follow from the present. Weight, grip and delay show over time only; the
+    /// networks grow with what they see. At a start the first observation stands for earlier ones.
+    pub past: Vec<u32>,
 }
 
 /// Table `[[task.observation.term]]`: one term of an observation of one's own.
@@ -57,7 +62,7 @@ impl ObservationConfig {
                 }
             }
         }
-        Ok(())
+        check_past(&self.past)
     }
 
     /// The layout for a robot with these joints and feet.
@@ -70,9 +75,6 @@ impl ObservationConfig {
         feet: &[String],
         medium: bool,
     ) -> Result<ObservationLayout, TaskError> {
-        if self.term.is_empty() {
-            return Ok(ObservationLayout::new(joints.len(), feet, medium));
-        }
         let wanted = |term| {
             let ObservationTerm { name, value, history, .. }: &ObservationTerm = term;
             Wanted {
@@ -82,7 +84,11 @@ impl ObservationConfig {
             }
         };
         let wanted: Vec<Wanted<'_>> = self.term.iter().map(wanted).collect();
-        ObservationLayout::of(&wanted, joints, feet)
+        let layout = match wanted.is_empty() {
+            true => ObservationLayout::new(joints.len(), feet, medium),
+            false => ObservationLayout::of(&wanted, joints, feet)?,
+        };
+        layout.with_past(&self.past)
     }
 }
 
@@ -95,7 +101,7 @@ impl From<&ObservationLayout> for ObservationConfig {
             history: wanted.history.unwrap_or_default(),
             noise_std: 0.0,
         };
-        Self { term: layout.terms().into_iter().map(term).collect() }
+        Self { term: layout.terms().into_iter().map(term).collect(), past: layout.past().to_vec() }
     }
 }
 
@@ -161,7 +167,7 @@ impl Observer {
         }
         Ok(Self {
             terms,
-            dim: layout.dim(),
+            dim: layout.present_dim(),
             joints: *joints,
             phases: names.feet.len().max(1),
             feet: names.feet.len(),
@@ -186,7 +192,7 @@ impl Observer {
         Ok(())
     }
 
-    /// Writes the observation into `out`, which holds the one before it: terms with a history keep it there.
+    /// Writes the present observation into `out`, which holds the one before it: terms with a history keep it there.
     /// `fresh`: there is none before, the newest values stand for all of the history. `truth` gives what only
     /// the simulation knows.
     ///
@@ -450,6 +456,7 @@ mod tests {
                 value: "foot_height".into(),
                 ..ObservationTerm::default()
             }],
+            ..ObservationConfig::default()
         };
         let (joint_names, feet) = names();
         let layout = config.layout(&joint_names, &feet, false).unwrap();

@@ -41,7 +41,7 @@ impl VecEnv {
             previous_actions: &now.actions,
             medium: Some(truth.afloat),
         };
-        let out = &mut self.observations[lane * dim..][..dim];
+        let out = &mut self.observations[lane * dim..][..self.recall.present_dim()];
         let more = self.critic.dim();
         if self.sees_truth || more > 0 {
             let (task, joints, body) = (&self.task, &self.joints, &self.body);
@@ -56,7 +56,9 @@ impl VecEnv {
             self.observer.write(&input, None, fresh, out)?;
         }
         self.add_term_noise(lane);
-        Ok(())
+        let len = self.recall.memory_len();
+        let seen = &mut self.observations[lane * dim..][..dim];
+        Ok(self.recall.write(fresh, seen, &mut self.memories[lane * len..][..len])?)
     }
 
     /// Noise of single observation terms, on what is newest of each.

@@ -7,7 +7,7 @@ use crate::lane::Lane;
 use crate::{EnvError, VecEnv};
 
 /// Raise when what a snapshot holds changes.
-const FORMAT: u32 = 4;
+const FORMAT: u32 = 5;
 
 #[derive(Serialize, Deserialize)]
 struct Saved {
@@ -19,6 +19,7 @@ struct Saved {
     progress: u64,
     lanes: Vec<Lane>,
     observations: Vec<f32>,
+    memories: Vec<f32>,
     privileged: Vec<f32>,
     engine: Vec<u8>,
 }
@@ -40,6 +41,7 @@ impl VecEnv {
             progress: self.progress,
             lanes: self.lanes.clone(),
             observations: self.observations.clone(),
+            memories: self.memories.clone(),
             privileged: self.privileged.clone(),
             engine: self.engine.snapshot()?,
         };
@@ -78,19 +80,19 @@ impl VecEnv {
                 self.lanes.len()
             ));
         }
-        let sizes = |seen: &[f32], more: &[f32]| (seen.len(), more.len());
-        let found = sizes(&saved.observations, &saved.privileged);
-        let expected = sizes(&self.observations, &self.privileged);
+        let sizes = |all: [&Vec<f32>; 3]| all.map(Vec::len);
+        let found = sizes([&saved.observations, &saved.memories, &saved.privileged]);
+        let expected = sizes([&self.observations, &self.memories, &self.privileged]);
         if found != expected {
             return refuse(format!(
-                "has {} and {} values that policy and value function see, expected {} and {}",
-                found.0, found.1, expected.0, expected.1
+                "has {found:?} values that policy, memory and value function have, expected {expected:?}"
             ));
         }
         self.engine.restore(&saved.engine)?;
         self.progress = saved.progress;
         self.lanes = saved.lanes;
         self.observations = saved.observations;
+        self.memories = saved.memories;
         self.privileged = saved.privileged;
         Ok(())
     }

@@ -8,6 +8,7 @@ use caudata_random::{Key, Purpose, Stream};
 use caudata_sim::{Engine, State};
 use caudata_task::noise::Readings;
 use caudata_task::observation::Observer;
+use caudata_task::past::Recall;
 use caudata_task::reward::own::{Programs, StateSignals};
 use caudata_task::reward::{self, PerTerm};
 use caudata_task::termination::{self, TerminationInput, TerminationReason};
@@ -32,6 +33,8 @@ pub struct VecEnv {
     pub(crate) lanes: Vec<Lane>,
     /// `[N, D]`
     pub(crate) observations: Vec<f32>,
+    /// Earlier observations, as far as the policy sees them. `[N, M]`
+    pub(crate) memories: Vec<f32>,
     /// What only the value function sees. `[N, E]`
     pub(crate) privileged: Vec<f32>,
     /// Environment steps of the whole run, for what grows with progress.
@@ -42,6 +45,7 @@ pub struct VecEnv {
     pub(crate) first_lane: u64,
     pub(crate) layout: ObservationLayout,
     pub(crate) observer: Observer,
+    pub(crate) recall: Recall,
     pub(crate) critic: Critic,
     /// Whether the policy sees what only the simulation knows.
     pub(crate) sees_truth: bool,
@@ -113,7 +117,7 @@ impl VecEnv {
         check_engine(&model, &task, engine.as_ref())?;
         let lanes = engine.lanes();
         let layout = contract.observation.clone();
-        let observer = contract.observer()?;
+        let (observer, recall) = (contract.observer()?, Recall::new(&layout));
         let critic = Critic::new(&task.critic, contract.names())?;
         let own_rewards = task.reward.programs(contract.names())?;
         let own_ends = task.termination.programs(contract.names())?;
@@ -121,6 +125,7 @@ impl VecEnv {
             contract,
             lanes: Vec::with_capacity(lanes),
             observations: vec![0.0; lanes * layout.dim()],
+            memories: vec![0.0; lanes * recall.memory_len()],
             privileged: vec![0.0; lanes * critic.dim()],
             critic,
             progress: 0,
@@ -147,6 +152,7 @@ impl VecEnv {
             physics_time: Duration::ZERO,
             sees_truth: observer.check_sensed(&layout).is_err(),
             observer,
+            recall,
             own_rewards,
             own_ends,
             layout,

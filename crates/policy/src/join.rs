@@ -75,7 +75,7 @@ pub fn join(
 fn contract(of: &PolicyFile, other: &PolicyFile) -> PolicyContract {
     let (mut contract, other) = (of.metadata().contract.clone(), &other.metadata().contract);
     contract.imu = contract.imu.take().or_else(|| other.imu.clone());
-    if other.observation.slices().starts_with(contract.observation.slices()) {
+    if other.observation.begins_with(&contract.observation) {
         contract.observation = other.observation.clone();
     }
     contract.afloat_above_m = contract.afloat_above_m.or(other.afloat_above_m);

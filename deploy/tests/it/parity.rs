@@ -17,6 +17,13 @@ const SAME: f32 = 1e-6;
 
 #[test]
 fn the_robot_observes_what_training_observed() {
+    assert_eq!(compared(&[]) % 97, 0);
+    // 97, and three times 3 · 16 + 6
+    assert_eq!(compared(&[2, 4, 6]) % 259, 0);
+}
+
+/// Compares all that a policy sees which looks back so many steps, and tells how many numbers that were.
+fn compared(past: &[u32]) -> usize {
     let mut task = TaskConfig { stagger_first_episode: false, ..TaskConfig::default() };
     task.noise.enabled = false;
     task.randomisation.enabled = false;
@@ -24,12 +31,14 @@ fn the_robot_observes_what_training_observed() {
     task.command.zero_share = 0.0;
     // One frequency, so that the robot, which takes the middle of the range, has the same clock.
     task.phase.frequency_hz = [1.375, 1.375];
+    task.observation.past = past.to_vec();
     let bytes = policy_file(1, |spec, metadata| {
         // Every joint moves its own way, also with what it sees.
         for (index, weight) in spec.layers[0].weight.iter_mut().enumerate() {
             *weight = 0.05 * (index as f32 * 0.7).sin();
         }
         metadata.contract = caudata_task::PolicyContract::new(&model(), &task).unwrap();
+        *spec = spec.widened(metadata.contract.obs_dim());
     });
     let policy = PolicyRef {
         stream: "s".to_owned(),
@@ -48,7 +57,7 @@ fn the_robot_observes_what_training_observed() {
     let mut runner = PolicyRunner::new(verified, Some(&clock)).unwrap();
 
     let (mut compared, mut moved) = (0, 0.0_f32);
-    for tick in 0..200 {
+    let look = |env: &VecEnv, runner: &mut PolicyRunner, tick: i32| {
         let truth = env.truth(0);
         let servos = ServoReadings {
             time_s: 0.02 * f64::from(tick),
@@ -57,9 +66,6 @@ fn the_robot_observes_what_training_observed() {
             current_a: PerJoint::filled(16, 0.0),
             supply_v: 12.0,
         };
-        if tick > 0 {
-            runner.advance(1);
-        }
         runner.act(&View {
             servos: &servos,
             gyro_radps: truth.gyro_radps,
@@ -67,6 +73,13 @@ fn the_robot_observes_what_training_observed() {
             command: env.command(0),
             in_water: None,
         });
+        truth.joint_vel_radps.iter().fold(0.0_f32, |m, v| m.max(v.abs()))
+    };
+    for tick in 0..200 {
+        if tick > 0 {
+            runner.advance(1);
+        }
+        moved = moved.max(look(&env, &mut runner, tick));
         let seen = env.observations();
         for (index, (robot, trainer)) in runner.observation().iter().zip(seen).enumerate() {
             assert!(
@@ -75,7 +88,6 @@ fn the_robot_observes_what_training_observed() {
             );
             compared += 1;
         }
-        moved = moved.max(truth.joint_vel_radps.iter().fold(0.0, |m, v| m.max(v.abs())));
         let mut action = [0.0; 16];
         evaluate_mlp(&spec, seen, 1, &mut action).unwrap();
         let output = env.step(&action).unwrap();
@@ -85,4 +97,11 @@ fn the_robot_observes_what_training_observed() {
     }
     assert!(compared >= 97 * 20, "it fell too soon: {compared}");
     assert!(moved > 0.5, "it hardly moved: {moved}");
+    // After a fault, or when it walks again, it begins as an episode does.
+    runner.forget();
+    look(&env, &mut runner, 200);
+    let layout = &env.contract().observation;
+    let now: Vec<f32> = layout.recalled().flatten().map(|i| runner.observation()[i]).collect();
+    assert_eq!(runner.observation()[97..], now.repeat(past.len()));
+    compared
 }

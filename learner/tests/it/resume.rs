@@ -20,8 +20,9 @@ fn policy(folder: &Path) -> Vec<u8> {
     fs::read(folder.join("policy.onnx")).unwrap()
 }
 
-/// What only the value function sees is saved and restored as all else.
-const SEES: [&str; 1] = ["task.critic.sees=[\"velocity\", \"push\", \"friction\"]"];
+/// What only the value function sees, and earlier observations, are saved and restored as all else.
+const SEES: [&str; 2] =
+    ["task.critic.sees=[\"velocity\", \"push\", \"friction\"]", "task.observation.past=[1, 3]"];
 
 #[test]
 fn a_stopped_and_resumed_run_ends_in_the_same_bits() {

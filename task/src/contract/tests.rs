@@ -95,7 +95,7 @@ fn the_hash_is_that_of_the_canonical_text() {
 fn every_change_is_named_and_changes_the_hash() {
     use ContractDifference as D;
     type Change = fn(&mut PolicyContract);
-    let changes: [(D, Change); 14] = [
+    let changes: [(D, Change); 15] = [
         (D::Robot, |c| c.robot = "axolotl".to_owned()),
         (D::RobotModel, |c| c.robot_hash = "cd".repeat(32)),
         (D::JointOrder, |c| c.joint_names.swap(0, 1)),
@@ -105,6 +105,7 @@ fn every_change_is_named_and_changes_the_hash() {
         (D::Gains, |c| c.kp_nm_per_rad[0] = 14.0),
         (D::ControlPeriod, |c| c.control_period_s = 0.01),
         (D::Action, |c| c.action.filter_alpha = 0.15),
+        (D::Observation, |c| c.observation = c.observation.clone().with_past(&[2, 4]).unwrap()),
         (D::Observation, |c| {
             c.observation = ObservationLayout::new(ACT_DIM, &FEET.map(str::to_owned), true)
         }),

@@ -231,6 +231,35 @@ fn the_contract_is_the_robots_and_the_tasks() {
     assert_eq!(contract.differences(other.contract()), [ContractDifference::Action]);
 }
 
+/// What is seen of earlier steps is what was seen then; of before a start, what is seen at it.
+#[test]
+fn the_past_is_what_was_seen() {
+    let mut task = calm_task();
+    task.noise.enabled = true; // seen once, it stays
+    task.observation.past = vec![2, 3];
+    let mut env = env(&task, 2, 3);
+    let layout = env.contract().observation.clone();
+    let dim = 97 + 2 * (3 * 16 + 6);
+    assert_eq!(env.obs_dim(), dim);
+    let mut shown: Vec<Vec<Vec<f32>>> = vec![Vec::new(); 2];
+    let mut starts = 0;
+    for step in 0..50 {
+        for (lane, row) in env.observations().chunks(dim).enumerate() {
+            let newest: Vec<f32> = layout.recalled().flatten().map(|i| row[i]).collect();
+            let shown = &mut shown[lane];
+            if step % 20 == 0 {
+                shown.clear(); // an episode has 20 steps
+                starts += 1;
+            }
+            shown.push(newest);
+            let ago = |age: usize| &shown[shown.len().saturating_sub(age + 1)][..];
+            assert_eq!(row[97..], [ago(2), ago(3)].concat(), "step {step}, lane {lane}");
+        }
+        env.step(&wiggle(2, step)).unwrap();
+    }
+    assert_eq!(starts, 6);
+}
+
 /// Weights of which those that are not 0 by default are 0.
 fn no_weights() -> RewardWeights {
     RewardWeights {

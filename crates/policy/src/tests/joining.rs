@@ -84,6 +84,30 @@ fn who_observes_less_does_not_look_at_the_rest() {
     assert!(join(&walker, &file(2, &[12, 9], &wet), OBS_DIM, 0.5).is_err());
 }
 
+/// One that looks back beside one that does not.
+#[test]
+fn who_does_not_look_back_does_not_look_at_the_past() {
+    let mut keen = metadata();
+    let observation = keen.contract.observation.clone().with_past(&[2]).unwrap();
+    keen.contract.observation = observation.clone();
+    let (low, high) = (file(1, &[12, 9], &keen), file(2, &[12, 9], &metadata()));
+    let joined = join(&low, &high, GRAVITY_Z, -0.5).unwrap();
+    assert_eq!(joined.metadata().contract.observation, observation);
+    let mut obs = normals(&mut stream(3), observation.dim(), 1.0);
+    for gravity_z in [-1.0, 1.0] {
+        obs[GRAVITY_Z] = gravity_z;
+        let want = match gravity_z < -0.5 {
+            true => actions(&low, &obs),
+            false => actions(&high, &obs[..OBS_DIM]),
+        };
+        for (got, want) in actions(&joined, &obs).iter().zip(want) {
+            assert!((got - want).abs() < 2e-4, "{gravity_z}: {got} {want}");
+        }
+    }
+    keen.contract.observation = observation.with_past(&[3]).unwrap();
+    assert!(join(&low, &file(2, &[12, 9], &keen), GRAVITY_Z, -0.5).is_err());
+}
+
 #[test]
 fn what_does_not_go_together_is_refused() {
     let low = file(1, &[12, 9], &metadata());
