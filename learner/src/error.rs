@@ -120,9 +120,11 @@ pub enum LearnerError {
         /// What the system said.
         source: std::io::Error,
     },
-    /// A policy cannot be begun with.
-    #[error("learner.warm_start.policy {path}: {reason}")]
-    WarmStart {
+    /// A policy cannot be begun with, or learnt from.
+    #[error("learner.{role}.policy {path}: {reason}")]
+    Unfit {
+        /// `warm_start` or `teacher`.
+        role: &'static str,
         /// The policy file.
         path: PathBuf,
         /// What does not fit.
@@ -161,7 +163,7 @@ impl LearnerError {
             Self::Owner(caudata_durable::OwnerError::Io { source, .. })
             | Self::Write { source, .. } => ExitCode::of_io(source, true),
             Self::Read { source, .. } => ExitCode::of_io(source, false),
-            Self::WarmStart { .. } => ExitCode::PolicyRefused,
+            Self::Unfit { .. } => ExitCode::PolicyRefused,
             Self::Durable(caudata_durable::DurableError::Io { source, .. }) => {
                 ExitCode::of_io(source, true)
             }

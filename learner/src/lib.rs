@@ -12,6 +12,7 @@ pub mod publish;
 pub mod report;
 pub mod returns;
 mod task;
+pub mod teacher;
 pub mod train;
 pub mod warm_start;
 

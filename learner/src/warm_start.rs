@@ -25,18 +25,15 @@ const OBSERVATIONS: u64 = 200_000;
 ///
 /// # Errors
 /// [`LearnerError::Read`] when the file cannot be read, [`LearnerError::Policy`] when it is no policy,
-/// [`LearnerError::WarmStart`] when it does not fit the network or the robot's joints.
+/// [`LearnerError::Unfit`] when it does not fit the network or the robot's joints.
 pub fn warm_start(
     net: &ActorCritic,
     path: &Path,
     least_std: f32,
     contract: &PolicyContract,
 ) -> Result<Moments, LearnerError> {
-    let most = caudata_policy::MAX_FILE_BYTES as u64;
-    let bytes = caudata_durable::read_at_most(path, most)
-        .map_err(|source| LearnerError::Read { path: path.to_owned(), source })?;
-    let file = PolicyFile::parse(Arc::from(bytes))?;
-    let refuse = |reason: String| LearnerError::WarmStart { path: path.to_owned(), reason };
+    let file = read(path)?;
+    let refuse = |reason| LearnerError::Unfit { role: "warm_start", path: path.to_owned(), reason };
     check(net, &file, contract).map_err(refuse)?;
     let spec = file.spec();
     let mut values = net.to_vec()?;
@@ -45,6 +42,14 @@ pub fn warm_start(
     net.set_policy(&mut values, &spec.widened(contract.obs_dim()), &log_std).map_err(refuse)?;
     net.copy_from_slice(&values).map_err(|error| refuse(error.to_string()))?;
     Ok(moments(spec, net.spec().seen_dim(), &contract.observation))
+}
+
+/// The policy at `path`.
+pub(crate) fn read(path: &Path) -> Result<PolicyFile, LearnerError> {
+    let most = caudata_policy::MAX_FILE_BYTES as u64;
+    let bytes = caudata_durable::read_at_most(path, most)
+        .map_err(|source| LearnerError::Read { path: path.to_owned(), source })?;
+    Ok(PolicyFile::parse(Arc::from(bytes))?)
 }
 
 fn check(net: &ActorCritic, file: &PolicyFile, contract: &PolicyContract) -> Result<(), String> {

@@ -66,6 +66,11 @@ impl Critic {
         })
     }
 
+    /// The names of what it sees, in order.
+    pub fn names(&self) -> impl Iterator<Item = &'static str> {
+        self.signals.iter().map(|signal| signal.info().name)
+    }
+
     /// E.
     pub fn dim(&self) -> usize {
         self.signals.iter().map(|signal| self.width(*signal)).sum()

@@ -124,6 +124,13 @@ impl Config {
         given.then(|| caudata_durable::shipped(policy))
     }
 
+    /// The teacher, if there is one, likewise.
+    pub fn teacher_path(&self) -> Option<PathBuf> {
+        let policy = &self.learner.teacher.policy;
+        let given = !policy.as_os_str().is_empty();
+        given.then(|| caudata_durable::shipped(policy))
+    }
+
     /// Every key with its value in effect, in the order of the file: `("learner.ppo.gamma", "0.97")`.
     pub fn entries(&self) -> Vec<(String, String)> {
         keys::entries(&keys::table_of(self))

@@ -128,6 +128,7 @@ impl Config {
         rule!(self, learner.keep_checkpoints in 1, 10_000);
         rule!(self, learner.warm_start.value_only_iterations in 0, 100_000);
         rule!(self, learner.warm_start.least_std in 0.0, 5.0);
+        rule!(self, learner.teacher.weight in 0.0, 1000.0);
         rule!(self, learner.batch_timeout_s to 86_400.0);
         rule!(self, learner.min_batch_share to 1.0);
         rule!(self, learner.starve_timeout_s in self.learner.batch_timeout_s, 86_400.0);

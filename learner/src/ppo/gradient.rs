@@ -154,6 +154,7 @@ mod tests {
             };
             let prox_log_std: Vec<f32> = log_std.iter().map(|x| x + 0.05).collect();
             let (shifts, advantages, targets) = (draw(rows * act_dim), draw(rows), draw(rows));
+            let lessons = draw(rows * act_dim);
             let [(host, of_host), (torch, of_torch)] = both.each_mut().map(|networks| {
                 networks.set(&parameters);
                 let before = networks.begin(&batch, &scaling, true).unwrap();
@@ -166,6 +167,7 @@ mod tests {
                     advantages: advantages.clone(),
                     targets: targets.clone(),
                     weights: vec![0.8; rows],
+                    teacher: Some((lessons.clone(), 0.3)),
                 };
                 (before, networks.gradient(&Arc::new(samples), &minibatch).unwrap())
             });

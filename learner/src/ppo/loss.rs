@@ -2,7 +2,8 @@
 //! and its gradient, in closed form.
 //!
 //! With r = π_θ/π_prox, the policy before the update π_prox, the behaviour μ and w = min(w_max, π_prox/μ):
-//! `L = −E[w·min(r·A, clip(r, 1−ε, 1+ε)·A)] + c_v·¼·E[(V − target)²] − c_e·H`.
+//! `L = −E[w·min(r·A, clip(r, 1−ε, 1+ε)·A)] + c_v·¼·E[(V − target)²] − c_e·H`, and with a teacher that would have
+//! done a*, `+ c_t·½·E|μ − a*|²`.
 //! m rows are one shard of a minibatch of M; sums and gradients of shards add up to those of the minibatch.
 //!
 //! Here in operations of libtorch, for its devices; [`super::row_loss`] is the same on the host.
@@ -41,6 +42,8 @@ pub struct Samples {
     pub targets: Tensor,
     /// w, `[m, 1]`.
     pub weights: Tensor,
+    /// a*, `[m, A]`, and c_t.
+    pub teacher: Option<(Tensor, f64)>,
 }
 
 /// What the networks say about them now.
@@ -73,8 +76,10 @@ pub mod sums {
     pub const KL: usize = 2;
     /// Samples whose ratio lies outside 1 ± ε.
     pub const CLIPPED: usize = 3;
+    /// Sum of ½|μ − a*|².
+    pub const TEACHER: usize = 4;
     /// Number of sums.
-    pub const COUNT: usize = 4;
+    pub const COUNT: usize = 5;
 }
 
 /// Sums over the m rows `[COUNT]` and the gradient of the minibatch's loss, where the minibatch has
@@ -105,7 +110,13 @@ pub fn loss_and_gradient(
     let surrogate = unclipped.minimum(&clipped).g_mul_(&samples.weights);
     // dL/d log π = −w·A·r/M where it passes.
     let slope = (&unclipped * &samples.weights).g_mul_(&passes).g_mul_scalar_(-scale);
-    let grad_means = (&z * &inverse_std).g_mul_(&slope);
+    let mut grad_means = (&z * &inverse_std).g_mul_(&slope);
+    let mut from_teacher = Tensor::zeros([], (Kind::Float, grad_means.device()));
+    if let Some((actions, weight)) = &samples.teacher {
+        let off = &outputs.means - actions;
+        from_teacher = off.square().sum(Kind::Float) * 0.5;
+        grad_means += off * (weight * scale);
+    }
     let share = rows as f64 * scale;
     let grad_log_std = (z_squared - 1.0)
         .g_mul_(&slope)
@@ -121,7 +132,8 @@ pub fn loss_and_gradient(
     let kl = kl_sum(&samples.prox_means, prox_log_std, &outputs.means, log_std, rows);
     let outside = ratio.not_equal_tensor(&clipped_ratio).sum(Kind::Float);
     let value_sum = error.square().sum(Kind::Float) * 0.25;
-    let all = Tensor::stack(&[surrogate.sum(Kind::Float).neg(), value_sum, kl, outside], 0);
+    let surrogate_sum = surrogate.sum(Kind::Float).neg();
+    let all = Tensor::stack(&[surrogate_sum, value_sum, kl, outside, from_teacher], 0);
     let gradient = OutputGradient { means: grad_means, values: grad_values, log_std: grad_log_std };
     (all, gradient)
 }

@@ -26,6 +26,8 @@ pub struct Samples {
     pub targets: Vec<f32>,
     /// Importance weights, `[B]`.
     pub weights: Vec<f32>,
+    /// What a teacher would have done `[B, A]`, and its weight in the loss.
+    pub teacher: Option<(Vec<f32>, f32)>,
 }
 
 /// One minibatch.

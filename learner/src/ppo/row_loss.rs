@@ -88,6 +88,13 @@ impl<'a> Loss<'a> {
             mean_gradient[j] = z * self.inverse_std[j] * slope;
             self.log_std_gradient[j] += (z * z - 1.0) * slope;
         }
+        if let Some((actions, weight)) = &self.samples.teacher {
+            for (j, theirs) in actions[sample * width..][..width].iter().enumerate() {
+                let off = mean[j] - theirs;
+                mean_gradient[j] += weight * self.scale * off;
+                self.sums[sums::TEACHER] += f64::from(0.5 * off * off);
+            }
+        }
         let error = value - self.samples.targets[sample];
         self.sums[sums::SURROGATE] -= f64::from(unclipped.min(clipped) * weight);
         self.sums[sums::VALUE] += f64::from(0.25 * error * error);

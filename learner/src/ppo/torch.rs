@@ -26,8 +26,8 @@ struct OnTheDevice {
     observations: Tensor,
     /// `[B, A]`.
     actions: Tensor,
-    /// Means of π_prox `[B, A]`, and log-probability, advantage, target, weight of each, with their source.
-    samples: Option<(Arc<Samples>, Tensor, [Tensor; 4])>,
+    /// What the whole batch is learnt with, and its source.
+    samples: Option<(Arc<Samples>, OnDevice)>,
 }
 
 impl Torch {
@@ -81,13 +81,20 @@ impl Torch {
             let put = |values: &[f32], width: i64| {
                 Tensor::from_slice(values).view([-1, width]).to_device(device)
             };
-            let means = put(&samples.prox_means, samples.prox_log_std.len() as i64);
-            let columns =
-                [&samples.prox_log_probs, &samples.advantages, &samples.targets, &samples.weights];
-            let columns = columns.map(|column| put(column, 1));
-            batch.samples = Some((Arc::clone(samples), means, columns));
+            let wide = samples.prox_log_std.len() as i64;
+            let all = OnDevice {
+                actions: batch.actions.shallow_clone(),
+                prox_means: put(&samples.prox_means, wide),
+                prox_log_probs: put(&samples.prox_log_probs, 1),
+                advantages: put(&samples.advantages, 1),
+                targets: put(&samples.targets, 1),
+                weights: put(&samples.weights, 1),
+                teacher: (samples.teacher.as_ref())
+                    .map(|(actions, weight)| (put(actions, wide), f64::from(*weight))),
+            };
+            batch.samples = Some((Arc::clone(samples), all));
         }
-        let Some((_, means, [log_probs, advantages, targets, weights])) = &batch.samples else {
+        let Some((_, all)) = &batch.samples else {
             return Err(LearnerError::setting("no samples have been taken up"));
         };
         let order: Vec<i64> = minibatch.samples.iter().map(|&i| i64::from(i)).collect();
@@ -95,12 +102,13 @@ impl Torch {
         let pick = |t: &Tensor| t.index_select(0, &order);
         let (shift, scale) = minibatch.advantage_scale;
         let picked = OnDevice {
-            actions: pick(&batch.actions),
-            prox_means: pick(means),
-            prox_log_probs: pick(log_probs),
-            advantages: (pick(advantages) - f64::from(shift)) / f64::from(scale),
-            targets: pick(targets),
-            weights: pick(weights),
+            actions: pick(&all.actions),
+            prox_means: pick(&all.prox_means),
+            prox_log_probs: pick(&all.prox_log_probs),
+            advantages: (pick(&all.advantages) - f64::from(shift)) / f64::from(scale),
+            targets: pick(&all.targets),
+            weights: pick(&all.weights),
+            teacher: all.teacher.as_ref().map(|(actions, weight)| (pick(actions), *weight)),
         };
         let observations = pick(&batch.observations);
         laps.lap(Part::ElementWise);

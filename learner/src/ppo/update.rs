@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use caudata_config::{Config, Correction, PpoConfig, StalenessConfig};
+use caudata_config::{Config, Correction, PpoConfig, StalenessConfig, TeacherConfig};
 use caudata_random::Stream;
 use caudata_telemetry::Pulse;
 use caudata_telemetry::spans::{Laps, Part};
@@ -17,6 +17,7 @@ use crate::adam::Adam;
 use crate::batch::Batch;
 use crate::network::ActorCritic;
 use crate::normaliser::Scaling;
+use crate::teacher::Teacher;
 
 /// Factor of rsl_rl's rule for the learning rate.
 const RATE_FACTOR: f64 = 1.5;
@@ -28,12 +29,19 @@ pub struct PpoSettings {
     pub ppo: PpoConfig,
     /// `[learner.staleness]`.
     pub staleness: StalenessConfig,
+    /// `[learner.teacher]`.
+    pub teacher: TeacherConfig,
 }
 
 impl PpoSettings {
     /// What `config` asks for.
     pub fn new(config: &Config) -> Self {
-        Self { ppo: config.learner.ppo.clone(), staleness: config.learner.staleness.clone() }
+        let learner = &config.learner;
+        Self {
+            ppo: learner.ppo.clone(),
+            staleness: learner.staleness.clone(),
+            teacher: learner.teacher.clone(),
+        }
     }
 }
 
@@ -44,6 +52,8 @@ pub struct UpdateStats {
     pub surrogate: f64,
     /// Mean value loss, ¼·MSE.
     pub value_loss: f64,
+    /// Mean of half the squared distance from a teacher's actions.
+    pub teacher_loss: f64,
     /// Entropy of the policy afterwards, nats.
     pub entropy: f64,
     /// Mean KL divergence from the policy before the update to the one at each minibatch, nats.
@@ -72,6 +82,7 @@ pub struct Ppo {
     net: ActorCritic,
     adam: Adam,
     networks: Networks,
+    teacher: Option<Teacher>,
     settings: PpoSettings,
     learning_rate: f64,
     /// Environment steps of the whole run so far.
@@ -118,6 +129,7 @@ impl Ppo {
         Ok(Self {
             adam: Adam::new(net.layout().len()),
             networks: Networks::new(&net, threads)?,
+            teacher: None,
             learning_rate: settings.ppo.learning_rate,
             env_steps: 0,
             pulse: Pulse::new(),
@@ -129,6 +141,11 @@ impl Ppo {
     /// From now on `pulse` beats with each minibatch.
     pub fn beat(&mut self, pulse: Pulse) {
         self.pulse = pulse;
+    }
+
+    /// From now on it learns from `teacher` as well.
+    pub fn learn_from(&mut self, teacher: Teacher) {
+        self.teacher = Some(teacher);
     }
 
     /// Other hyper-parameters, from the next update on.
@@ -279,6 +296,8 @@ impl Ppo {
         let (ppo, staleness) = (&self.settings.ppo, &self.settings.staleness);
         let targets =
             Targets::new(ppo, staleness, batch, &before.values, &prox_log_probs, policy_version);
+        let weight = self.settings.teacher.weight_after(self.env_steps);
+        let teacher = self.teacher.as_mut().filter(|_| weight > 0.0);
         let prepared = Prepared {
             effective_share: effective_share(&targets.weights),
             explained_variance: explained_variance(&before.values[..batch.rows], &targets.targets),
@@ -289,6 +308,7 @@ impl Ppo {
                 advantages: targets.advantages,
                 targets: targets.targets,
                 weights: targets.weights,
+                teacher: teacher.map(|teacher| (teacher.actions(batch), weight as f32)),
             }),
         };
         laps.lap(Part::Returns);
@@ -364,6 +384,7 @@ impl Ppo {
         UpdateStats {
             surrogate: mean(sums::SURROGATE),
             value_loss: mean(sums::VALUE),
+            teacher_loss: mean(sums::TEACHER),
             entropy: entropy(&log_std),
             kl: mean(sums::KL),
             clip_fraction: mean(sums::CLIPPED),

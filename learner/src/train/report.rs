@@ -288,6 +288,9 @@ fn scalars(report: &IterationReport, event: &progress::Iteration) -> Vec<(String
         scalars.push(("Train/mean_reward".into(), mean_return));
         scalars.push(("Train/mean_episode_length".into(), length));
     }
+    if stats.teacher_loss > 0.0 {
+        scalars.push(("Loss/teacher".into(), stats.teacher_loss));
+    }
     scalars.extend(event.reward_terms.iter().map(|(name, sum)| (format!("Episode/{name}"), *sum)));
     scalars
 }

@@ -34,6 +34,7 @@ use crate::ppo::{Ppo, PpoSettings};
 use crate::publish::Publisher;
 use crate::report::History;
 use crate::task::Task;
+use crate::teacher::Teacher;
 use crate::warm_start::warm_start;
 
 /// What this process is in a run: which certificates are its own.
@@ -57,7 +58,10 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
     let inproc = matches!(transport, TransportConfig::Inproc(_));
     let device = device(config.learner.device)?;
     let net = ActorCritic::new(task.networks, config.run.seed, device);
-    let start = Start::new(&settings, &contract, net, inproc)?;
+    let mut start = Start::new(&settings, &contract, net, inproc)?;
+    if let Some(path) = config.teacher_path() {
+        start.ppo.learn_from(Teacher::load(&path, &contract, &task.critic)?);
+    }
     let collector = Collector::new(
         collector_settings(config, &settings.run_id, &contract, &task.critic),
         start.accounting,

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use caudata_config::{NetworkConfig, PpoConfig, StalenessConfig};
+use caudata_config::{Config, NetworkConfig, PpoConfig};
 use caudata_learner::batch::{Batch, Segment};
 use caudata_learner::network::{ActorCritic, NetworkSpec};
 use caudata_learner::normaliser::{Moments, Scaling};
@@ -38,7 +38,7 @@ fn learner_with(
     if let Some(mirror) = mirror {
         spec = spec.symmetric(mirror).unwrap();
     }
-    let settings = PpoSettings { ppo, staleness: StalenessConfig::default() };
+    let settings = PpoSettings { ppo, ..PpoSettings::new(&Config::default()) };
     Ppo::new(ActorCritic::new(spec, seed, Device::Cpu), settings, 1).unwrap()
 }
 

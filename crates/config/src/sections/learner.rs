@@ -40,6 +40,36 @@ settings! {
         pub staleness: StalenessConfig,
         /// Beginning with a policy that was trained before.
         pub warm_start: WarmStartConfig,
+        /// Learning from one beside the reward.
+        pub teacher: TeacherConfig,
+    }
+}
+
+settings! {
+    /// `[learner.teacher]`: a policy whose actions are learnt wherever the one that is trained gets to (DAgger,
+    /// Ross et al. 2011), beside the reward.
+    #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+    #[serde(default, deny_unknown_fields)]
+    pub struct TeacherConfig {
+        /// Policy file (ONNX) of the teacher; empty: there is none. A relative path is looked for as that of
+        /// `learner.warm_start.policy`. Same joints, control period and action. It sees the beginning of what
+        /// this task shows, or this task's terms without `task.observation.past` and then, as terms of its own,
+        /// signals of `task.critic.sees` in that order: what it knows and its student does not.
+        pub policy: PathBuf,
+        /// Weight in the loss of half the squared distance of the actions. 0 to 1,000.
+        pub weight: f64 = 1.0,
+        /// Environment steps of the whole run over which the weight falls evenly to 0. Default 0: it stays.
+        pub gone_after_env_steps: u64,
+    }
+}
+
+impl TeacherConfig {
+    /// The weight after `env_steps` of the whole run.
+    pub fn weight_after(&self, env_steps: u64) -> f64 {
+        match self.gone_after_env_steps {
+            0 => self.weight,
+            all => self.weight * (1.0 - env_steps as f64 / all as f64).max(0.0),
+        }
     }
 }
 

@@ -11,7 +11,7 @@ pub use actors::ActorsConfig;
 pub use cluster::ClusterConfig;
 pub use learner::{
     Activation, AdvantageScale, Correction, Device, LearnerConfig, NetworkConfig, PpoConfig,
-    Returns, StalenessConfig, WarmStartConfig,
+    Returns, StalenessConfig, TeacherConfig, WarmStartConfig,
 };
 pub use run::{EvaluationConfig, GatesConfig, RunConfig};
 pub use services::{

@@ -33,6 +33,7 @@ fn one_action(means: &[f32], advantages: &[f32], weights: &[f32]) -> (Vec<f32>, 
         advantages: column(advantages),
         targets: column(&ones),
         weights: column(weights),
+        teacher: None,
     };
     let outputs = Outputs { means: column(means), values: column(&vec![3.0; rows]) };
     let (sums, gradient) =
@@ -44,7 +45,7 @@ fn one_action(means: &[f32], advantages: &[f32], weights: &[f32]) -> (Vec<f32>, 
 fn nothing_has_changed_yet() {
     // r = 1: surrogate −w·A = −2·3 = −6; value ¼(3−1)² = 1; KL 0; nothing clipped.
     let (sums, gradient) = one_action(&[0.0], &[3.0], &[2.0]);
-    assert_eq!(sums, [-6.0, 1.0, 0.0, 0.0]);
+    assert_eq!(sums, [-6.0, 1.0, 0.0, 0.0, 0.0]);
     // dL/dμ = −w·A·r·(a−μ)/σ² = −6; dL/dV = c_v·½·(V − target) = 2·½·2 = 2;
     // dL/dlog σ = −6·(z² − 1) − c_e = 0 − 0.01.
     assert_eq!(values(&gradient.means), [-6.0]);
@@ -83,6 +84,7 @@ fn samples(rows: i64, actions: i64, prox_log_std: &Tensor) -> Samples {
         advantages: noise(3, &[rows, 1], 1.5),
         targets: noise(4, &[rows, 1], 2.0),
         weights: noise(5, &[rows, 1], 0.5) + 1.0,
+        teacher: Some((noise(8, &[rows, actions], 1.0), 0.7)),
     }
 }
 
@@ -92,7 +94,11 @@ fn plain_loss(s: &Samples, means: &Tensor, values: &Tensor, log_std: &Tensor) ->
     let clipped = ratio.clamp(0.8, 1.2);
     let objective = (&ratio * &s.advantages).minimum(&(clipped * &s.advantages)) * &s.weights;
     let value = (values - &s.targets).square().mean(Kind::Float) * (0.25 * SETTINGS.value_weight);
-    objective.mean(Kind::Float).neg() + value - log_std.sum(Kind::Float) * SETTINGS.entropy_weight
+    let (lessons, weight) = s.teacher.as_ref().unwrap();
+    let off = (means - lessons).square().sum_dim_intlist([1].as_slice(), false, Kind::Float);
+    let lesson = off.mean(Kind::Float) * (0.5 * weight);
+    objective.mean(Kind::Float).neg() + value + lesson
+        - log_std.sum(Kind::Float) * SETTINGS.entropy_weight
 }
 
 #[test]
@@ -117,6 +123,7 @@ fn the_gradient_is_autograds_and_shards_add_up() {
             advantages: cut(&s.advantages),
             targets: cut(&s.targets),
             weights: cut(&s.weights),
+            teacher: s.teacher.as_ref().map(|(actions, weight)| (cut(actions), *weight)),
         };
         let (_, g) =
             loss_and_gradient(&SETTINGS, rows as usize, &outputs, &log_std, &prox_log_std, &part);

@@ -3,7 +3,8 @@
 use super::*;
 use crate::batch::Segment;
 use crate::network::NetworkSpec;
-use caudata_config::{AdvantageScale, NetworkConfig, Returns};
+use caudata_config::{Activation, AdvantageScale, NetworkConfig, Returns};
+use caudata_policy::{Dense, MlpSpec};
 use caudata_random::{Key, Purpose};
 use tch::Device;
 
@@ -21,8 +22,7 @@ fn ppo(change: impl FnOnce(&mut PpoSettings), threads: usize) -> Ppo {
         ..NetworkConfig::default()
     };
     let spec = NetworkSpec::new(&config, OBS, ACT).unwrap();
-    let mut settings =
-        PpoSettings { ppo: PpoConfig::default(), staleness: StalenessConfig::default() };
+    let mut settings = PpoSettings::new(&caudata_config::Config::default());
     change(&mut settings);
     Ppo::new(ActorCritic::new(spec, 1, Device::Cpu), settings, threads).unwrap()
 }
@@ -91,6 +91,32 @@ fn the_bits_do_not_depend_on_the_number_of_threads() {
     assert_eq!(results[0].1.updates, 16);
     assert_eq!(results[0], results[1]);
     assert_eq!(results[0], results[2]);
+}
+
+#[test]
+fn a_teachers_actions_are_learnt_until_it_is_gone() {
+    let batch = batch(8, 8);
+    let weight = (0..ACT * 3).map(|i| 0.3 * i as f32 - 0.7).collect();
+    let spec = MlpSpec {
+        obs_mean: vec![0.0; 3],
+        obs_std: vec![1.0; 3],
+        obs_clip: None,
+        layers: vec![Dense { out: ACT, input: 3, weight, bias: vec![0.4; ACT] }],
+        activation: Activation::Tanh,
+    };
+    let lesson = |settings: &mut PpoSettings| {
+        settings.ppo.target_kl = 0.0; // as fast at the end as at the beginning
+        settings.teacher.weight = 10.0;
+        settings.teacher.gone_after_env_steps = 1_000_000;
+    };
+    let mut ppo = ppo(lesson, 1);
+    assert_eq!(update(&mut ppo, &batch, 0).teacher_loss, 0.0);
+    ppo.learn_from(Teacher::new(&spec, vec![0, 2, 5]));
+    let first = update(&mut ppo, &batch, 0).teacher_loss;
+    let last = (0..100).map(|_| update(&mut ppo, &batch, 0).teacher_loss).last().unwrap();
+    assert!(first > 0.1 && last < 0.1 * first, "{first} {last}");
+    ppo.set_progress(1_000_000);
+    assert_eq!(update(&mut ppo, &batch, 0).teacher_loss, 0.0);
 }
 
 #[test]
