@@ -353,6 +353,9 @@ impl DeployError {
                 Some("`caudata policy list` shows the streams; training publishes under its run id")
             }
             Self::Refused { .. } => Some("nothing else is on this robot's disk to run instead"),
+            Self::Bus(BusError::Connect { address, .. }) if address.starts_with('/') => {
+                Some("`bus.port` of the wiring file, or --servo-port, is where the servos are")
+            }
             Self::Bus(BusError::Connect { .. }) => {
                 Some("`caudata sim robot` starts a simulated robot and prints its address")
             }

@@ -23,11 +23,10 @@ pub fn run(args: &WithJson<Plan>, process: &Process) -> Result<(), Failure> {
     say::either(*json, &report, tell)?;
     match report.verdict {
         Verdict::Walks | Verdict::Explained | Verdict::WalksWhenTrainedAgain => Ok(()),
-        Verdict::Suspected => Err(Failure::outcome(
-            ExitCode::PartlyExplained,
-            "suspects, and no time to show that one of them is it",
-        )
-        .hint("give it more time with --budget")),
+        Verdict::Suspected => {
+            Err(Failure::outcome(ExitCode::PartlyExplained, "no time to show what it is")
+                .hint("give it more time with --budget"))
+        }
         Verdict::Unexplained => Err(Failure::outcome(ExitCode::Unexplained, NONE)),
     }
 }
@@ -55,6 +54,9 @@ fn tell(report: &Report) {
         Verdict::Explained => "most likely:",
         Verdict::WalksWhenTrainedAgain => {
             "trained again as it is, from another seed, it walks: train it again, or longer"
+        }
+        Verdict::Suspected if report.causes.is_empty() && report.others.is_empty() => {
+            "nothing in its task or robot is suspect so far; it may need a longer training"
         }
         Verdict::Suspected if report.causes.is_empty() => {
             "nothing was shown in this time (--budget); suspects:"

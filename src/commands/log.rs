@@ -5,7 +5,6 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
-use caudata_config::Config;
 use caudata_gap::import::bam;
 use caudata_model::{Pose, RobotModel};
 use caudata_runlog::ros::{Compression, Frame, Scene, write_mcap};
@@ -224,8 +223,7 @@ fn folder(out: &Path, log: &Path, meta: Option<&LogMeta>, table: &Table) -> Resu
     writer.finish().or_exit(ExitCode::IoError)
 }
 
-/// The robot of a log: its file is named by flag, or by the log; a robot's name stands for its file in
-/// `robots/`.
+/// The robot of a log: its file is named by flag, or by the log.
 fn robot(
     args: &ConvertArgs,
     meta: Option<&LogMeta>,
@@ -235,12 +233,7 @@ fn robot(
         return files::robot(path).map(Some);
     }
     let named = meta.map_or("", |meta| meta.robot.as_str());
-    let candidates = [named.to_owned(), format!("robots/{named}.robot.toml")];
-    let found = candidates.into_iter().map(|candidate| {
-        let config = Config { robot: candidate.into(), ..Config::default() };
-        config.robot_path()
-    });
-    match found.into_iter().find(|path| path.is_file()) {
+    match files::robot_of_log(&args.log, named) {
         Some(path) => files::robot(&path).map(Some),
         None => {
             notes.push(format!(

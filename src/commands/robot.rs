@@ -95,19 +95,14 @@ fn check(model: &RobotModel) -> Result<Option<String>, Failure> {
     let mut engine = built(false)?;
     let contract = PolicyContract::new(model, &TaskConfig::default());
     contract.or_exit(ExitCode::BadInput)?;
-    if let Some(why) = shake(model, engine.as_mut()).or_exit(ExitCode::BadInput)? {
-        return Ok(Some(why));
-    }
-    if !model.feet().is_empty() && model.base() == BaseKind::Free {
-        let mut stand = built(true)?;
-        if let Some(why) = rings(model, stand.as_mut()).or_exit(ExitCode::BadInput)? {
-            return Ok(Some(why));
+    let mut why = shake(model, engine.as_mut()).or_exit(ExitCode::BadInput)?;
+    if why.is_none() && model.base() == BaseKind::Free {
+        why = rings(model, built(true)?.as_mut()).or_exit(ExitCode::BadInput)?;
+        if why.is_none() && !model.feet().is_empty() {
+            why = stand(model, engine.as_mut()).or_exit(ExitCode::BadInput)?;
         }
     }
-    if model.feet().is_empty() || model.base() != BaseKind::Free {
-        return Ok(None);
-    }
-    stand(model, engine.as_mut()).or_exit(ExitCode::BadInput)
+    Ok(why)
 }
 
 /// Commands small swings about the nominal pose; what keeps the robot from following them.
@@ -152,7 +147,8 @@ fn shake(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, 
     Ok(None)
 }
 
-/// Moves each joint by a step, held in the air where no ground damps; which drive lets its joint swing on.
+/// Moves each joint by a step, held in the air where no ground damps; which drive does not move its joint, or
+/// lets it swing on.
 fn rings(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, SimError> {
     let mut start = InitialState::nominal(model);
     start.base_z_m = Some(IN_THE_AIR_M);
@@ -170,23 +166,38 @@ fn rings(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, 
         engine.step(&targets, &[0.0; 6])?;
         seen.push(engine.state().joint_pos_rad.to_vec());
     }
-    let late = &seen[steps / 3..];
+    let step_deg = SWING_RAD.to_degrees();
+    let moved = |joint: usize| {
+        let off = seen.iter().map(|angles| (angles[joint] - seen[0][joint]).abs());
+        f64::from(off.fold(0.0, f32::max)) >= STUCK_SHARE * SWING_RAD
+    };
+    let joints = model.actuated().iter().zip(model.actuated_names());
+    if let Some((&joint, name)) = joints.into_iter().find(|(joint, _)| !moved(**joint)) {
+        let link = &model.links()[model.joints()[joint].child_link];
+        return Ok(Some(format!(
+            "`{name}` does not move when its target takes a step of {step_deg:.1}°, held in the air: is `{}` of {:.2e} kg \
+             too heavy, its inertia in another unit, its friction above what its gain gives?",
+            link.name, link.mass_kg
+        )));
+    }
     // what hangs from a held trunk sways as well, but slowly
-    let swings = model.actuated().iter().map(|&joint| {
-        let angles = late.iter().map(|angles| f64::from(angles[joint]));
-        smallest_swing(angles, SWINGS)
-    });
-    let worst = (model.actuated_names().into_iter().zip(swings))
-        .max_by(|a, b| a.1.total_cmp(&b.1))
-        .filter(|(_, swing_rad)| *swing_rad > RINGING_SHARE * SWING_RAD);
-    Ok(worst.map(|(name, swing_rad)| {
-        let deg = swing_rad.to_degrees();
+    Ok(swinging(model, &seen[steps / 3..]).map(|(name, deg)| {
         format!(
-            "`{name}` still swings by {deg:.1}° half a second and more after its target took a step of {:.1}°, held in \
-             the air: its drive hardly damps it (kd_nm_s_per_rad)",
-            SWING_RAD.to_degrees()
+            "`{name}` still swings by {deg:.1}° half a second and more after its target took a step of {step_deg:.1}°, \
+             held in the air: its drive hardly damps it (kd_nm_s_per_rad)"
         )
     }))
+}
+
+/// The joint that swings on most in angles over time, if one does, and by how much, degrees.
+fn swinging<'a>(model: &'a RobotModel, seen: &[Vec<f32>]) -> Option<(&'a str, f64)> {
+    let swings = model
+        .actuated()
+        .iter()
+        .map(|&joint| smallest_swing(seen.iter().map(|angles| f64::from(angles[joint])), SWINGS));
+    let named = model.actuated_names().into_iter().zip(swings);
+    let (name, swing_rad) = named.max_by(|a, b| a.1.total_cmp(&b.1))?;
+    (swing_rad > RINGING_SHARE * SWING_RAD).then(|| (name, swing_rad.to_degrees()))
 }
 
 /// The smallest of the `count` largest swings to and fro of a joint, rad; 0 where it has fewer.
@@ -228,8 +239,10 @@ fn stand(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, 
     let pose = model.nominal_pos_rad();
     let targets: Vec<f32> = pose.iter().map(|&angle| angle as f32).collect();
     let periods = (STANDING_S / engine.config().control_period_s()).round() as u64;
+    let mut seen = Vec::new();
     for _ in 0..periods {
         engine.step(&targets, &[0.0; 6])?;
+        seen.push(engine.state().joint_pos_rad.to_vec());
     }
     let state = engine.state();
     let stops = model.joint_limits_rad().iter().zip(pose);
@@ -256,7 +269,9 @@ fn stand(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, 
         let percent = 100.0 * lies;
         Some(format!("{percent:.0} % of its weight lies on trunk or legs"))
     } else {
-        None
+        swinging(model, &seen[seen.len() / 2..]).map(|(joint, deg)| {
+            format!("`{joint}` swings on by {deg:.1}° as it stands: its drive hardly damps it (kd_nm_s_per_rad)")
+        })
     })
 }
 
@@ -308,7 +323,10 @@ fn import(args: &ImportArgs) -> Result<(), Failure> {
     }
     let robot = written_robot.display();
     say::line(format!("next: caudata robot check {robot}"));
-    say::line(format!("      caudata train --robot {robot}"));
+    let trains = load(&written_robot).is_ok_and(|model| caudata_config::can_walk(&model).is_ok());
+    if trains {
+        say::line(format!("      caudata train --robot {robot}"));
+    }
     Ok(())
 }
 
@@ -456,8 +474,19 @@ mod tests {
             .replace("kd_nm_s_per_rad = 1.5 ", "kd_nm_s_per_rad = 0.0 ")
             .replace("friction_loss_nm = 0.2", "friction_loss_nm = 0.0");
         let xml = read("quadruped.xml");
-        let model = RobotModel::from_bytes("rings", toml.as_bytes(), xml.as_bytes()).unwrap();
-        let why = check(&model).unwrap().unwrap();
-        assert!(why.contains("still swings by"), "{why}");
+        let why = |toml: &str, xml: &str| {
+            let model = RobotModel::from_bytes("rings", toml.as_bytes(), xml.as_bytes()).unwrap();
+            check(&model).unwrap()
+        };
+        let swings = why(&toml, &xml).unwrap();
+        assert!(swings.contains("still swings by"), "{swings}");
+        let stiff = toml.replace("friction_loss_nm = 0.0", "friction_loss_nm = 20.0");
+        let stuck = why(&stiff, &xml).unwrap();
+        assert!(stuck.contains("does not move when its target"), "{stuck}");
+        // feet that give way by 16 mm, as in many files of others, carry it
+        let soft =
+            xml.replace("size=\"0.022\"", "size=\"0.022\" solimp=\"0.015 0.9999 0.03 0.5 2\"");
+        assert_ne!(soft, xml);
+        assert_eq!(why(&read("quadruped.robot.toml"), &soft), None);
     }
 }

@@ -25,7 +25,7 @@ pub enum RunsCommand {
     List(WithJson<Within>),
     /// Runs side by side: curves, gates, and the settings that differ
     Compare(WithJson<Chosen>),
-    /// The run whose policy walks best: fewest gates missed, then nearest to its command
+    /// The run whose policy walks best: goes as told and stays up, misses fewest gates, is nearest to its command
     Best(WithJson<Within>),
 }
 
@@ -158,17 +158,18 @@ impl Run {
         Some(missed.filter_map(|gate| Some(gate["name"].as_str()?.to_owned())).collect())
     }
 
-    /// Gates missed, then how far its speed is off the command, m/s.
-    fn rank(&self) -> Option<(usize, f64)> {
-        let speed = self.evaluation["vx_mps"]["mean"].as_f64()?;
-        let off = (speed - self.evaluation["command"][0].as_f64()?).abs();
-        Some((self.missed()?.len(), off))
+    /// Whether it falls or stays behind half of its command, gates missed, how far its speed is off, m/s.
+    fn rank(&self) -> Option<(bool, usize, f64)> {
+        let command = self.evaluation["command"][0].as_f64()?;
+        let off = (self.evaluation["vx_mps"]["mean"].as_f64()? - command).abs();
+        let falls = self.evaluation["fall_share"]["mean"].as_f64().is_some_and(|share| share > 0.5);
+        Some((falls || off > 0.5 * command.abs(), self.missed()?.len(), off))
     }
 
     fn by_rank(&self, other: &Self) -> Ordering {
-        let key = |run: &Self| run.rank().unwrap_or((usize::MAX, f64::INFINITY));
+        let key = |run: &Self| run.rank().unwrap_or((true, usize::MAX, f64::INFINITY));
         let (a, b) = (key(self), key(other));
-        a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))
+        (a.0, a.1).cmp(&(b.0, b.1)).then(a.2.total_cmp(&b.2))
     }
 
     /// Its figures.
@@ -204,7 +205,10 @@ impl Run {
 /// The folders of the runs in a folder, by name: names begin with the time.
 fn dirs(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     let entries = std::fs::read_dir(folder)
-        .or_exit_with(ExitCode::NoInput, || format!("cannot read {}", folder.display()))?;
+        .or_exit_with(ExitCode::NoInput, || format!("no runs in {}", folder.display()))
+        .map_err(|failure| {
+            failure.hint("`caudata train` makes one; give the folder that yours lie in")
+        })?;
     let mut dirs: Vec<PathBuf> = entries
         .flatten()
         .map(|entry| entry.path())
@@ -370,11 +374,13 @@ mod tests {
         run(dir.path(), "a", "0.97", true, 0.3);
         run(dir.path(), "b", "0.97", false, 0.2);
         run(dir.path(), "c", "0.97", false, 0.35);
+        run(dir.path(), "d", "0.97", false, 0.1);
         std::fs::create_dir(dir.path().join("no run")).unwrap();
         let runs = within(dir.path()).unwrap();
-        assert_eq!(runs.len(), 3);
+        assert_eq!(runs.len(), 4);
         let best = runs.iter().min_by(|a, b| a.by_rank(b)).unwrap();
-        assert_eq!((best.name().as_str(), best.rank().unwrap().0), ("c", 0));
+        assert_eq!((best.name().as_str(), best.rank().unwrap().1), ("c", 0));
+        assert_eq!(runs.iter().max_by(|a, b| a.by_rank(b)).unwrap().name(), "d", "it hardly moves");
         assert_eq!(runs[0].missed(), Some(vec!["slip".to_owned()]));
     }
 

@@ -113,11 +113,12 @@ pub fn run(args: &ShowArgs, stop: &StopFlag) -> Result<(), Failure> {
         return Err(Failure::message(ExitCode::BadConfig, "--fps must be 1 to 50"));
     }
     let policy = args.policy.as_deref().map(files::policy).transpose()?;
-    let (mut config, model) = match (&args.policy, &policy) {
-        (Some(path), Some(policy)) => eval::task_of(path, policy, &args.config)?,
+    let log = args.log.as_deref().map(read_log).transpose()?;
+    let (mut config, model) = match (&args.policy, &policy, &log) {
+        (Some(path), Some(policy), _) => eval::task_of(path, policy, &args.config)?,
+        (_, _, Some(log)) => robot::configured(&of_log(args, log)?)?,
         _ => robot::configured(&args.config)?,
     };
-    let log = args.log.as_deref().map(read_log).transpose()?;
     let seed = choose_terrain(args, log.as_ref(), &mut config)?;
     let terrain = Arc::new(Terrain::generate(&config.terrain, seed).or_exit(ExitCode::BadConfig)?);
     let moments = match (&log, &policy) {
@@ -164,6 +165,20 @@ fn read_log(log: &Path) -> Result<RunLog, Failure> {
         false => ExitCode::NoInput,
     };
     RunLog::read(log).or_exit_with(code, || format!("log {}", log.display()))
+}
+
+/// The flags, with the robot of the log where they have none.
+fn of_log(args: &ShowArgs, log: &RunLog) -> Result<ConfigArgs, Failure> {
+    let (flags, named) = (&args.config, log.meta.robot.as_str());
+    let found = files::robot_of_log(args.log.as_deref().unwrap_or(Path::new("")), named);
+    if flags.robot.is_some() || named.is_empty() || found.is_none() && flags.config.is_some() {
+        return Ok(flags.clone());
+    }
+    let robot = found.ok_or_else(|| {
+        let message = format!("the log is of robot `{named}`, whose file is not found");
+        Failure::message(ExitCode::NoInput, message).hint("give it with --robot")
+    })?;
+    Ok(ConfigArgs { robot: Some(robot), ..flags.clone() })
 }
 
 /// Puts the flags' or the log's terrain into `config`; returns the seed.

@@ -58,7 +58,14 @@ pub(crate) fn lay(mut merged: Table, layers: &[(String, Table)]) -> Result<Confi
             return Err(match unknown {
                 Some(key) => {
                     let suggestion = keys::nearest(&key, &known);
-                    ConfigError::UnknownKey { key, origin: origin.clone(), suggestion }
+                    let git = Path::new(origin).with_file_name("git.txt");
+                    let origin = match git.is_file() && origin.ends_with("config.toml") {
+                        true => {
+                            format!("{origin}; {} names the version that wrote it", git.display())
+                        }
+                        false => origin.clone(),
+                    };
+                    ConfigError::UnknownKey { key, origin, suggestion }
                 }
                 None => wrong_type(&error),
             });

@@ -242,7 +242,7 @@ pub(crate) fn bytes(path: &Path) -> Result<Vec<u8>, ModelError> {
 /// Reads a file and everything that it includes.
 pub(crate) fn read(file: &Path, remarks: &mut Remarks) -> Result<Element, ModelError> {
     let mut root = parse(file)?;
-    include(&mut root, file, remarks, (0, &mut 0));
+    include(&mut root, [file, file], remarks, (0, &mut 0));
     Ok(root)
 }
 
@@ -283,17 +283,18 @@ fn own(document: &Document<'_>, node: Node<'_, '_>, file: &str, depth: usize) ->
     })
 }
 
-/// Puts the children of included files in the place of `<include>`. `depth` of the chain, and `count` of all files.
+/// Puts the children of included files in the place of `<include>`: they lie beside the outermost file, or the one
+/// that includes them. `depth` of the chain, and `count` of all files.
 fn include(
     element: &mut Element,
-    file: &Path,
+    [outermost, file]: [&Path; 2],
     remarks: &mut Remarks,
     (depth, count): (usize, &mut usize),
 ) {
     let mut children = Vec::with_capacity(element.children.len());
     for mut child in std::mem::take(&mut element.children) {
         if child.tag != "include" || child.of_xacro {
-            include(&mut child, file, remarks, (depth, count));
+            include(&mut child, [outermost, file], remarks, (depth, count));
             children.push(child);
             continue;
         }
@@ -313,10 +314,11 @@ fn include(
             }
             continue;
         }
-        let path = file.with_file_name("").join(name);
-        match parse(&path) {
+        let beside = [outermost, file].map(|file| file.with_file_name("").join(name));
+        let path = beside.iter().find(|path| path.is_file()).unwrap_or(&beside[1]);
+        match parse(path) {
             Ok(mut included) => {
-                include(&mut included, &path, remarks, (depth + 1, count));
+                include(&mut included, [outermost, path], remarks, (depth + 1, count));
                 children.append(&mut included.children);
             }
             Err(error) => remarks.refuse(&child, format!("<include>: {error}")),

@@ -1,7 +1,8 @@
 //! Files that commands read and write, with the exit code of what goes wrong.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use caudata_config::{Config, Source};
 use caudata_durable::{DurableError, shipped};
 use caudata_model::{ModelError, RobotModel};
 use caudata_policy::PolicyFile;
@@ -51,6 +52,17 @@ pub fn robot(path: &Path) -> Result<RobotModel, Failure> {
     })
 }
 
+/// The robot file of a log: that of the training whose folder it lies in, or the one that it names; a robot's name
+/// stands for its file in `robots/`.
+pub fn robot_of_log(log: &Path, named: &str) -> Option<PathBuf> {
+    let run = log.parent().map(|run| run.join("config.toml")).filter(|config| config.is_file());
+    let run = run.and_then(|config| Config::load(&Source::file(&config)).ok());
+    let run = run.filter(|run| robot(&run.robot_path()).is_ok_and(|robot| robot.name() == named));
+    let named = [named.to_owned(), format!("robots/{named}.robot.toml")]
+        .map(|robot| Config { robot: robot.into(), ..Config::default() });
+    run.into_iter().chain(named).map(|config| config.robot_path()).find(|path| path.is_file())
+}
+
 /// A policy file, checked; a relative path may be that of a policy that came with the program.
 ///
 /// # Errors
@@ -66,7 +78,9 @@ pub fn policy(path: &Path) -> Result<PolicyFile, Failure> {
         caudata_durable::read_at_most(&shipped(path), caudata_policy::MAX_FILE_BYTES as u64)
             .or_exit_with(ExitCode::NoInput, || format!("cannot read {}", shown()))
             .map_err(|failure| meant(failure, path, "policies", |file| ends_with(file, ".onnx")))?;
-    PolicyFile::parse(bytes.into()).or_exit_with(ExitCode::BadInput, shown)
+    PolicyFile::parse(bytes.into()).or_exit_with(ExitCode::BadInput, shown).map_err(|failure| {
+        failure.hint("a policy comes out of `caudata train`, or of caudata.write_policy in Python")
+    })
 }
 
 /// Refuses what is not the folder of a training.

@@ -29,10 +29,6 @@ use super::vec3::{Inertia, V3, add_cross, add_scaled, cross, dot, scale, select3
 use crate::real::Mask;
 use crate::simd::Lanes;
 
-/// Deepest penetration that the spring answers to, m: deeper, it pushes out with a constant force instead of
-/// throwing the robot off.
-const DEEPEST_M: f64 = 0.01;
-
 /// A ball that reaches into the ground.
 struct Meeting<R> {
     depth: R,
@@ -64,7 +60,7 @@ pub(super) fn touch<R: Lanes, const FLAT: bool>(
     let (normal, arm) = (meeting.normal, meeting.arm);
     let friction = friction * meeting.grip;
     let touching = R::zero().lt(meeting.depth);
-    let depth = meeting.depth.min(R::splat(DEEPEST_M));
+    let depth = meeting.depth.min(R::uniform(point.deepest));
     let vel = add_cross(frame.lin, frame.ang, arm);
     // classical acceleration of the point with the bias alone
     let acc = add_cross(add_cross(frame.bias_lin, frame.bias_ang, arm), frame.ang, vel);

@@ -77,6 +77,11 @@ pub(super) struct LinkPlace<R: Lanes> {
     pub origin: [R::Elem; 3],
 }
 
+/// Deepest penetration that a contact's spring answers to, m: deeper, it pushes out with a constant force and
+/// does not throw the robot off. Softer ones answer until they push by this, m/s², and their impedance is full.
+const DEEPEST_M: f64 = 0.01;
+const DEEPEST_MPS2: f64 = 27.0;
+
 /// A ball (radius 0: a point) that may touch the ground.
 #[derive(Debug, Clone)]
 pub(super) struct Point<R: Lanes> {
@@ -91,6 +96,8 @@ pub(super) struct Point<R: Lanes> {
     pub mobility: R::Elem,
     /// How it gives way.
     pub soft: Stop,
+    /// Deepest penetration that its spring answers to, m.
+    pub deepest: R::Elem,
     /// Whether it is a shape of its own, not a corner or an end of one.
     pub is_ball: bool,
     pub part: Part,
@@ -380,13 +387,16 @@ fn contact_points<R: Lanes>(
                 ))
             })?;
             let other = if model.carries_feet(i) { Part::Trunk } else { Part::Tail };
+            let soft = Stop::new(&geom.soft, mobility.links[i]).harder(config.contact_hardness);
+            let full_m = (DEEPEST_MPS2 / soft.stiffness_per_s2()).max(geom.soft.solimp[2]);
             points.extend(centres.into_iter().map(|c| Point {
                 link: i,
                 node,
                 centre: node_from_geom.point(c).map(R::elem),
                 radius: R::elem(radius),
                 mobility: R::elem(mobility.links[i].max(LEAST_MOBILITY)),
-                soft: Stop::new(&geom.soft, mobility.links[i]).harder(config.contact_hardness),
+                soft,
+                deepest: R::elem(DEEPEST_M.max(full_m)),
                 is_ball: matches!(geom.shape, Shape::Sphere { .. }),
                 part: foot.map_or(other, Part::Foot),
             }));

@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
+use std::path::PathBuf;
 use std::time::Duration;
 
-use caudata_config::{Config, ConfigArgs};
+use caudata_config::{Config, Source};
 use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Args;
@@ -22,26 +23,36 @@ const PAGE_BYTES_MAX: u64 = 4 << 20;
 
 #[derive(Debug, Args)]
 pub struct StatusArgs {
+    /// Folder of the run [default: the one that the configuration names, else the newest one]
+    #[arg(value_name = "RUN")]
+    run: Option<PathBuf>,
     /// Metrics of the learner, host:port; otherwise as the configuration or the run's folder says
     #[arg(long, value_name = "ADDR")]
     metrics: Option<String>,
     /// One JSON object on the last line
     #[arg(long)]
     json: bool,
-    #[command(flatten)]
-    config: ConfigArgs,
+    /// The configuration of a cluster's run
+    #[arg(long, value_name = "FILE.toml")]
+    config: Option<PathBuf>,
+    /// Set one of its keys; may be given several times
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    overrides: Vec<String>,
 }
 
 pub fn run(args: &StatusArgs) -> Result<(), Failure> {
-    let config = args.config.load().or_exit(ExitCode::BadConfig)?;
+    let (file, overrides) = (args.config.clone(), args.overrides.clone());
+    let source = Source { preset: None, file, overrides };
+    let config = Config::load(&source).or_exit(ExitCode::BadConfig)?;
     let configured = config.telemetry.metrics_addr;
     let address = match &args.metrics {
         Some(address) => address.clone(),
+        None if args.run.is_some() => announced(&config, args.run.clone())?,
         None if configured.port() != 0 && configured.ip().is_unspecified() => {
             format!("127.0.0.1:{}", configured.port())
         }
         None if configured.port() != 0 => configured.to_string(),
-        None => announced(&config)?,
+        None => announced(&config, None)?,
     };
     let page = fetch(&address).or_exit_with(ExitCode::Unavailable, || {
         format!("the learner's metrics at {address} do not answer")
@@ -55,14 +66,14 @@ pub fn run(args: &StatusArgs) -> Result<(), Failure> {
     })
 }
 
-/// The address that a run has announced: the configuration's run, else the newest one below `run.out_dir`.
-fn announced(config: &Config) -> Result<String, Failure> {
-    let mut hint = "give --metrics HOST:PORT, or --config with telemetry.metrics_addr";
-    let named = run_dir(config);
-    let folder = match named.join(PROGRESS).is_file() {
-        true => Some(named),
-        false => newest(&config.run.out_dir).filter(|folder| folder.join(PROGRESS).is_file()),
+/// The address that a run has announced: this one, else the configuration's, else the newest one.
+fn announced(config: &Config, run: Option<PathBuf>) -> Result<String, Failure> {
+    let mut hint = "give its folder, --metrics HOST:PORT, or --config with telemetry.metrics_addr";
+    let folders: Vec<PathBuf> = match run {
+        Some(run) => files::run_folder(&run).map(|()| vec![run])?,
+        None => [run_dir(config)].into_iter().chain(newest(&config.run.out_dir)).collect(),
     };
+    let folder = folders.into_iter().find(|folder| folder.join(PROGRESS).is_file());
     let Some(folder) = folder else {
         let message = format!("there is no run below {}", config.run.out_dir.display());
         return Err(Failure::message(ExitCode::NoInput, message).hint(hint));
@@ -177,7 +188,6 @@ impl Status {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use caudata_config::Source;
 
     const PAGE: &str = "\
 # HELP caudata_learner_frames Frames.
@@ -205,7 +215,7 @@ caudata_policy_staleness_versions 0.25
         let dir = tempfile::tempdir().unwrap();
         let mut config = Config::load(&Source::default()).unwrap();
         config.run.out_dir = dir.path().to_owned();
-        let refused = |config: &Config| announced(config).unwrap_err().to_string();
+        let refused = |config: &Config| announced(config, None).unwrap_err().to_string();
         assert!(refused(&config).contains("there is no run"));
         let run = |name: &str, events: &str| {
             let folder = dir.path().join(name);
@@ -214,17 +224,21 @@ caudata_policy_staleness_versions 0.25
             std::fs::write(folder.join(PROGRESS), events).unwrap();
         };
         let started = |addr: &str| format!("{{\"event\":\"started\",\"metrics\":{addr}}}\n");
-        // A run of `train` has the time in its name; the newest one counts.
+        // The run that learnt last counts.
         run("20260101-000000_quick", &started("\"127.0.0.1:1\""));
         let last =
             started("\"127.0.0.1:2\"") + &started("\"127.0.0.1:3\"") + "{\"event\":\"warning\"}\n";
         run("20260102-000000_quick", &last);
-        assert_eq!(announced(&config).unwrap(), "127.0.0.1:3");
+        assert_eq!(announced(&config, None).unwrap(), "127.0.0.1:3");
         let end = "{\"event\":\"finished\",\"iteration\":7,\"reason\":\"completed\"}\n";
         run("20260102-000000_quick", &(last + end));
         assert!(refused(&config).contains("has ended after iteration 7 (completed)"));
         // The run that the configuration names comes first.
         run(&config.run.name, &started("\"127.0.0.1:4\""));
-        assert_eq!(announced(&config).unwrap(), "127.0.0.1:4");
+        assert_eq!(announced(&config, None).unwrap(), "127.0.0.1:4");
+        // and one that is named before that
+        let named = dir.path().join("20260101-000000_quick");
+        std::fs::write(named.join("config.toml"), "").unwrap();
+        assert_eq!(announced(&config, Some(named)).unwrap(), "127.0.0.1:1");
     }
 }

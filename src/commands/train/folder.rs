@@ -20,6 +20,9 @@ const OWNER_PATIENCE: Duration = Duration::from_secs(15).saturating_add(DRAIN_DE
 /// Every event of the learner, one JSON object per line.
 pub const PROGRESS: &str = "progress.jsonl";
 
+/// How an event says that something was learnt.
+const ITERATION: &str = r#""event":"iteration""#;
+
 /// `runs/<time>_<name>/`. One process has it at a time: whoever holds `supervisor.lock`, and of the learners
 /// whoever holds [`caudata_actor::LEARNER_LOCK`].
 #[derive(Clone, Debug)]
@@ -28,6 +31,8 @@ pub struct RunFolder {
     run_id: String,
     /// Made by this command.
     new: bool,
+    /// The configuration that it had before this command, and how much of [`PROGRESS`].
+    before: Option<(Vec<u8>, usize)>,
     _owner: Arc<Owner>,
 }
 
@@ -68,7 +73,7 @@ impl RunFolder {
         let new = !root.exists();
         files::make_folder(&root)?;
         let owner = owned(&root, Duration::ZERO, &mut |_| false)?;
-        let folder = Self { root, run_id, new, _owner: owner };
+        let folder = Self { root, run_id, new, before: None, _owner: owner };
         for part in [folder.logs(), folder.ledgers(), folder.checkpoints(), folder.curves()] {
             files::make_folder(&part)?;
         }
@@ -98,6 +103,7 @@ impl RunFolder {
             root: absolute(&root)?,
             run_id: run_id.trim().to_owned(),
             new: false,
+            before: None,
         };
         for part in [folder.logs(), folder.ledgers()] {
             files::make_folder(&part)?;
@@ -105,9 +111,21 @@ impl RunFolder {
         Ok(folder)
     }
 
-    /// Nothing was started: the folder is not a run, and its name can be used again. Logs stay, but not of what
-    /// was `refused`: that has said why.
+    /// Remembers the configuration of a run that goes on, and writes one that differs.
+    ///
+    /// # Errors
+    /// As [`RunFolder::write`].
+    pub fn goes_on(&mut self, differing: Option<&String>) -> Result<(), Failure> {
+        self.before = fs::read(self.config()).ok().map(|config| (config, self.told().len()));
+        differing.map_or(Ok(()), |text| self.write("config.toml", text.as_bytes()).map(drop))
+    }
+
+    /// Nothing was started: the folder is not a run, and its name can be used again; one that was to go on is as
+    /// it was. Logs stay, but not of what was `refused`: that has said why.
     pub fn disown(&self, refused: bool) {
+        if self.put_back() {
+            return;
+        }
         if refused && self.new {
             let _ = fs::remove_dir_all(&self.root);
             return;
@@ -119,11 +137,28 @@ impl RunFolder {
 
     /// As [`RunFolder::disown`] of what was refused, unless it has learnt something.
     pub fn disown_unused(&self) {
-        let progress = fs::read_to_string(self.root.join(PROGRESS)).unwrap_or_default();
         let empty = |folder: &Path| fs::read_dir(folder).is_ok_and(|mut f| f.next().is_none());
-        if self.new && empty(&self.checkpoints()) && !progress.contains(r#""event":"iteration""#) {
+        if !self.put_back()
+            && self.new
+            && empty(&self.checkpoints())
+            && !self.told().contains(ITERATION)
+        {
             self.disown(true);
         }
+    }
+
+    /// What the learner has told so far.
+    fn told(&self) -> String {
+        fs::read_to_string(self.progress()).unwrap_or_default()
+    }
+
+    /// Whether the run was to go on; its configuration is the old one again unless it learnt with the new one.
+    fn put_back(&self) -> bool {
+        let Some((config, told)) = &self.before else { return false };
+        if self.told().get(*told..).is_none_or(|since| !since.contains(ITERATION)) {
+            let _ = self.write("config.toml", config);
+        }
+        true
     }
 
     /// The folder itself, absolute.
@@ -223,12 +258,11 @@ fn owned(root: &Path, patience: Duration, wait: Wait<'_>) -> Result<Arc<Owner>, 
     let began = Instant::now();
     let mut take = |name: &str| {
         let left = patience.saturating_sub(began.elapsed());
-        Owner::take(&root.join(name), left, &mut *wait).map_err(|error| {
-            let code = match &error {
-                OwnerError::Taken { .. } => ExitCode::InUse,
-                OwnerError::Io { source, .. } => ExitCode::of_io(source, true),
-            };
-            Failure::new(code, error).hint("wait until it has ended, or stop it")
+        Owner::take(&root.join(name), left, &mut *wait).map_err(|error| match &error {
+            OwnerError::Taken { .. } => {
+                Failure::new(ExitCode::InUse, error).hint("wait until it has ended, or stop it")
+            }
+            OwnerError::Io { source, .. } => Failure::new(ExitCode::of_io(source, true), error),
         })
     };
     let owner = take("supervisor.lock")?;
@@ -253,10 +287,15 @@ fn absolute(path: &Path) -> Result<PathBuf, Failure> {
         .or_exit_with(ExitCode::CannotCreate, || format!("no such path: {}", path.display()))
 }
 
-/// The newest folder that can be resumed. Names begin with the time, so that the last in order is the newest.
+/// The folder of the run that began, or learnt, last.
 pub fn newest(out_dir: &Path) -> Option<PathBuf> {
     let folders = fs::read_dir(out_dir).ok()?.flatten().map(|entry| entry.path());
-    folders.filter(|path| path.join("run_id.txt").exists()).max()
+    let written = |path: PathBuf| fs::metadata(path).and_then(|file| file.modified()).ok();
+    let dated = folders.filter_map(|path| {
+        let began = written(path.join("run_id.txt"))?;
+        Some((written(path.join(PROGRESS)).map_or(began, |learnt| began.max(learnt)), path))
+    });
+    dated.max().map(|(_, path)| path)
 }
 
 /// `20261121-083312` (UTC): sorts by time and needs no escaping anywhere.
@@ -322,6 +361,33 @@ mod tests {
             made.disown(refused);
             assert_eq!(new.exists(), stays);
         }
+    }
+
+    #[test]
+    fn a_run_that_does_not_go_on_keeps_its_configuration() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut folder = RunFolder::create(None, dir.path(), "walk").unwrap();
+        let event = format!("{{{ITERATION}}}\n");
+        for (learnt, stays) in [("", "old"), (event.as_str(), "new")] {
+            fs::write(folder.config(), "old").unwrap();
+            fs::write(folder.progress(), &event).unwrap();
+            folder.goes_on(Some(&"new".to_owned())).unwrap();
+            fs::write(folder.progress(), event.clone() + learnt).unwrap();
+            folder.disown_unused();
+            assert_eq!(fs::read_to_string(folder.config()).unwrap(), stays);
+        }
+    }
+
+    #[test]
+    fn the_newest_run_is_the_one_that_learnt_last() {
+        let dir = tempfile::tempdir().unwrap();
+        for name in ["20260101-000000_quick", "second", "first"] {
+            let folder = RunFolder::create(Some(&dir.path().join(name)), dir.path(), name).unwrap();
+            fs::write(folder.progress(), "").unwrap();
+        }
+        assert_eq!(newest(dir.path()), Some(dir.path().join("first")));
+        fs::write(dir.path().join("second").join(PROGRESS), "later").unwrap();
+        assert_eq!(newest(dir.path()), Some(dir.path().join("second")));
     }
 
     #[test]

@@ -110,9 +110,7 @@ pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
     let shown = page.as_ref().map(|page| (page, desk.as_ref()));
     let logger = args.logger.map(|logger| (logger, view.clone()));
     let supervisor = Supervisor::start(&programs, &config, &folder, &process.stop, view, plan);
-    if let Err(failure) = &supervisor
-        && args.resume() == Resume::No
-    {
+    if let Err(failure) = &supervisor {
         folder.disown(start::is_refusal(failure.code()));
     }
     let supervisor = supervisor?.shown_on(shown);
@@ -199,7 +197,7 @@ fn prepare(
     let mut before = None;
     let mut config = Config::load(&source(args, None)).or_exit(ExitCode::BadConfig)?;
     let out = args.out.as_deref();
-    let folder = if args.resume() != Resume::No {
+    let mut folder = if args.resume() != Resume::No {
         let folder = RunFolder::reopen(out, &config.run.out_dir, wait)?;
         if !folder.config().is_file() {
             let message = format!("{} is missing", folder.config().display());
@@ -234,8 +232,10 @@ fn prepare(
         config.terrain.map = std::path::absolute(&config.terrain.map).or_exit(ExitCode::NoInput)?;
     }
     // What says the same stays as it is: the version that wrote it may be the only one that can go on.
-    if before.as_ref() != Some(&config) {
-        folder.write("config.toml", config.to_toml().or_exit(ExitCode::BadConfig)?.as_bytes())?;
+    let text = config.to_toml().or_exit(ExitCode::BadConfig)?;
+    match before {
+        Some(before) => folder.goes_on((before != config).then_some(&text))?,
+        None => folder.write("config.toml", text.as_bytes()).map(drop)?,
     }
     Ok((config, folder, resume))
 }

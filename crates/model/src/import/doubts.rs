@@ -12,9 +12,11 @@ const FAR_RAD: f64 = 4.0 * std::f64::consts::PI;
 /// The strongest drive's share of weight times reach, beyond which either is in another unit. Legged robots and
 /// arms have 0.1 to 3.
 const TORQUE_SHARE: (f64, f64) = (0.01, 100.0);
-/// How far from its centre the mass of a link lies, of the reach of the whole robot, and m.
+/// How far from its centre the mass of a link lies, of the reach of the whole robot, and m; no mass lies as far
+/// as the last of these.
 const GYRATION_SHARE: f64 = 2.0;
 const GYRATION_LEAST_M: f64 = 1e-4;
+const GYRATION_MOST: f64 = 10.0;
 
 /// Refuses what no body can have, and notes what is hardly meant.
 pub(super) fn say(robot: &Robot, root: &Element, remarks: &mut Remarks) {
@@ -48,19 +50,23 @@ fn inertia(body: &Body, reach_m: f64, remarks: &mut Remarks) {
     let Some(inertial) = body.inertial.filter(|i| i.mass_kg > 0.0) else { return };
     let moments = principal(inertial.inertia_kgm2).0;
     let shown = moments.map(|m| format!("{m:.3e}")).join(", ");
-    if let Err(why) = check_inertia(inertial.inertia_kgm2) {
-        let message =
-            format!("{why}; its principal moments are {shown} kg·m², with what is fixed to it");
-        remarks.refuse_of(&body.element, message);
-        return;
-    }
-    let radius_m = (moments.into_iter().fold(0.0, f64::max) / inertial.mass_kg).sqrt();
-    if radius_m > GYRATION_SHARE * reach_m || radius_m < GYRATION_LEAST_M {
-        let message = format!(
-            "{} kg with moments of {shown} kg·m² lie {radius_m:.1e} m from their centre: is one in another \
-             unit (g, g·mm²)?",
-            inertial.mass_kg
-        );
-        remarks.note_of(&body.element, message);
+    let largest = moments.into_iter().fold(0.0, |a: f64, m| a.max(m.abs()));
+    let radius_m = (largest / inertial.mass_kg).sqrt();
+    let mass_kg = inertial.mass_kg;
+    let far = radius_m > GYRATION_SHARE * reach_m || radius_m < GYRATION_LEAST_M;
+    let unit = format!(
+        "{mass_kg} kg with moments of {shown} kg·m² lie {radius_m:.1e} m from their centre: is one in another unit (g, \
+         g·mm²)? kg and kg·m² belong"
+    );
+    match check_inertia(inertial.inertia_kgm2) {
+        Err(why) if far => remarks.refuse_of(&body.element, format!("{why}; {unit}")),
+        Err(why) => {
+            let message =
+                format!("{why}; its principal moments are {shown} kg·m², with what is fixed to it");
+            remarks.refuse_of(&body.element, message);
+        }
+        Ok(()) if radius_m > GYRATION_MOST * reach_m => remarks.refuse_of(&body.element, unit),
+        Ok(()) if far => remarks.note_of(&body.element, unit),
+        Ok(()) => {}
     }
 }

@@ -96,9 +96,13 @@ pub fn import(file: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
         };
         remarks.note(&root, message);
     }
+    if let Some(wheel) = robot.bodies.iter().find(|body| robot_toml::wheel(body)) {
+        let message = "rolls on its joint: wheels are not counted as feet, and driven ones end at a full turn";
+        remarks.note_of(&wheel.element, message);
+    }
     if robot.free_base && robot_toml::feet(&robot).is_empty() {
-        let message = "no foot: no shape at the end of a leg touches the ground (a mesh that is missing does not); \
-                       for a robot that walks give each a sphere";
+        let message = "no foot: no shape at the end of a leg touches the ground (a mesh that is missing does not, a \
+                       wheel rolls); for a robot that walks give each a sphere";
         remarks.note(&root, message);
     }
     robot_toml::raise(&mut robot, &root, &mut remarks);

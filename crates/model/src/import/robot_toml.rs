@@ -311,6 +311,9 @@ pub(super) fn feet(robot: &Robot) -> Vec<Foot> {
         if robot.bodies.iter().any(|b| b.parent == Some(end)) {
             continue;
         }
+        if wheel(&robot.bodies[end]) {
+            continue;
+        }
         let Some((_, toe_z, _)) = lowest(end) else { continue };
         // toes without a drive belong to the foot that stands on the ground before them
         let foot = robot.bodies[end].parent.filter(|&p| p > 0 && !driven(robot, end));
@@ -335,6 +338,24 @@ pub(super) fn feet(robot: &Robot) -> Vec<Foot> {
     let row = |x: f64| (-x / 0.1).round() as i64;
     found.sort_by(|(a, _, _), (b, _, _)| row(a[0]).cmp(&row(b[0])).then(b[1].total_cmp(&a[1])));
     found.into_iter().map(|(_, _, foot)| foot).collect()
+}
+
+/// Whether a body rolls on its joint: round about an axis that it can turn about by more than once.
+pub(super) fn wheel(body: &Body) -> bool {
+    let [joint] = body.joints.as_slice() else { return false };
+    let turns = joint.range.is_none_or(|(low, high)| high - low > std::f64::consts::TAU);
+    let off_axis_m =
+        |at: [f64; 3]| pose::norm(pose::cross(pose::sub(at, joint.anchor_m), joint.axis));
+    let round = |geom: &Geom| match geom.shape {
+        Shape::Sphere { radius_m } => off_axis_m(geom.link_from_geom.pos_m) < 0.05 * radius_m,
+        Shape::Cylinder { radius_m, .. } => {
+            let along = geom.link_from_geom.rotate([0.0, 0.0, 1.0]);
+            let tilt = pose::norm(pose::cross(along, joint.axis));
+            tilt < 0.05 && off_axis_m(geom.link_from_geom.pos_m) < 0.05 * radius_m
+        }
+        _ => false,
+    };
+    turns && joint.motion == JointMotion::Hinge && reaching(body).any(round)
 }
 
 /// Raises a held robot that would be stuck in the ground: nothing of it that moves reaches the ground then.

@@ -7,6 +7,8 @@ use crate::types::{Geom, JointMotion};
 
 /// How far a leg reaches down, of what it could: knees bent by some 80°.
 const BENT: f64 = 0.75;
+/// Nearer to the middle the end of a limb is on no side, m.
+const ASIDE_LEAST_M: f64 = 1e-3;
 /// Between these a leg is bent already; beyond, it is as good as straight.
 const BENT_MOST: f64 = 0.4;
 const STRAIGHT: f64 = 0.93;
@@ -35,9 +37,10 @@ const TURN_COST: f64 = 0.01;
 const SOLE_COST: f64 = 0.1;
 const KNEE_COST: f64 = 0.02;
 
-/// A limb: bodies from the root to its end, and the end's lowest shape.
+/// A limb: bodies from the trunk to its end, where they hang, and the end's lowest shape.
 struct Limb {
     chain: Vec<usize>,
+    trunk: Pose,
     tip_m: [f64; 3],
     /// Where the first joint is, and the tip with all joints at zero.
     hip_m: [f64; 3],
@@ -54,7 +57,7 @@ impl Limb {
     /// Frames of the chain's bodies, seen from the root.
     fn frames(&self, robot: &Robot, q: &[f64]) -> Vec<Pose> {
         let mut q = q.iter();
-        let mut at = Pose::IDENTITY;
+        let mut at = self.trunk;
         let frame = |&b: &usize| {
             let body = &robot.bodies[b];
             at = at.compose(&body.parent_from_body);
@@ -102,7 +105,11 @@ impl Limb {
 
 /// Writes down angles in which the robot stands; not where it has no legs, or stands as its file is.
 pub(super) fn find(robot: &mut Robot) -> bool {
-    let mut legs: Vec<Limb> = (1..robot.bodies.len()).filter_map(|b| limb(robot, b)).collect();
+    let places_at_rest = places(robot);
+    let trunk = trunk(robot, &places_at_rest);
+    let ends = 1..robot.bodies.len();
+    let mut legs: Vec<Limb> =
+        ends.filter_map(|b| limb(robot, b, &trunk, &places_at_rest)).collect();
     let mirrored = |a: &Limb, place: fn(&Limb) -> [f64; 3]| {
         let [x, y, z] = place(a);
         let off = |b: &Limb| pose::norm(pose::sub(place(b), [x, -y, z]));
@@ -158,15 +165,33 @@ pub(super) fn find(robot: &mut Robot) -> bool {
     bent
 }
 
+/// Which bodies are of the trunk: the root, and what carries ends on both sides, like a part before a waist.
+fn trunk(robot: &Robot, places: &[Pose]) -> Vec<bool> {
+    let mut sides = vec![(false, false); places.len()];
+    for b in (0..places.len()).rev() {
+        let y_m = places[b].pos_m[1];
+        if !robot.bodies.iter().any(|body| body.parent == Some(b)) {
+            sides[b] = (y_m > ASIDE_LEAST_M, y_m < -ASIDE_LEAST_M);
+        }
+        if let Some(parent) = robot.bodies[b].parent {
+            sides[parent] = (sides[parent].0 || sides[b].0, sides[parent].1 || sides[b].1);
+        }
+    }
+    sides.iter().enumerate().map(|(b, (left, right))| b == 0 || (*left && *right)).collect()
+}
+
 /// The limb that ends at a body, if it may be a leg.
-fn limb(robot: &Robot, end: usize) -> Option<Limb> {
+fn limb(robot: &Robot, end: usize, trunk: &[bool], places: &[Pose]) -> Option<Limb> {
     let ends = !robot.bodies.iter().any(|b| b.parent == Some(end));
     let mut chain: Vec<usize> = std::iter::successors(Some(end), |&b| robot.bodies[b].parent)
-        .take_while(|&b| b > 0)
+        .take_while(|&b| !trunk[b])
         .collect();
     chain.reverse();
+    let carrier = chain.first().and_then(|&b| robot.bodies[b].parent)?;
+    let trunk = places[carrier];
+    let nowhere = [0.0; 3];
     let mut limb =
-        Limb { chain, tip_m: [0.0; 3], hip_m: [0.0; 3], zero_m: [0.0; 3], deepest_m: 0.0 };
+        Limb { chain, trunk, tip_m: nowhere, hip_m: nowhere, zero_m: nowhere, deepest_m: 0.0 };
     let count = limb.joints(robot).count();
     if !ends || !(2..=JOINTS_MAX).contains(&count) {
         return None;

@@ -27,6 +27,8 @@ struct Reader<'a> {
     file: &'a Path,
     links: BTreeMap<&'a str, &'a Element>,
     meshes: Meshes,
+    /// Meshes of shapes that touch which cannot be read, and their links.
+    lost: Vec<(String, Element)>,
     remarks: &'a mut Remarks,
     robot: Robot,
 }
@@ -58,11 +60,14 @@ fn slips(e: &Element, remarks: &mut Remarks) {
     let Some((_, attributes, inside)) = PARTS.iter().find(|row| row.0 == e.tag) else { return };
     e.misspelt(attributes, remarks);
     for child in &e.children {
-        match meant(&child.tag, inside).filter(|_| !inside.contains(&child.tag.as_str())) {
+        match meant(&child.tag, inside) {
+            _ if inside.contains(&child.tag.as_str()) => slips(child, remarks),
             Some(meant) => {
                 remarks.refuse_of(child, format!("is not known; did you mean <{meant}>?"));
             }
-            None => slips(child, remarks),
+            None => {
+                remarks.note_once(child, format!("<{}> in a <{}> is not kept", child.tag, e.tag))
+            }
         }
     }
 }
@@ -87,6 +92,7 @@ pub(super) fn read(
         file,
         links: named.collect(),
         meshes: Meshes::default(),
+        lost: Vec::new(),
         remarks,
         robot: Robot {
             name: root.get("name").map(str::to_owned),
@@ -105,6 +111,16 @@ pub(super) fn read(
         return None;
     };
     reader.link(base, None, Pose::IDENTITY, None, 0);
+    if let Some((mesh, first)) = reader.lost.first() {
+        let links: Vec<&str> =
+            reader.lost.iter().filter_map(|(_, link)| link.get("name")).collect();
+        let message = format!(
+            "mesh `{mesh}` cannot be read; looked for beside this file and in the folders above it. Nothing touches in its \
+             place; the same goes for all of {}",
+            links.join(", ")
+        );
+        reader.remarks.note(first, message);
+    }
     let robot = &mut reader.robot;
     let on_world = matches!(base, "world" | "map");
     robot.free_base = options.free_base.unwrap_or(!on_world && chains(robot) > 1);
@@ -429,11 +445,7 @@ impl<'a> Reader<'a> {
                 let scale = geometry.array("scale", self.remarks).unwrap_or([1.0; 3]);
                 self.meshes.add(name, self.path(name), scale);
                 let Some(mesh) = self.meshes.find(name) else {
-                    let message = format!(
-                        "{}: mesh `{name}` cannot be read; the shape is left out",
-                        link.label()
-                    );
-                    self.remarks.note(&geometry, message);
+                    self.lost.push((name.to_owned(), link.clone()));
                     return None;
                 };
                 self.remarks.note_once(

@@ -4,7 +4,9 @@ use std::collections::BTreeSet;
 
 use super::context::Context;
 use crate::parts::{Actuator, Robot};
+use crate::pose::{self, Pose};
 use crate::tree::Element;
+use crate::types::JointMotion;
 
 fn elements(root: &Element) -> impl Iterator<Item = &Element> {
     root.all("actuator").flat_map(|a| &a.children)
@@ -55,7 +57,11 @@ pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot)
             let range = e.array::<2>(key, context.remarks)?;
             Some(range[0].abs().max(range[1].abs()) * gear).filter(|x| *x > 0.0)
         };
-        let gains = gains(context, &e).map(|(kp, kd)| (kp * gear * gear, kd * gear * gear));
+        let gains = gains(context, &e).map(|(kp, kd, ratio)| {
+            let kp = kp * gear * gear;
+            let critical = 2.0 * (kp.max(0.0) * hanging_inertia(robot, &joint)).sqrt();
+            (kp, kd * gear * gear + ratio * critical)
+        });
         for key in ["kp", "kv"] {
             e.not_negative(key, context.remarks);
         }
@@ -72,19 +78,43 @@ pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot)
     }
 }
 
-/// Gains of a position loop.
-fn gains(context: &mut Context<'_>, e: &Element) -> Option<(f64, f64)> {
+/// What a joint moves with all others still, in the pose of the file, kg·m² (kg where it slides).
+fn hanging_inertia(robot: &Robot, joint: &str) -> f64 {
+    let mut at: Vec<Option<Pose>> = Vec::new();
+    let (mut moved, mut of) = (0.0, None);
+    for (i, body) in robot.bodies.iter().enumerate() {
+        let own = body.joints.iter().find(|j| j.name == joint);
+        of = of.or(own);
+        let above = body.parent.and_then(|p| at[p]).map(|p| p.compose(&body.parent_from_body));
+        at.push(above.or(own.map(|_| Pose::IDENTITY)));
+        let (Some(joint), Some(at), Some(inertial)) = (of, at[i], body.inertial) else { continue };
+        let seen = inertial.seen_from(&at);
+        moved += match joint.motion {
+            JointMotion::Slide => seen.mass_kg,
+            JointMotion::Hinge => {
+                let arm = pose::cross(joint.axis, pose::sub(seen.com_m, joint.anchor_m));
+                let turned = seen.inertia_kgm2.map(|row| pose::dot(row, joint.axis));
+                pose::dot(joint.axis, turned) + seen.mass_kg * pose::dot(arm, arm)
+            }
+        };
+    }
+    moved + of.map_or(0.0, |joint| joint.armature)
+}
+
+/// Gains of a position loop, and how much of the critical damping comes on top.
+fn gains(context: &mut Context<'_>, e: &Element) -> Option<(f64, f64, f64)> {
     let first = |numbers: Option<Vec<f64>>, at: usize| numbers.and_then(|n| n.get(at).copied());
     match e.tag.as_str() {
         "position" => {
             let kp = e.number("kp", context.remarks).unwrap_or(1.0);
             let kv = e.number("kv", context.remarks).unwrap_or(0.0);
-            if e.number("dampratio", context.remarks).is_some_and(|d| d != 0.0) {
-                let message = "dampratio is not read, nothing damps in its place; write the kv that MuJoCo makes of \
-                               it (actuator_biasprm)";
+            let ratio = e.not_negative("dampratio", context.remarks).unwrap_or(0.0);
+            if ratio > 0.0 {
+                let message = "dampratio: gains follow from what hangs on each joint, the trunk held; MuJoCo, whose trunk \
+                               gives way, makes up to a third less of it (actuator_biasprm)";
                 context.remarks.note_once(e, message);
             }
-            Some((kp, kv))
+            Some((kp, kv, ratio))
         }
         "general" if e.get("biastype") == Some("affine") => {
             let gain = e.numbers("gainprm", context.remarks);
@@ -96,7 +126,8 @@ fn gains(context: &mut Context<'_>, e: &Element) -> Option<(f64, f64)> {
                 let message = "a general actuator that holds no position is read as one of torque";
                 context.remarks.note_once(e, message);
             }
-            servo.then_some((kp, -kv))
+            // as dampratio is compiled
+            servo.then_some((kp, (-kv).max(0.0), kv.max(0.0)))
         }
         "motor" | "general" => None,
         other => {

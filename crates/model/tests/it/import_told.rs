@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use caudata_model::import::{ImportError, Imported};
+use caudata_model::import::{ImportError, ImportOptions, Imported, import};
 use caudata_model::{Pose, RobotModel};
 
 use crate::import::{model, read};
@@ -82,6 +82,57 @@ fn straight_legs_are_bent_and_stand_below_their_hips() {
     assert!(model(&read("bent.urdf", &bent).unwrap()).nominal_pos_rad().iter().all(|q| *q == 0.0));
 }
 
+/// The legs before a waist stand as those behind it, and the waist stays straight.
+#[test]
+fn a_waist_is_no_joint_of_a_leg() {
+    let mut text = quadruped();
+    for leg in ["fl", "fr"] {
+        let at = text.find(&format!("{leg}_hüfte")).unwrap();
+        let parent = at + text[at..].find("link=\"base\"").unwrap();
+        text.replace_range(parent..parent + "link=\"base\"".len(), "link=\"front\"");
+    }
+    let waist = "<link name=\"front\"><inertial><mass value=\"0.3\"/>\
+                 <inertia ixx=\"0.001\" iyy=\"0.001\" izz=\"0.001\"/></inertial><joint_properties friction=\"1\"/></link>\
+                 <joint name=\"waist\" type=\"revolute\"><parent link=\"base\"/><child link=\"front\"/>\
+                 <axis xyz=\"0 0 1\"/><limit lower=\"-0.6\" upper=\"0.6\" effort=\"1.5\" velocity=\"6\"/></joint></robot>";
+    let made = read("waist.urdf", &text.replace("</robot>", waist)).unwrap();
+    assert!(told(&made, "<joint_properties> in a <link> is not kept"), "{:?}", made.notes);
+    let (m, plain) = (model(&made), model(&read("dog.urdf", &quadruped()).unwrap()));
+    let place = m.actuated_names().iter().position(|name| *name == "waist").unwrap();
+    assert_eq!(m.nominal_pos_rad()[place], 0.0);
+    assert_eq!(m.nominal_pos_rad().len(), 9);
+    for (a, b) in feet(&m).iter().zip(feet(&plain)) {
+        assert!((0..3).all(|i| (a[i] - b[i]).abs() < 0.01), "{a:?} and {b:?}");
+    }
+}
+
+/// A wheel on each side, a mass of 1 kg half a metre below a joint of gear 3.
+#[test]
+fn wheels_are_no_feet_and_a_damping_ratio_becomes_a_gain() {
+    let wheel = |name: &str, y: f64| {
+        format!(
+            "<body name=\"{name}\" pos=\"0 {y} 0\"><joint name=\"{name}\" axis=\"0 1 0\"/>\
+             <geom type=\"cylinder\" size=\"0.1 0.02\" euler=\"90 0 0\"/></body>"
+        )
+    };
+    let text = format!(
+        "<mujoco><worldbody><body name=\"base\"><freejoint/><geom size=\"0.05\"/>{}{}\
+         <body name=\"arm\"><joint name=\"arm\" axis=\"0 1 0\" range=\"-40 40\" armature=\"0.05\"/>\
+         <inertial pos=\"0 0 -0.5\" mass=\"1\" diaginertia=\"0.01 0.01 0.01\"/></body></body></worldbody><actuator>\
+         <position joint=\"arm\" kp=\"30\" dampratio=\"0.5\" gear=\"3\"/><motor joint=\"l\"/><motor joint=\"r\"/></actuator></mujoco>",
+        wheel("l", 0.1),
+        wheel("r", -0.1)
+    );
+    let made = read("cart.xml", &text).unwrap();
+    assert!(told(&made, "rolls on its joint") && told(&made, "dampratio"), "{:?}", made.notes);
+    let m = model(&made);
+    assert!(m.feet().is_empty());
+    let gains = m.gains()[0];
+    // 0.25 + 0.01 + 0.05 kg·m² at 270 N·m/rad
+    assert!((gains.kp_nm_per_rad - 270.0).abs() < 1e-9);
+    assert!((gains.kd_nm_s_per_rad - (270.0_f64 * 0.31).sqrt()).abs() < 1e-9, "{gains:?}");
+}
+
 #[test]
 fn legs_that_the_file_stretches_out_stand_spread() {
     let mut text = quadruped();
@@ -151,6 +202,9 @@ fn a_sole_is_all_its_balls_and_its_toes_need_no_drive() {
     assert!((4.0..9.0).contains(&torque_nm), "{torque_nm}");
 }
 
+/// Moments of some links of [`quadruped`].
+const BALL: &str = "ixx=\"0.00003\" iyy=\"0.00003\" izz=\"0.00003\"";
+
 #[test]
 fn units_that_are_hardly_meant_are_told() {
     let plain = quadruped();
@@ -159,15 +213,17 @@ fn units_that_are_hardly_meant_are_told() {
     for (old, new, word) in [
         ("lower=\"-1.57\" upper=\"1.57\"", "lower=\"-90\" upper=\"90\"", "are they degrees?"),
         ("mass value=\"0.", "mass value=\"80", "mass in grams"),
-        (
-            "ixx=\"0.00003\" iyy=\"0.00003\" izz=\"0.00003\"",
-            "ixx=\"30000\" iyy=\"30000\" izz=\"30000\"",
-            "in another unit (g, g·mm²)",
-        ),
+        (BALL, "ixx=\"0.03\" iyy=\"0.03\" izz=\"0.03\"", "in another unit (g, g·mm²)"),
     ] {
         assert!(plain.contains(old), "{old}");
         let made = read("units.urdf", &plain.replace(old, new)).unwrap();
         assert!(told(&made, word), "{word}: {:?}", made.notes);
+    }
+    // no body of this size has either
+    for moments in ["ixx=\"30000\" iyy=\"30000\" izz=\"30000\"", "ixx=\"3\" iyy=\"3\" izz=\"7000\""]
+    {
+        let said = refused("units.urdf", &plain.replace(BALL, moments));
+        assert!(said.iter().all(|s| s.contains("in another unit (g, g·mm²)")), "{said:?}");
     }
     // no body has this; the line is that of the link in the file
     let wrong = plain.replacen("ixx=\"0.001\"", "ixx=\"0.01\"", 1);
@@ -204,6 +260,23 @@ fn every_fault_of_a_urdf_is_said_at_once() {
     ] {
         let found = said.iter().any(|s| s.starts_with(&format!("{line} ")) && s.contains(part));
         assert!(found, "line {line}, {part}: {said:#?}");
+    }
+}
+
+/// As MuJoCo finds them.
+#[test]
+fn a_file_that_an_included_one_includes_lies_beside_it_or_the_outermost() {
+    let dir = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| std::fs::write(dir.path().join(name), text).unwrap();
+    std::fs::create_dir(dir.path().join("sub")).unwrap();
+    write("main.xml", "<mujoco><worldbody><include file=\"sub/a.xml\"/></worldbody></mujoco>");
+    let body =
+        "<body name=\"a\"><joint name=\"j\" range=\"-9 9\"/><include file=\"b.xml\"/></body>";
+    write("sub/a.xml", &format!("<mujocoinclude>{body}</mujocoinclude>"));
+    for place in ["b.xml", "sub/b.xml"] {
+        write(place, "<mujocoinclude><geom size=\"0.1\"/></mujocoinclude>");
+        import(&dir.path().join("main.xml"), &ImportOptions::default()).unwrap();
+        std::fs::remove_file(dir.path().join(place)).unwrap();
     }
 }
 
