@@ -138,11 +138,7 @@ impl RunFolder {
     /// As [`RunFolder::disown`] of what was refused, unless it has learnt something.
     pub fn disown_unused(&self) {
         let empty = |folder: &Path| fs::read_dir(folder).is_ok_and(|mut f| f.next().is_none());
-        if !self.put_back()
-            && self.new
-            && empty(&self.checkpoints())
-            && !self.told().contains(ITERATION)
-        {
+        if self.new && empty(&self.checkpoints()) && !self.told().contains(ITERATION) {
             self.disown(true);
         }
     }
@@ -153,7 +149,7 @@ impl RunFolder {
     }
 
     /// Whether the run was to go on; its configuration is the old one again unless it learnt with the new one.
-    fn put_back(&self) -> bool {
+    pub fn put_back(&self) -> bool {
         let Some((config, told)) = &self.before else { return false };
         if self.told().get(*told..).is_none_or(|since| !since.contains(ITERATION)) {
             let _ = self.write("config.toml", config);
@@ -373,7 +369,7 @@ mod tests {
             fs::write(folder.progress(), &event).unwrap();
             folder.goes_on(Some(&"new".to_owned())).unwrap();
             fs::write(folder.progress(), event.clone() + learnt).unwrap();
-            folder.disown_unused();
+            assert!(folder.put_back());
             assert_eq!(fs::read_to_string(folder.config()).unwrap(), stays);
         }
     }

@@ -50,9 +50,9 @@ pub fn is_refusal(code: ExitCode) -> bool {
     )
 }
 
-/// A run that was refused before it began leaves no folder.
+/// A run that was refused before it began leaves no folder; one that did not go on is as it was.
 pub fn clear_if_refused(folder: &RunFolder, failure: &Failure) {
-    if is_refusal(failure.code()) {
+    if !folder.put_back() && is_refusal(failure.code()) {
         folder.disown_unused();
     }
 }
