@@ -377,12 +377,18 @@ mod tests {
     #[test]
     fn the_newest_run_is_the_one_that_learnt_last() {
         let dir = tempfile::tempdir().unwrap();
-        for name in ["20260101-000000_quick", "second", "first"] {
-            let folder = RunFolder::create(Some(&dir.path().join(name)), dir.path(), name).unwrap();
-            fs::write(folder.progress(), "").unwrap();
+        // clocks of files tick too slowly to tell runs of a test apart
+        let at = |name: &str, file: &str, s: u64| {
+            let file = fs::File::create(dir.path().join(name).join(file)).unwrap();
+            file.set_modified(std::time::UNIX_EPOCH + Duration::from_secs(s)).unwrap();
+        };
+        for (s, name) in (1..).zip(["20260101-000000_quick", "second", "first"]) {
+            RunFolder::create(Some(&dir.path().join(name)), dir.path(), name).unwrap();
+            at(name, "run_id.txt", s);
+            at(name, PROGRESS, s);
         }
         assert_eq!(newest(dir.path()), Some(dir.path().join("first")));
-        fs::write(dir.path().join("second").join(PROGRESS), "later").unwrap();
+        at("second", PROGRESS, 4);
         assert_eq!(newest(dir.path()), Some(dir.path().join("second")));
     }
 
