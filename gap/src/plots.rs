@@ -14,8 +14,6 @@ pub struct Plots {
     pub signatures: Vec<Signature>,
     /// Error against prediction horizon, by signal.
     pub horizons: Vec<Horizon>,
-    /// How the misfit falls from cause to cause.
-    pub waterfall: Vec<WaterfallStep>,
     /// Every hypothesis that was refined, best first.
     pub hypotheses: Vec<Hypothesis>,
     /// Correlation of the fitted parameters.
@@ -98,16 +96,6 @@ pub struct Horizon {
     pub after: Vec<f64>,
     /// What repeats differ by. `[N]`
     pub floor: Vec<f64>,
-}
-
-/// One step of the misfit's way down. Misfit: mean squared error in units of the noise floor, 1 = floor, on
-/// held-out runs.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct WaterfallStep {
-    /// `as given`, an effect id (with `@joint`), or `floor`.
-    pub label: String,
-    /// Misfit after this step.
-    pub misfit: f64,
 }
 
 /// A hypothesis that was fitted.

@@ -56,7 +56,7 @@ pub struct Checked {
     pub runs: Vec<RunCheck>,
     /// Groups of runs with the same commands, by name: repeats are the only honest measure of noise.
     pub repeats: Vec<Vec<String>>,
-    /// Stretches that repeats do not show; a diagnosis leaves them out.
+    /// Stretches that repeats do not show; a diagnosis leaves those out of which it is known whose they are.
     pub odd_spans: Vec<OddSpan>,
     /// What stands in the logs and no diagnosis reads, with the number of runs: columns, settings,
     /// topics.
@@ -193,6 +193,14 @@ pub fn check(logs: &[(&str, &RunLog)], robot: &RobotModel) -> Checked {
         cannot_tell: blind(logs, &excitations, robot),
         runs: checks,
     }
+}
+
+/// Stretches of one of at least three repeats that the others do not show.
+pub(crate) fn touched(logs: &[(&str, &RunLog)], robot: &RobotModel) -> Vec<OddSpan> {
+    let runs = runs_of(logs, robot);
+    let channels: Vec<Vec<Channels>> = runs.iter().map(Channels::all).collect();
+    let groups = repeats::groups(&runs, &channels).into_iter().filter(|g| g.len() > 2);
+    groups.flat_map(|g| repeats::odd_spans(&runs, &channels, &g)).collect()
 }
 
 /// Kind of a note that something stands on an assumed figure of the robot file.

@@ -12,7 +12,7 @@ const POLISHED: usize = 4;
 /// Steps of that.
 const POLISHING: usize = 2;
 /// Steps of the last fit.
-const LAST_STEPS: usize = 12;
+pub const LAST_STEPS: usize = 12;
 /// What an additional parameter must earn: share of the misfit.
 const PER_PARAMETER: f64 = 0.015;
 

@@ -16,12 +16,12 @@ const RESAMPLES: usize = 400;
 pub const RELATIVE_GAIN: f64 = 0.06;
 /// The same in units of the floor.
 pub const ABSOLUTE_GAIN: f64 = 0.12;
-/// A gain that comes from so few blocks is an incident, not an effect: the largest block's share.
-const ONE_BLOCK: f64 = 0.8;
 /// Misfit from which on a model is far from its data: more is allowed, in smaller steps.
 pub const FAR: f64 = 6.0;
 /// See [`RELATIVE_GAIN`], far from the data.
 const FAR_GAIN: f64 = 0.03;
+/// A gain that comes from so few blocks is an incident, not an effect: the largest block's share.
+const ONE_BLOCK: f64 = 0.8;
 /// A gain that is in so many blocks of the runs that were fitted is no incident ([`blocks`]) …
 const SEVERAL_BLOCKS: f64 = 2.0;
 /// … nor one that takes so much off the parts that were left out.
@@ -243,6 +243,15 @@ pub fn misfit(context: &Context, state: &State) -> f64 {
 /// of the body. A single bad joint of many hardly shows in the mean over all.
 pub fn worst(context: &Context, state: &State) -> f64 {
     worst_of(context, &[(&context.fit, &state.cross)])
+}
+
+/// The joint at which it is greatest; none where that is the body.
+pub fn worst_joint(context: &Context, state: &State) -> Option<usize> {
+    let joints = context.replayer.model().actuated().len();
+    let sums = groups(joints, &[(&context.fit, &state.cross)]);
+    let mean = |a: &usize| sums[*a].0 / f64::max(sums[*a].1, 1.0);
+    let worst = (0..=joints).max_by(|a, b| mean(a).total_cmp(&mean(b)));
+    worst.filter(|a| *a < joints)
 }
 
 /// The same of any runs.

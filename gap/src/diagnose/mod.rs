@@ -20,7 +20,6 @@ mod joints;
 mod judge;
 mod leftover;
 mod levels;
-mod lines;
 mod local;
 mod losses;
 mod metric;
@@ -58,9 +57,9 @@ use crate::error::GapError;
 use crate::excitation::Excitation;
 use crate::go_on::GoOn;
 use crate::replay::{Data, Replayer, SegmentOptions};
-use crate::report::{Compute, DataFault, RunUse};
+use crate::report::{Compute, RunUse};
 use crate::trial::{Role, Run, Trial};
-use crate::{reading, repeats};
+use crate::{check, reading, repeats};
 
 pub use request::{Diagnosis, Options, Progress, Request, Split, Stage};
 
@@ -94,7 +93,7 @@ pub fn diagnose(
     for (run, trial) in runs.iter_mut().zip(&trials) {
         run.role = role_name(trial.role).to_owned();
     }
-    let faults = mask_disturbed(&mut trials);
+    mask_touched(request, &model, &mut trials);
     let mut context = context(request, &model, trials, split)?;
     let mut found = search::Found::nothing(&context)?;
     let mut named = Vec::new();
@@ -129,7 +128,6 @@ pub fn diagnose(
     };
     let mut diagnosis = verdict::conclude(request, &context, &evidence, runs, split)?;
     diagnosis.report.data_faults.extend(request.data_faults.iter().cloned());
-    diagnosis.report.data_faults.extend(faults);
     diagnosis.report.data_faults.extend(context.passed.iter().map(|p| p.note.clone()));
     let (rollouts, simulated_s) = context.replayer.spent();
     diagnosis.report.compute =
@@ -170,7 +168,8 @@ fn explore(
     let gap = gates::worst(context, &found.base) >= levels::NOTHING_LEFT;
     ended(tracking.build(context, gap, progress))?;
     context.replayer.set_go_on(options.go_on.until(searching));
-    ended(search::search(context, found, progress))?;
+    let built = tracking.built.as_ref().map(|m| &m.joints);
+    ended(search::search(context, found, built, progress))?;
     found.supported = found.best.clone();
     progress(Progress::new(Stage::Naming, 0, &found.best.label()));
     context.replayer.set_go_on(options.go_on.until(naming));
@@ -224,23 +223,14 @@ fn hold_out(trials: &mut [Trial]) -> Split {
     Split::SetAside
 }
 
-/// Takes stretches out in which one run departs from its repeats, and says so.
-fn mask_disturbed(trials: &mut [Trial]) -> Vec<DataFault> {
-    noise::disturbed(trials)
-        .into_iter()
-        .map(|(trial, from, to)| {
-            trials[trial].masked_s.push((from, to));
-            DataFault {
-                kind: "disturbance".to_owned(),
-                location: trials[trial].name.clone(),
-                detail: format!(
-                    "from {from:.2} s to {to:.2} s the run departs from its repeats far more than elsewhere, as if somebody had touched the robot; \
-                     this stretch is left out"
-                ),
-                fatal: false,
-            }
-        })
-        .collect()
+/// Takes out what one of three or more repeats has and the others have not, as if somebody had touched the robot.
+fn mask_touched(request: &Request, model: &RobotModel, trials: &mut [Trial]) {
+    let logs: Vec<_> = request.runs.iter().map(|r| (r.name.as_str(), &r.log)).collect();
+    for span in check::touched(&logs, model) {
+        for trial in trials.iter_mut().filter(|t| t.name == span.run) {
+            trial.masked_s.push((span.from_s, span.to_s));
+        }
+    }
 }
 
 /// Height of the water's surface that a run notes, m.

@@ -377,9 +377,7 @@ fn likelihood(own: f64, rival: f64, concerned: f64) -> f64 {
 
 /// Declared look-alikes at their best place, and whatever screening likes.
 fn rivals<'a>(term: &Term, screened: &'a [Screened]) -> Vec<&'a Screened> {
-    let declared = |s: &&Screened| term.effect.look_alikes().any(|id| id == s.effect.id);
     let mut chosen = look_alikes(term, screened);
-    chosen.retain(declared);
     let own = |s: &&Screened| s.effect == term.effect;
     let promise = || screened.iter().filter(|s| s.gain > 0.0);
     let new = |s: &&Screened| !chosen.iter().any(|c| c.effect == s.effect && c.place == s.place);

@@ -20,7 +20,7 @@ use crate::prospects::{LONGEST_S, as_run};
 use crate::repeats;
 use crate::replay::{Data, SegmentOptions, Term, Variant};
 use crate::report::{Cause, LocalGap, NextExperiment, Verdict};
-use crate::trial::{Kind, Run};
+use crate::trial::{Kind, Trial};
 
 /// Root mean square difference of a joint's angle that tells two models apart, rad: several counts of an
 /// encoder, and more than repeats of a careful lab differ by.
@@ -55,7 +55,7 @@ pub fn next(
             // names first, places after them
             let of_name = causes.iter().find(|c| c.has_open_name());
             match of_name {
-                Some(open) => between_names(context, request, open, found, named),
+                Some(open) => between_names(context, open, found, named),
                 None => {
                     let of_place = causes.iter().find(|c| !c.elsewhere.is_empty());
                     Ok(of_place.map(between_places))
@@ -67,7 +67,7 @@ pub fn next(
             if let Some(gap) = local.first().filter(|_| causes.is_empty() && !elsewhere()) {
                 return Ok(Some(again(request, gap)));
             }
-            in_the_dark(context, request, verdict, found, named)
+            in_the_dark(context, verdict, found, named)
         }
     }
 }
@@ -106,7 +106,6 @@ fn between_places(open: &Cause) -> NextExperiment {
 /// The trial in which a cause and its first alternative differ most.
 fn between_names(
     context: &Context,
-    request: &Request,
     open: &Cause,
     found: &Found,
     named: &[Named],
@@ -121,7 +120,7 @@ fn between_names(
     });
     let Some(rival) = rival else { return Ok(None) };
     let pair = [found.best.terms.clone(), rival.state.terms.clone()];
-    let bare = most_telling(context, request, &pair, |_| true, None)?;
+    let bare = most_telling(context, &pair, |_| true, None)?;
     let mut separates = vec![open.effect.clone()];
     separates.extend(open.alternatives.iter().cloned());
     let told = |(trial, apart_rad): (String, f64), with: &str, payload| NextExperiment {
@@ -139,7 +138,7 @@ fn between_names(
     if let Some(weight) = known_weight(context.replayer.model(), &pair) {
         // a weight is not let fall
         let held = |t: &excite::Trial| t.on.is_empty();
-        let weighted = most_telling(context, request, &pair, held, Some(&weight))?;
+        let weighted = most_telling(context, &pair, held, Some(&weight))?;
         if let Some(best) = weighted {
             let [x, y, z] = weight.at_m;
             let with = format!(
@@ -181,7 +180,6 @@ fn known_weight(model: &RobotModel, pair: &[Variant; 2]) -> Option<Payload> {
 /// the runs cannot decide; what nothing excited; last, what comes nearest to what was found and is not it.
 fn in_the_dark<'a>(
     context: &Context,
-    request: &Request,
     verdict: Verdict,
     found: &'a Found,
     named: &'a [Named],
@@ -193,7 +191,7 @@ fn in_the_dark<'a>(
     };
     if verdict == Verdict::InsufficientData
         && let Some((terms, term, why)) = found.refused.first().and_then(refused)
-        && let Some(told) = apart(context, request, found, terms, term, &why)?
+        && let Some(told) = apart(context, found, terms, term, &why)?
     {
         return Ok(Some(told));
     }
@@ -215,7 +213,7 @@ fn in_the_dark<'a>(
             let seen = || (effect.unseen)(&excited, &place).is_none();
             trial.excites.iter().any(|e| e == effect.id) && seen()
         };
-        if let Some((trial, apart_rad)) = most_telling(context, request, &pair, made_for, None)? {
+        if let Some((trial, apart_rad)) = most_telling(context, &pair, made_for, None)? {
             return Ok(Some(NextExperiment {
                 trial,
                 joints: Vec::new(),
@@ -241,7 +239,7 @@ fn in_the_dark<'a>(
     };
     let nearest = nearest.map(rival);
     match nearest.or_else(|| found.refused.iter().find_map(refused)) {
-        Some((terms, term, why)) => apart(context, request, found, terms, term, &why),
+        Some((terms, term, why)) => apart(context, found, terms, term, &why),
         None => Ok(None),
     }
 }
@@ -249,14 +247,13 @@ fn in_the_dark<'a>(
 /// The trial in which the model `terms`, for the sake of its `term`, differs most from what was found.
 fn apart(
     context: &Context,
-    request: &Request,
     found: &Found,
     terms: &Variant,
     term: &Term,
     why: &str,
 ) -> Result<Option<NextExperiment>, GapError> {
     let pair = [found.best.terms.clone(), terms.clone()];
-    let best = most_telling(context, request, &pair, |_| true, None)?;
+    let best = most_telling(context, &pair, |_| true, None)?;
     Ok(best.map(|(trial, apart_rad)| NextExperiment {
         trial,
         joints: term.place.names.clone(),
@@ -270,7 +267,6 @@ fn apart(
 /// much, rad. None where it does not in any.
 fn most_telling(
     context: &Context,
-    request: &Request,
     pair: &[Variant; 2],
     among: impl Fn(&excite::Trial) -> bool,
     weight: Option<&Payload>,
@@ -279,19 +275,13 @@ fn most_telling(
     let Ok(battery) = excite::battery(model, None, DEFAULT_RATE_HZ) else {
         return Ok(None);
     };
-    let recorded = |trial: &excite::Trial| {
-        let alike = |r: &&Run| r.log.meta.payload.is_empty() == weight.is_none();
-        let named = (request.runs.iter()).filter(alike).any(|r| {
-            excite::names_in(&format!("{} {}", r.name, r.log.meta.notes))
-                == Some(trial.name.as_str())
-        });
-        named || is_sent(context, trial, weight.is_some())
-    };
     let mut best: Option<(String, f64)> = None;
-    let can = |t: &&excite::Trial| t.duration_s <= LONGEST_S && !recorded(t);
-    for trial in battery.iter().filter(can).filter(|t| among(t)) {
-        let mut run = as_run(trial, &[Kind::Position]);
-        run.meta.payload.extend(weight.cloned());
+    for trial in battery.iter().filter(|t| t.duration_s <= LONGEST_S && among(t)) {
+        let run = asked_for(context, trial, weight);
+        let runs = context.fit.data.trials.iter().chain(&context.holdout.data.trials);
+        if is_recorded(runs, trial, &run, weight.is_some()) {
+            continue;
+        }
         let data = Data::new(model, vec![run], SegmentOptions::default());
         let predictions = context.replayer.predict(&data, pair)?;
         for piece in data.pieces() {
@@ -306,12 +296,39 @@ fn most_telling(
     Ok(best)
 }
 
-/// Whether a run was sent the commands of `trial`, whatever it is called.
-fn is_sent(context: &Context, trial: &excite::Trial, weighted: bool) -> bool {
-    let own = as_run(trial, &[]);
-    let runs = context.fit.data.trials.iter().chain(&context.holdout.data.trials);
-    runs.filter(|r| r.meta.payload.is_empty() != weighted).any(|r| {
-        r.duration_s() > own.duration_s() - 0.1 && repeats::same_commands(&own, r, small(trial))
+/// `trial` under the conditions of the first run that was held as it is, with this weight.
+fn asked_for(context: &Context, trial: &excite::Trial, weight: Option<&Payload>) -> Trial {
+    let mut own = as_run(trial, &[Kind::Position]);
+    if let Some(first) = context.fit.data.trials.iter().find(|r| r.base == own.base) {
+        (own.meta, own.supply_v) = (first.meta.clone(), first.supply_v);
+    }
+    if let Some(weight) = weight {
+        own.meta.payload = vec![weight.clone()];
+    }
+    own
+}
+
+/// Whether one of `runs` is `trial` by its name, or by the commands that it was sent, under the conditions of
+/// `own`; of a known weight (`weighted`) any will do.
+fn is_recorded<'a>(
+    runs: impl Iterator<Item = &'a Trial>,
+    trial: &excite::Trial,
+    own: &Trial,
+    weighted: bool,
+) -> bool {
+    let mut runs = runs.flat_map(|r| std::iter::once(r).chain(&r.members));
+    runs.any(|r| {
+        let mut meta = r.meta.clone();
+        if weighted && !meta.payload.is_empty() {
+            meta.payload.clone_from(&own.meta.payload);
+        }
+        let named = || {
+            let of = excite::names_in(&format!("{} {}", r.name, r.meta.notes));
+            of == Some(trial.name.as_str())
+        };
+        let longer = r.duration_s() > own.duration_s() - 0.1;
+        meta.same_conditions(&own.meta)
+            && (named() || longer && repeats::same_commands(own, r, small(trial)))
     })
 }
 
@@ -340,14 +357,22 @@ mod tests {
         let model = RobotModel::load(file.as_ref()).unwrap();
         let battery = excite::battery(&model, None, DEFAULT_RATE_HZ).unwrap();
         for trial in &battery {
-            let own = as_run(trial, &[]);
-            let sent = |other: &&excite::Trial| {
-                let run = as_run(other, &[]);
-                let longer = run.duration_s() > own.duration_s() - 0.1;
-                longer && repeats::same_commands(&own, &run, small(trial))
+            let mut run = as_run(trial, &[]);
+            let known = |run: &Trial, weighted| {
+                let is = |t: &&excite::Trial| {
+                    let own = &as_run(t, &[]);
+                    is_recorded(std::iter::once(run), t, own, weighted)
+                };
+                battery.iter().filter(is).map(|t| t.name.clone()).collect::<Vec<_>>()
             };
-            let known: Vec<&str> = battery.iter().filter(sent).map(|t| t.name.as_str()).collect();
-            assert_eq!(known, [trial.name.as_str()]);
+            assert_eq!(known(&run, false), [trial.name.as_str()]);
+            // under another gain, or with a weight, it is another trial
+            run.meta.kp = Some(0.5);
+            assert!(known(&run, false).is_empty());
+            run.meta.kp = None;
+            run.meta.payload.push(Payload { link: "arm".to_owned(), mass_kg: 0.1, at_m: [0.0; 3] });
+            assert!(known(&run, false).is_empty());
+            assert_eq!(known(&run, true), [trial.name.as_str()]);
         }
     }
 

@@ -26,12 +26,8 @@ fn relative(kind: Kind) -> f64 {
 /// A servo that gives next to no torque reads its idle current, one way or the other: up to so many times
 /// that, a reading tells no more than that.
 const IDLE: f64 = 1.3;
-/// Repeats that differ this many times more than usual in a block have been disturbed.
-const DISTURBED: f64 = 10.0;
 /// So many samples are the beginning of a stretch.
 const BEGINS: usize = 5;
-/// Repeats are not expected to agree better than this, rad.
-const LEAST_RAD: f64 = 0.004;
 
 /// Noise of a set of runs.
 #[derive(Debug, Clone, Default)]
@@ -166,59 +162,6 @@ fn in_all_stretches(data: &Data, trial: usize, piece: &Piece) -> Vec<f64> {
     same.flat_map(|p| &data.value[p.range.clone()]).copied().collect()
 }
 
-/// Stretches in which one of at least three repeats departs from the others far more than usual: (trial,
-/// from, to), s.
-pub fn disturbed(trials: &[Trial]) -> Vec<(usize, f64, f64)> {
-    let mut levels: Vec<(f64, usize, f64, f64)> = Vec::new();
-    for (number, trial) in trials.iter().enumerate() {
-        let others: Vec<&Trial> = (trials.iter().enumerate())
-            .filter(|(k, t)| *k != number && t.group == trial.group)
-            .map(|(_, t)| t)
-            .collect();
-        // with only two runs nobody knows which of them was touched
-        if others.len() < 2 {
-            continue;
-        }
-        for block in 0..trial.duration_s().floor() as usize {
-            let from = trial.span_s.0 + block as f64;
-            let mut sum = (0.0, 0.0);
-            for c in trial.channels.iter().filter(|c| c.kind == Kind::Position) {
-                let same: Vec<(f64, &Channel)> = (others.iter())
-                    .filter_map(|o| {
-                        Some((o.span_s.0 - trial.span_s.0, o.channel(c.kind, c.index)?))
-                    })
-                    .collect();
-                if same.len() < 2 {
-                    continue;
-                }
-                let low = c.time_s.partition_point(|&t| t < from);
-                let high = c.time_s.partition_point(|&t| t < from + 1.0);
-                for k in low..high {
-                    let mut all: Vec<f64> =
-                        same.iter().map(|(s, o)| o.at(c.time_s[k] + s)).collect();
-                    all.push(c.value[k]);
-                    all.sort_by(f64::total_cmp);
-                    let median = all[all.len() / 2];
-                    sum.0 += (c.value[k] - median).powi(2);
-                    sum.1 += 1.0;
-                }
-            }
-            if sum.1 > 0.0 {
-                let level: f64 = sum.0 / sum.1;
-                levels.push((level.sqrt(), number, from, from + 1.0));
-            }
-        }
-    }
-    let mut sorted: Vec<f64> = levels.iter().map(|l| l.0).collect();
-    sorted.sort_by(f64::total_cmp);
-    let usual = sorted.get(sorted.len() * 9 / 10).copied().unwrap_or(0.0).max(LEAST_RAD);
-    levels
-        .into_iter()
-        .filter(|l| l.0 > DISTURBED * usual)
-        .map(|(_, trial, from, to)| (trial, from, to))
-        .collect()
-}
-
 /// Noise of a reading, SI: where it may be idle current (A; 0: the servo shows none), all of that.
 fn or_idle(sigma: f64, read: f64, idle_a: f64) -> f64 {
     if read.abs() < IDLE * idle_a { sigma.max(idle_a) } else { sigma }
@@ -275,14 +218,36 @@ fn white_left(y: &[f64], of_mean: Option<f64>) -> f64 {
     rough(y).min(of_mean.unwrap_or(f64::INFINITY))
 }
 
-/// White noise by fourth differences, 1.4826·median|Δ⁴y|/√70: motion adds next to nothing to it. (At 100 Hz a swing of
-/// 0.3 rad at 2.5 Hz is 3 mrad of noise by second differences, and 0.02 mrad by these.)
+/// White noise: 1.4826·median of what the three samples on either side do not foretell, over what their weights add
+/// to it. The weights are those that foretell most and hand a constant on (w = ½ − a, a − b, b of each pair), so that
+/// neither motion nor a vibration of one frequency, however fast, is noise.
 fn rough(y: &[f64]) -> f64 {
-    let fourth = |w: &[f64]| (w[0] - 4.0 * w[1] + 6.0 * w[2] - 4.0 * w[3] + w[4]).abs();
-    1.4826 * median(y.windows(5).map(fourth).collect()).unwrap_or(0.0) / 70.0_f64.sqrt()
+    let pair = |w: &[f64], k: usize| w[3 - k] + w[3 + k];
+    let of =
+        |w: &[f64]| [w[3] - 0.5 * pair(w, 1), pair(w, 2) - pair(w, 1), pair(w, 3) - pair(w, 2)];
+    let column = |i: usize| -> Vec<f64> { y.windows(7).map(|w| of(w)[i]).collect() };
+    let [mut left, one, mut two] = [0, 1, 2].map(column);
+    let sum = |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
+    let take_off = |x: &mut [f64], y: &[f64]| {
+        let share = sum(x, y) / sum(y, y).max(f64::MIN_POSITIVE);
+        x.iter_mut().zip(y).for_each(|(x, y)| *x -= share * y);
+        share
+    };
+    let whole = sum(&two, &two);
+    let c = take_off(&mut two, &one);
+    // the two are the same where all is of one frequency
+    if sum(&two, &two) < 1e-10 * whole {
+        two.fill(0.0);
+    }
+    let a = take_off(&mut left, &one);
+    let b = take_off(&mut left, &two);
+    let a = a - b * c;
+    let left = left.into_iter().map(f64::abs).collect();
+    let added: f64 = [0.5 - a, a - b, b].iter().map(|w| 2.0 * w * w).sum();
+    1.4826 * median(left).unwrap_or(0.0) / (1.0 + added).sqrt()
 }
 
-/// The same by the mean square, which outliers add to: √(Σ(y₊ − 2y + y₋)²/6n).
+/// White noise by the mean square of second differences, which outliers add to: √(Σ(y₊ − 2y + y₋)²/6n).
 fn spikes(y: &[f64]) -> f64 {
     let square: f64 = y.windows(3).map(|w| (w[2] - 2.0 * w[1] + w[0]).powi(2)).sum();
     (square / (6.0 * y.len().saturating_sub(2).max(1) as f64)).sqrt()
@@ -297,6 +262,8 @@ fn spread(y: &[f64]) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use caudata_random::{Key, Purpose, Stream};
+
     use super::*;
 
     #[test]
@@ -315,12 +282,19 @@ mod tests {
         assert!(jitter(&smooth) < 1.3e-4);
         let rough_rows: Vec<f64> = (0..100).map(|k| f64::from(k % 2) * 2.0).collect();
         assert!((jitter(&rough_rows) - 1.4826 * 4.0 / 6.0_f64.sqrt()).abs() < 1e-9);
-        // a cube has no fourth difference; ±1 has 16
+        // nor is a cube noise, nor what comes again every other row, or at a third of the rate beside a swing
         let cube: Vec<f64> = (0..100).map(|k| (f64::from(k) * 0.01).powi(3)).collect();
         assert!(rough(&cube) < 1e-12);
-        assert!((rough(&rough_rows) - 1.4826 * 16.0 / 70.0_f64.sqrt()).abs() < 1e-9);
-        assert_eq!(white_left(&rough_rows, Some(0.1)), 0.1);
-        assert_eq!(white_left(&rough_rows, None), rough(&rough_rows));
+        assert!(rough(&rough_rows) < 1e-8);
+        let swing = |t: f64| (0.1 * t).sin() + 0.2 * (2.1 * t).sin();
+        let swings: Vec<f64> = (0..2000).map(|k| swing(f64::from(k))).collect();
+        assert!(rough(&swings) < 1e-4, "{}", rough(&swings));
+        // 0.05·N(0, 1) on top of it
+        let mut noise = Stream::new(Key::for_run(5), Purpose::Sensor);
+        let noisy: Vec<f64> = swings.iter().map(|y| y + 0.05 * noise.normal_f64()).collect();
+        assert!((rough(&noisy) - 0.05).abs() < 0.01, "{}", rough(&noisy));
+        assert_eq!(white_left(&noisy, Some(0.01)), 0.01);
+        assert_eq!(white_left(&noisy, None), rough(&noisy));
         // one spike of 3 in 102 rows: second differences 3, −6, 3: √(54/600) where the median sees nothing
         let mut rare = vec![7.0; 102];
         rare[50] = 4.0;

@@ -7,7 +7,7 @@ use super::naming::Named;
 use super::search::Found;
 use super::signature;
 use super::state::{Context, State};
-use crate::plots::{Horizon, Hypothesis, Overlay, Plots, WaterfallStep};
+use crate::plots::{Horizon, Hypothesis, Overlay, Plots};
 use crate::trial::Kind;
 
 /// Overlays that are drawn.
@@ -24,7 +24,6 @@ pub fn plots(context: &Context, found: &Found, model: &State, named: &[Named]) -
         overlays: overlays(context, found, model),
         signatures: signature::signatures(context, found, named),
         horizons: horizons(context, found, model),
-        waterfall: waterfall(found, model, named),
         hypotheses: hypotheses(context, found, named),
         correlation: Default::default(),
     }
@@ -134,22 +133,6 @@ fn horizons(context: &Context, found: &Found, model: &State) -> Vec<Horizon> {
             }
         })
         .collect()
-}
-
-fn waterfall(found: &Found, model: &State, named: &[Named]) -> Vec<WaterfallStep> {
-    let mut steps =
-        vec![WaterfallStep { label: "as given".to_owned(), misfit: found.base.holdout.misfit }];
-    let total: f64 = named.iter().map(|n| n.worth.cross.max(0.0)).sum();
-    let fall = found.base.holdout.misfit - model.holdout.misfit;
-    let mut at = found.base.holdout.misfit;
-    for n in named {
-        let term = &found.best.terms[n.index];
-        // shares of the whole fall, in proportion to what each is worth on top of the others
-        at -= fall * n.worth.cross.max(0.0) / total.max(1e-9);
-        steps.push(WaterfallStep { label: term.label(), misfit: at });
-    }
-    steps.push(WaterfallStep { label: "floor".to_owned(), misfit: 1.0 });
-    steps
 }
 
 fn hypotheses(context: &Context, found: &Found, named: &[Named]) -> Vec<Hypothesis> {

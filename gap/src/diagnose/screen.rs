@@ -3,7 +3,7 @@
 //! One trace per size serves for all places of a joint effect at once: all joints get it together, and each
 //! joint's channels are judged on their own. (Joints of a held robot hardly move each other; whoever passes
 //! is fitted in earnest afterwards.) So do links of different branches of a held robot, and it serves for all
-//! models that go on side by side.
+//! models that are compared.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -11,7 +11,6 @@ use std::ops::Range;
 use caudata_model::RobotModel;
 use caudata_runlog::BaseHold;
 
-use super::alike::look_alike;
 use super::judge::Judge;
 use super::product::dot;
 use super::state::{Context, On, State, builds_up};
@@ -42,31 +41,26 @@ pub struct Screened {
 
 /// Declared look-alikes of `term`, each at its place if it can be there, else where it does best.
 pub fn look_alikes<'a>(term: &Term, screened: &'a [Screened]) -> Vec<&'a Screened> {
-    let mut out: Vec<&Screened> = Vec::new();
-    for s in screened.iter().filter(|s| look_alike(term.effect, s.effect)) {
-        match out.iter().position(|r| r.effect == s.effect) {
-            Some(k) if s.place == term.place => out[k] = s,
-            Some(_) => {}
-            None => out.push(s),
-        }
-    }
-    out
+    let of = |id: &str| {
+        let mut own = screened.iter().filter(|s| s.effect.id == id);
+        let here = own.clone().find(|s| s.place == term.place);
+        here.or_else(|| own.next())
+    };
+    term.effect.look_alikes().filter_map(of).collect()
 }
 
 /// What is simulated once for several places.
 struct Tried {
     effect: &'static Effect,
-    /// Where the effect is, …
-    at: Vec<Place>,
-    /// … and the places that its trace speaks for.
+    /// The places that its trace speaks for.
     judged: Vec<Place>,
-    /// Which of the effect's sizes; none: that which the model around has, and `variant` goes without.
-    k: Option<usize>,
+    /// Which of the effect's sizes.
+    k: usize,
     variant: Variant,
 }
 
 /// Screens every effect that the context allows, at every place, on top of each of `parents`. What it does is
-/// simulated once for all of them, on top of `around`: they explain about the same motions.
+/// simulated once for all of them, on top of `around`, which they come of: they explain about the same motions.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
@@ -76,7 +70,7 @@ pub fn screen(
     parents: &[&State],
 ) -> Result<Vec<Vec<Screened>>, GapError> {
     let mut out: Vec<Vec<Screened>> = vec![Vec::new(); parents.len()];
-    let (slow, quick): (Vec<_>, Vec<_>) = plan(context, around, parents)
+    let (slow, quick): (Vec<_>, Vec<_>) = plan(context, around)
         .into_iter()
         .partition(|t| context.scout.is_some() && builds_up(t.effect));
     type Where = fn(&State) -> &On;
@@ -101,24 +95,12 @@ pub fn screen(
                 if !Judge::sound(prediction) {
                     continue;
                 }
-                let (with, without) = match tried.k {
-                    Some(_) => (prediction, &on(around).prediction),
-                    None => (&on(around).prediction, prediction),
-                };
-                let change = judge.change(with, without);
-                for ((look, state), out) in looks.iter().zip(parents).zip(&mut out) {
-                    let here = |p: &Place| {
-                        open(context, state, tried.effect, p)
-                            && has(around, tried.effect, p) == tried.k.is_none()
-                    };
-                    if tried.at.iter().any(here) {
-                        for place in tried.judged.iter().filter(|p| here(p)) {
-                            let sizes = match tried.k {
-                                Some(k) => tried.effect.sizes(context.replayer.model(), place, k),
-                                None => size_in(around, tried.effect, place),
-                            };
-                            weigh(context, look, tried.effect, sizes, place, &change, out);
-                        }
+                let change = judge.change(prediction, &on(around).prediction);
+                let judged = tried.judged.iter().filter(|p| open(context, around, tried.effect, p));
+                for place in judged {
+                    let sizes = tried.effect.sizes(context.replayer.model(), place, tried.k);
+                    for (look, out) in looks.iter().zip(&mut out) {
+                        weigh(context, look, tried.effect, sizes.clone(), place, &change, out);
                     }
                 }
             }
@@ -134,13 +116,12 @@ pub fn screen(
 }
 
 /// What to simulate: all joints at once, and links of different branches.
-fn plan(context: &Context, around: &State, parents: &[&State]) -> Vec<Tried> {
+fn plan(context: &Context, around: &State) -> Vec<Tried> {
     let model = context.replayer.model();
     let mut plan = Vec::new();
     for &effect in &context.effects {
         let all = effect.places(model);
-        let lacks = |p: &Place| parents.iter().any(|s| open(context, s, effect, p));
-        let wanted = |p: &Place| !has(around, effect, p) && lacks(p);
+        let wanted = |p: &Place| open(context, around, effect, p);
         let together: Vec<Vec<Place>> = match effect.domain {
             Domain::Joints => vec![all.iter().take(1).cloned().collect()],
             Domain::Links => side_by_side(context, all.iter().filter(|p| wanted(p))),
@@ -160,18 +141,9 @@ fn plan(context: &Context, around: &State, parents: &[&State]) -> Vec<Tried> {
                         Domain::Joints => all.clone(),
                         _ => at.clone(),
                     },
-                    at: at.clone(),
-                    k: Some(k),
+                    k,
                 });
             }
-        }
-    }
-    // what the model around has and one of the others has not: as much as is found
-    for (i, term) in around.terms.iter().enumerate() {
-        if parents.iter().any(|s| open(context, s, term.effect, &term.place)) {
-            let at = vec![term.place.clone()];
-            let variant = around.without(i);
-            plan.push(Tried { effect: term.effect, judged: at.clone(), at, k: None, variant });
         }
     }
     plan
@@ -235,18 +207,8 @@ fn shown_at(context: &Context, place: &Place) -> Option<Vec<usize>> {
 
 /// Whether the runs can show an effect at a place, and the model does not have it.
 fn open(context: &Context, state: &State, effect: &Effect, place: &Place) -> bool {
-    (effect.unseen)(&context.excitation, place).is_none() && !has(state, effect, place)
-}
-
-/// Whether a model has an effect at a place.
-fn has(state: &State, effect: &Effect, place: &Place) -> bool {
-    state.terms.iter().any(|t| t.effect == effect && t.place == *place)
-}
-
-/// The size that a model which has an effect at a place has found for it.
-fn size_in(state: &State, effect: &Effect, place: &Place) -> Vec<f64> {
-    let mut own = state.terms.iter().filter(|t| t.effect == effect && t.place == *place);
-    own.next().map_or_else(Vec::new, |t| t.values.clone())
+    let has = || state.terms.iter().any(|t| t.effect == effect && t.place == *place);
+    (effect.unseen)(&context.excitation, place).is_none() && !has()
 }
 
 /// Where candidates are looked at: runs, how a model does on them, and what its parameters can do there.

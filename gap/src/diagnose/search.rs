@@ -1,20 +1,13 @@
-//! The search for causes: add the best, refit all, try to delete, try look-alikes.
+//! The search for causes, from both ends.
 //!
-//! Which of several look-alikes it is may show only when the next cause, or the one after it, stands beside
-//! it. So where much is left, look-alikes of what was found go on beside it as lines of their own, each in
-//! the place of what it looks like; what a line adds must be worth it there, and a line takes over when it
-//! has become better than the best so far by the same gates.
-//!
-//! Two causes that make up for each other (a motor that is stronger than its manual says, and saturates) each
-//! do little alone. So where much is left, the candidate that explains most of those whose gain in
-//! cross-validation is not certain yet goes on as a line too.
+//! From nothing: add the best, refit all, try to delete. What is added second leans on what was added first. So
+//! where much is left the search begins at the other end too: with what each joint's angles ask for
+//! ([`super::tracking`]), all of it fitted at once, from which is deleted what it can do without.
 
-use std::collections::BTreeSet;
-
-use super::fits::{Before, best_fits, penalised, polished, single};
+use super::fits::{Before, LAST_STEPS, best_fits, fitted, penalised, polished, single};
 use super::gates::{self, Worth};
+use super::joints::Joints;
 use super::levels::NOTHING_LEFT;
-use super::lines::{Child, Line, chosen_lines, look_alikes, promising};
 use super::request::{Progress, Stage};
 use super::screen::{Screened, screen};
 use super::state::{Context, On, State};
@@ -76,35 +69,35 @@ impl Found {
     }
 }
 
-/// Searches. What was found so far stays in `found` where it ends early.
+/// Searches. What was found so far stays in `found` where it ends early. `built`: what the angles of each joint ask
+/// for.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
 pub fn search(
     context: &mut Context,
     found: &mut Found,
+    built: Option<&Joints>,
     progress: &mut dyn FnMut(Progress),
 ) -> Result<(), GapError> {
-    let mut search = Search { grows: true, lines: Vec::new(), found };
     for depth in 1..=MOST_TERMS {
         if depth > 1 {
-            if gates::worst(context, &search.found.best) < gates::quiet(context) {
+            if gates::worst(context, &found.best) < gates::quiet(context) {
                 break;
             }
-            search.rebase(context)?;
+            take_anew(context, found)?;
         }
-        let children = search.children(context, depth, progress)?;
-        if search.step(context, depth, children)? {
-            progress(Progress::new(Stage::Accepted, depth, &search.found.best.label()));
-        } else if search.lines.is_empty() {
+        let children = children(context, found, depth, progress)?;
+        if !step(context, found, children)? {
             break;
         }
+        progress(Progress::new(Stage::Accepted, depth, &found.best.label()));
     }
-    let found = search.found;
+    if let Some(built) = built {
+        from_built(context, found, built)?;
+    }
     if !found.best.terms.is_empty() {
-        let terms = found.best.terms.clone();
-        let Found { base, best, .. } = &mut *found;
-        rebase(context, &terms, &mut [base, best])?;
+        take_anew(context, found)?;
         // the metric has changed: what is deleted is compared with what is fitted by the new one, and must be
         // as well
         found.best = polished(context, found.best.clone())?;
@@ -117,6 +110,48 @@ pub fn search(
     Ok(())
 }
 
+/// What runs differ by grows with what was found: more friction drifts by more.
+fn take_anew(context: &mut Context, found: &mut Found) -> Result<(), GapError> {
+    let Found { base, best, .. } = found;
+    rebase(context, &best.terms.clone(), &mut [base, best])
+}
+
+/// Takes what the angles of the joint ask for that is off most, beside what was found, for the best if it is by all
+/// gates once what it can do without is deleted.
+fn from_built(context: &mut Context, found: &mut Found, built: &Joints) -> Result<(), GapError> {
+    if gates::worst(context, &found.best) < NOTHING_LEFT {
+        return Ok(());
+    }
+    let rich = rich(context, &found.best, built);
+    if rich.len() == found.best.terms.len() {
+        return Ok(());
+    }
+    // by tolerances around itself: whether play hunts hangs on what stands beside it
+    let Found { base, best, .. } = &mut *found;
+    rebase(context, &rich, &mut [base, best])?;
+    let all = fitted(context, rich, Some(LAST_STEPS))?;
+    let shorter = delete(context, &found.base, all)?;
+    let worth = gates::worth(context, &found.best, &shorter, None);
+    if worth.passed && penalised(context, &shorter) < penalised(context, &found.best) {
+        found.best = shorter;
+    }
+    take_anew(context, found)
+}
+
+/// The terms of `best` and, of the joint that it leaves most at, those of `built` that matter.
+fn rich(context: &Context, best: &State, built: &Joints) -> Variant {
+    let mut terms = best.terms.clone();
+    let own = gates::worst_joint(context, best).and_then(|a| built.own.get(a));
+    // what was asked for beyond a standard model comes last there
+    let asked = own.into_iter().flatten().rev().chain(&built.shared);
+    for term in asked.filter(|t| gates::matters(context, t)) {
+        if terms.len() < MOST_TERMS && !terms.iter().any(|t| t.same(term)) {
+            terms.push(term.clone());
+        }
+    }
+    terms
+}
+
 /// Judges what an early end left by one metric: it may have come while tolerances were taken anew.
 ///
 /// # Errors
@@ -127,165 +162,61 @@ pub fn settle(context: &mut Context, found: &mut Found) -> Result<(), GapError> 
     rebase(context, &terms, &mut [base, best, supported])
 }
 
-/// A search under way.
-struct Search<'a> {
-    /// Whether nothing was added yet to the best.
-    grows: bool,
-    lines: Vec<Line>,
-    found: &'a mut Found,
+/// Everything that the best comes to with one more effect, with what that is worth, best first.
+fn children(
+    context: &Context,
+    found: &mut Found,
+    depth: usize,
+    progress: &mut dyn FnMut(Progress),
+) -> Result<Vec<(State, Worth)>, GapError> {
+    let best = &found.best;
+    progress(Progress::new(Stage::Screening, depth, &best.label()));
+    let screened = screen(context, best, &[best])?.swap_remove(0);
+    found.tried += screened.len();
+    let chosen = choose(&screened, if depth == 1 { FITTED } else { FITTED_LATER });
+    progress(Progress::new(Stage::Fitting, depth, &best.label()));
+    let fitted = expand(context, best, &chosen)?.into_iter();
+    let mut children: Vec<(State, Worth)> = fitted
+        .map(|child| {
+            let worth = gates::worth(context, best, &child, last_place(&child));
+            (child, worth)
+        })
+        .collect();
+    children.sort_by(|a, b| penalised(context, &a.0).total_cmp(&penalised(context, &b.0)));
+    if depth == 1 {
+        found.first = screened;
+        found.singles.clone_from(&children);
+    }
+    Ok(children)
 }
 
-impl Search<'_> {
-    /// What runs differ by grows with what was found: more friction drifts by more.
-    fn rebase(&mut self, context: &mut Context) -> Result<(), GapError> {
-        let Found { base, best, .. } = &mut *self.found;
-        rebase(context, &best.terms.clone(), &mut [base, best])?;
-        let of_lines = self.lines.iter_mut().map(|l| &mut l.state);
-        reread(context, &mut of_lines.collect::<Vec<_>>())
-    }
-
-    /// Everything that the best, if it is new, and the lines come to with one more effect, best first.
-    fn children(
-        &mut self,
-        context: &Context,
-        depth: usize,
-        progress: &mut dyn FnMut(Progress),
-    ) -> Result<Vec<Child>, GapError> {
-        let mut children: Vec<Child> = Vec::new();
-        let mut seen: BTreeSet<Vec<String>> = BTreeSet::new();
-        let firsts = usize::from(self.grows);
-        let best = &self.found.best;
-        let of_lines = self.lines.iter().map(|l| &l.state);
-        let parents: Vec<&State> = self.grows.then_some(best).into_iter().chain(of_lines).collect();
-        progress(Progress::new(Stage::Screening, depth, &best.label()));
-        let of_parents = screen(context, best, &parents)?;
-        for (number, (parent, mut screened)) in parents.into_iter().zip(of_parents).enumerate() {
-            if number >= firsts {
-                screened.retain(|s| !self.lines[number - firsts].without.contains(&s.effect));
-            }
-            self.found.tried += screened.len();
-            let chosen = choose(&screened, if depth == 1 { FITTED } else { FITTED_LATER });
-            progress(Progress::new(Stage::Fitting, depth, &parent.label()));
-            for child in expand(context, parent, &chosen, &mut seen)? {
-                let place = last_place(&child);
-                let worth = gates::worth(context, parent, &child, place);
-                children.push((child, worth, number));
-            }
-            if depth == 1 {
-                self.found.first = screened;
-            }
-        }
-        children.sort_by(|a, b| penalised(context, &a.0).total_cmp(&penalised(context, &b.0)));
-        if depth == 1 {
-            self.found.singles = children.iter().map(|(s, w, _)| (s.clone(), *w)).collect();
-        }
-        Ok(children)
-    }
-
-    /// Takes the best of `children`. Whether there is a new best; without one, lines that may still overtake
-    /// it go on.
-    fn step(
-        &mut self,
-        context: &Context,
-        depth: usize,
-        children: Vec<Child>,
-    ) -> Result<bool, GapError> {
-        let firsts = usize::from(self.grows);
-        let base = &self.found.base;
-        let good = |(s, w, _): &&Child| {
-            w.passed
-                && enough(context, w, base, last_place(s))
-                && s.terms.last().is_some_and(|t| gates::matters(context, t))
-        };
-        let passes = |c: &&Child| match c.2 < firsts {
-            true => good(c),
-            false => overtakes(context, base, &self.found.best, c, good(c)),
-        };
-        let leader = children.iter().find(passes).map(|(s, _, _)| s.clone());
-        let mut going_on: Vec<Line> = Vec::new();
-        for (k, line) in self.lines.drain(..).enumerate() {
-            let mut own = children.iter().filter(|c| c.2 == firsts + k);
-            if let Some((state, _, _)) = own.find(|c| good(c)) {
-                going_on.push(Line { state: state.clone(), ..line });
-            }
-        }
-        if gates::worst(context, &self.found.best) >= MUCH {
-            going_on.extend(promising(&children, firsts));
-        }
-        if firsts > 0 {
-            let refused = |(_, w, number): &Child| *number < firsts && !w.passed && w.fit > 0.0;
-            let refused = children.into_iter().filter(refused).map(|(s, w, _)| (s, w));
-            self.found.refused = refused.take(8).collect();
-        }
-        let ahead = |s: &State| penalised(context, s) < penalised(context, &self.found.best);
-        let leader = leader.filter(ahead);
-        self.grows = leader.is_some();
-        match leader {
-            Some(leader) => self.accept(context, depth, leader, going_on)?,
-            None => self.lines = chosen_lines(context, &self.found.best, going_on)?,
-        }
-        Ok(self.grows)
-    }
-
-    /// Makes `leader` the best, and decides what goes on beside it.
-    fn accept(
-        &mut self,
-        context: &Context,
-        depth: usize,
-        leader: State,
-        mut going_on: Vec<Line>,
-    ) -> Result<(), GapError> {
-        let Found { base, first, .. } = &*self.found;
-        let mut best = delete(context, base, leader)?;
-        self.lines.clear();
-        // where little is left, what is still to be found is small: one way is enough
-        if gates::worst(context, &best) >= NOTHING_LEFT && depth < MOST_TERMS {
-            let others = look_alikes(context, first, &best)?;
-            if let Some(other) = others.first()
-                && !other.says_more
-                && penalised(context, &other.state) < penalised(context, &best)
-                && gates::worth(context, &best, &other.state, None).low > 0.0
-            {
-                // it is the better name
-                best = other.state.clone();
-            }
-            going_on.extend(others);
-            self.lines = chosen_lines(context, &best, going_on)?;
-        }
-        context.find_basis(&mut best)?;
-        self.found.best = best;
-        Ok(())
-    }
+/// Takes the best of `children` that passes all gates. Whether there is one.
+fn step(
+    context: &Context,
+    found: &mut Found,
+    children: Vec<(State, Worth)>,
+) -> Result<bool, GapError> {
+    let base = &found.base;
+    let good = |(s, w): &&(State, Worth)| {
+        w.passed
+            && enough(context, w, base, last_place(s))
+            && s.terms.last().is_some_and(|t| gates::matters(context, t))
+    };
+    let leader = children.iter().find(good).map(|(s, _)| s.clone());
+    let refused = children.into_iter().filter(|(_, w)| !w.passed && w.fit > 0.0);
+    found.refused = refused.take(8).collect();
+    let ahead = |s: &State| penalised(context, s) < penalised(context, &found.best);
+    let Some(leader) = leader.filter(ahead) else {
+        return Ok(false);
+    };
+    found.best = delete(context, base, leader)?;
+    context.find_basis(&mut found.best)?;
+    Ok(true)
 }
 
 /// Where the effect that was added last is.
 fn last_place(state: &State) -> Option<&Place> {
     state.terms.last().map(|t| &t.place)
-}
-
-/// Whether the child of a line, whose parent was not better than `best`, is: by what it adds to its parent
-/// (`good`) and certainly ahead of the best, or by all gates between the best and itself, whatever its steps
-/// were worth one by one.
-fn overtakes(
-    context: &Context,
-    base: &State,
-    best: &State,
-    child: &(State, Worth, usize),
-    good: bool,
-) -> bool {
-    let state = &child.0;
-    if penalised(context, state) >= penalised(context, best) {
-        return false;
-    }
-    let ahead = gates::worth(context, best, state, None);
-    let new = |t: &&Term| !best.terms.iter().any(|b| b.same(t));
-    let mut added = state.terms.iter().filter(new);
-    let mut whole = || {
-        ahead.passed
-            && enough(context, &ahead, base, None)
-            && added.all(|t| gates::matters(context, t))
-    };
-    ahead.low > 0.0 && (good || whole())
 }
 
 /// Whether a further effect at `place` explains enough to be one.
@@ -307,11 +238,6 @@ fn rebase(
     if let Some(scout) = &mut context.scout {
         scout.judge.set_base(&context.replayer, terms)?;
     }
-    reread(context, states)
-}
-
-/// Judges states again by the present metric.
-fn reread(context: &Context, states: &mut [&mut State]) -> Result<(), GapError> {
     for state in states.iter_mut() {
         state.fit = On::new(&context.fit, std::mem::take(&mut state.fit.prediction));
         if let (Some(scout), Some(on)) = (&context.scout, &mut state.scout) {
@@ -340,31 +266,18 @@ fn choose(screened: &[Screened], most: usize) -> Vec<&Screened> {
 }
 
 /// Fits `parent` with each of the chosen added, from several starts; the best fit of each.
-fn expand(
-    context: &Context,
-    parent: &State,
-    chosen: &[&Screened],
-    seen: &mut BTreeSet<Vec<String>>,
-) -> Result<Vec<State>, GapError> {
+fn expand(context: &Context, parent: &State, chosen: &[&Screened]) -> Result<Vec<State>, GapError> {
     let mut variants: Vec<Variant> = Vec::new();
     let mut of: Vec<usize> = Vec::new();
-    let mut number = 0;
-    for s in chosen {
-        let mut key = parent.key();
-        key.push(s.place.label(s.effect.id));
-        key.sort();
-        if !seen.insert(key) {
-            continue;
-        }
+    for (number, s) in chosen.iter().enumerate() {
         for start in &s.starts {
             let mut terms = parent.terms.clone();
             terms.push(Term { effect: s.effect, place: s.place.clone(), values: start.clone() });
             variants.push(terms);
             of.push(number);
         }
-        number += 1;
     }
-    best_fits(context, variants, &of, number, Before::of(parent))
+    best_fits(context, variants, &of, chosen.len(), Before::of(parent))
 }
 
 /// Deletes effects that the others make superfluous, one by one: those that would not be added now.

@@ -1,13 +1,14 @@
 //! End stops of the robot file that measured angles pass. There the file is wrong whatever else is, and nothing is
-//! to make up for it: such a stop is simulated nowhere.
+//! to make up for it: such a stop is simulated nowhere, or, where a joint without it would go on and the measured
+//! one does not, where that one stops.
 
 use caudata_model::JointMotion;
 
 use crate::effects::{Domain, PASSED_STOP, Place};
 use crate::error::GapError;
-use crate::replay::{Data, Replayer, Term};
+use crate::replay::{Data, Replayer, Term, Variant};
 use crate::report::DataFault;
-use crate::trial::{Kind, Trial};
+use crate::trial::Kind;
 
 /// A stop gives way by less than this share of the range, beyond what the simulated one does.
 const GIVES_WAY: f64 = 0.01;
@@ -25,14 +26,17 @@ pub struct Passed {
     pub note: DataFault,
 }
 
+/// Where the stops of each joint are in a run, rad or m.
+type Limits = Vec<(f64, f64)>;
+
 /// How far angles go beyond the two stops of each joint: the farthest few samples, rad or m; below 0: not at all.
 struct Beyond(Vec<[Vec<f64>; 2]>);
 
 impl Beyond {
-    fn of<X: Into<f64> + Copy>(limits: &[(f64, f64)], data: &Data, values: &[X]) -> Self {
-        let mut all = vec![[Vec::new(), Vec::new()]; limits.len()];
-        for piece in data.pieces().filter(|p| p.kind == Kind::Position) {
-            let (low, high) = limits[piece.index];
+    fn of<X: Into<f64> + Copy>(limits: &[Limits], data: &Data, values: &[X]) -> Self {
+        let mut all = vec![[Vec::new(), Vec::new()]; limits.first().map_or(0, Vec::len)];
+        for (segment, piece) in data.parts().filter(|(_, p)| p.kind == Kind::Position) {
+            let (low, high) = limits[segment.trial][piece.index];
             for k in piece.range.clone() {
                 let at: f64 = values[k].into();
                 for (side, over) in [low - at, at - high].into_iter().enumerate() {
@@ -60,44 +64,52 @@ impl Beyond {
 /// As [`Replayer::predict`].
 pub fn find(replayer: &Replayer, data: &Data) -> Result<Vec<Passed>, GapError> {
     let model = replayer.model();
-    let Some(trial) = data.trials.first() else { return Ok(Vec::new()) };
-    let limits = limits(replayer, trial);
+    let limits: Vec<Limits> = (data.trials.iter())
+        .map(|trial| {
+            let plant = replayer.plant(trial, &[]);
+            let joints = plant.lane.joints.iter();
+            joints.map(|j| (f64::from(j.low_rad), f64::from(j.high_rad))).collect()
+        })
+        .collect();
+    let Some(first) = limits.first() else { return Ok(Vec::new()) };
     let measured = Beyond::of(&limits, data, &data.value);
-    let gives_way = |a: usize| GIVES_WAY * (limits[a].1 - limits[a].0);
+    let gives_way = |a: usize| GIVES_WAY * (first[a].1 - first[a].0);
     let may = |a: usize, s: usize| measured.at(a, s, SAMPLES) > gives_way(a);
-    if !(0..limits.len()).any(|a| may(a, 0) || may(a, 1)) {
+    if !(0..first.len()).any(|a| may(a, 0) || may(a, 1)) {
         return Ok(Vec::new());
     }
-    let simulated = replayer.predict(data, &[Vec::new()])?.swap_remove(0);
-    let simulated = Beyond::of(&limits, data, &simulated);
+    let beyond = |terms: Variant| -> Result<Beyond, GapError> {
+        let simulated = replayer.predict(data, &[terms])?.swap_remove(0);
+        Ok(Beyond::of(&limits, data, &simulated))
+    };
+    let simulated = beyond(Vec::new())?;
     let passed =
         |a: usize, s: usize| measured.at(a, s, SAMPLES) > simulated.at(a, s, 0) + gives_way(a);
-    let joints = (0..limits.len()).filter(|a| passed(*a, 0) || passed(*a, 1));
-    Ok(joints
-        .map(|a| {
-            let sides = [0, 1].map(|s| passed(a, s));
-            let name = model.actuated_names()[a].to_owned();
-            let unit = match model.joints()[model.actuated()[a]].motion {
-                JointMotion::Hinge => "rad",
-                JointMotion::Slide => "m",
-            };
-            Passed {
-                note: note(&name, unit, limits[a], sides, |s| measured.at(a, s, 0)),
-                term: Term {
-                    effect: &PASSED_STOP,
-                    place: Place { domain: Domain::Joints, items: vec![a], names: vec![name] },
-                    values: sides.map(|out| if out { FARTHER } else { 0.0 }).to_vec(),
-                },
-            }
-        })
-        .collect())
-}
-
-/// Where the stops of the joints are that `trial` is replayed with, rad.
-fn limits(replayer: &Replayer, trial: &Trial) -> Vec<(f64, f64)> {
-    let plant = replayer.plant(trial, &[]);
-    let joints = plant.lane.joints.iter();
-    joints.map(|j| (f64::from(j.low_rad), f64::from(j.high_rad))).collect()
+    let term = |a: usize, out: &dyn Fn(usize) -> f64| {
+        let place = Place {
+            domain: Domain::Joints,
+            items: vec![a],
+            names: vec![model.actuated_names()[a].to_owned()],
+        };
+        let values = [0, 1].map(|s| if passed(a, s) { out(s) } else { 0.0 });
+        Term { effect: &PASSED_STOP, place, values: values.to_vec() }
+    };
+    let joints: Vec<usize> = (0..first.len()).filter(|a| passed(*a, 0) || passed(*a, 1)).collect();
+    let free = beyond(joints.iter().map(|&a| term(a, &|_| FARTHER)).collect())?;
+    let told = |&a: &usize| {
+        let unit = match model.joints()[model.actuated()[a]].motion {
+            JointMotion::Hinge => "rad",
+            JointMotion::Slide => "m",
+        };
+        let over = |s: usize| measured.at(a, s, 0);
+        // farther without a stop than it was ever measured: there is one
+        let held = |s: usize| free.at(a, s, SAMPLES) > over(s) + gives_way(a);
+        let sides = [0, 1].map(|s| passed(a, s));
+        let ends = [0, 1].iter().any(|&s| sides[s] && held(s));
+        let term = term(a, &|s| if held(s) { over(s) } else { FARTHER });
+        Passed { note: note(&term.place.names[0], unit, first[a], sides, ends, over), term }
+    };
+    Ok(joints.iter().map(told).collect())
 }
 
 fn note(
@@ -105,6 +117,7 @@ fn note(
     unit: &str,
     (low, high): (f64, f64),
     sides: [bool; 2],
+    ends: bool,
     over: impl Fn(usize) -> f64,
 ) -> DataFault {
     let reached = match sides {
@@ -116,7 +129,8 @@ fn note(
         kind: "range".to_owned(),
         location: joint.to_owned(),
         detail: format!(
-            "reaches {reached}, past the end stop of the robot file ({low:.2} to {high:.2} {unit}), which the simulated robot does not: range or zero of the file, or the encoder, are wrong. It is simulated without this stop, and so is the extended robot"
+            "reaches {reached}, past the end stop of the robot file ({low:.2} to {high:.2} {unit}), which the simulated robot does not: range or zero of the file, or the encoder, are wrong. It is simulated {}, and so is the extended robot",
+            if ends { "with the stop where it was measured to stop" } else { "without this stop" }
         ),
         fatal: false,
     }

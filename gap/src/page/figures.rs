@@ -1,7 +1,7 @@
 //! The page's curves and bars, from what a diagnosis left in [`Plots`].
 
 use super::drawing::Drawing;
-use crate::plots::{Correlation, Horizon, Hypothesis, Overlay, Signature, WaterfallStep};
+use crate::plots::{Correlation, Horizon, Hypothesis, Overlay, Signature};
 use crate::report::Report;
 use caudata_chart::{Axis, Chart, escape, number};
 
@@ -127,41 +127,6 @@ pub fn horizon(h: &Horizon) -> String {
             escape(&h.signal)
         ),
         &c.finish(),
-    )
-}
-
-/// How the misfit falls from cause to cause.
-pub fn waterfall(steps: &[WaterfallStep]) -> String {
-    let steps: Vec<&WaterfallStep> = steps.iter().filter(|s| s.misfit.is_finite()).collect();
-    let most = steps.iter().map(|s| s.misfit).fold(1.0, f64::max);
-    let (left, row, width) = (230.0, 30.0, 760.0);
-    let height = row * steps.len() as f64 + 26.0;
-    let scale = |x: f64| left + (x.max(0.0) / most) * (width - left - 70.0);
-    let about = "misfit after each cause";
-    let mut out = Drawing::new((width, height), 860.0, "Misfit after each cause", about);
-    for (i, s) in steps.iter().enumerate() {
-        let y = row * i as f64;
-        let before = steps[i.saturating_sub(1)].misfit;
-        let look = match s.label.as_str() {
-            "floor" => r#"class="bar-out" rx="2""#,
-            _ if i == 0 => r#"class="bar-before" rx="2""#,
-            _ => r#"class="bar-after" rx="2""#,
-        };
-        out.text(NAME, "end", (left - 8.0, y + 19.0), &s.label);
-        let (end, thick) = (scale(s.misfit), row - 11.0);
-        out.bar(look, (left, y + 6.0), ((end - left).max(1.5), thick));
-        if before > s.misfit && s.label != "floor" {
-            let look = r#"rx="2" style="fill:none;stroke:var(--soft);stroke-dasharray:3 3""#;
-            out.bar(look, (end, y + 6.0), (scale(before) - end, thick));
-        }
-        let behind = scale(before.max(s.misfit)) + 6.0;
-        out.text(VALUE, "start", (behind, y + 19.0), &number(s.misfit));
-    }
-    out.rule(scale(1.0), height - 20.0);
-    out.text(TICK, "middle", (scale(1.0), height - 6.0), "1 = noise");
-    figure(
-        "<b>Mean squared error on held-out runs</b>, in units of the noise, after each cause; dashed: what the cause took away",
-        &out.finish(),
     )
 }
 

@@ -151,9 +151,8 @@ fn grid(body: &mut String, figures: impl Iterator<Item = String>) {
 }
 
 fn gain(body: &mut String, report: &Report, plots: Option<&Plots>) {
-    let waterfall = plots.map_or(&[][..], |p| &p.waterfall[..]);
     let horizons = plots.map_or(&[][..], |p| &p.horizons[..]);
-    if report.gain.is_empty() && waterfall.len() < 2 && horizons.is_empty() {
+    if report.gain.is_empty() && horizons.is_empty() {
         return;
     }
     section(body, "gain", "What it is worth on runs that were not used", "");
@@ -161,9 +160,6 @@ fn gain(body: &mut String, report: &Report, plots: Option<&Plots>) {
         body.push_str(&figures::gains(report));
     }
     body.push_str(&sections::position_errors(report));
-    if waterfall.len() > 1 {
-        body.push_str(&figures::waterfall(waterfall));
-    }
     if !horizons.is_empty() {
         grid(body, horizons.iter().map(figures::horizon));
     }

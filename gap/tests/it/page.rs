@@ -4,9 +4,7 @@
 use std::collections::BTreeMap;
 
 use caudata_gap::page::render;
-use caudata_gap::plots::{
-    Correlation, Horizon, Hypothesis, Overlay, Plots, Series, Signature, WaterfallStep,
-};
+use caudata_gap::plots::{Correlation, Horizon, Hypothesis, Overlay, Plots, Series, Signature};
 use caudata_gap::report::{
     Cause, Compute, DataFault, Divergence, Doubt, DoubtKind, Floor, Gain, Grounds, NextExperiment,
     Parameter, Rejected, Report, RunUse, Unexplained, Verdict,
@@ -248,14 +246,6 @@ fn plots() -> Plots {
                 floor: vec![0.0015; 4],
             })
             .to_vec(),
-        waterfall: [
-            ("as given", 14.2),
-            ("coulomb_friction@FL_hip", 4.1),
-            ("command_delay", 1.3),
-            ("floor", 1.0),
-        ]
-        .map(|(l, m)| WaterfallStep { label: l.to_owned(), misfit: m })
-        .to_vec(),
         hypotheses: [
             ("coulomb_friction", 0.71, 0.93, true),
             ("stribeck_friction", 0.64, 0.05, true),
@@ -391,7 +381,6 @@ fn a_page_of_little_is_still_a_page() {
         odd.0.divergence[0].ratio = f64::NAN;
         odd.1.overlays[0].before = vec![f64::NAN; 1400];
         odd.1.overlays[1].time_s.clear();
-        odd.1.waterfall[0].misfit = f64::INFINITY;
         odd.1.signatures[0].series.clear();
         let page = render("rig", &odd.0, Some(&odd.1));
         well_formed(&page);
