@@ -8,48 +8,26 @@ use caudata_transport::{SendError, TransportError};
 
 /// Why an actor ends early.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum ActorError {
     /// The environments could not be made or stepped.
     #[error("environment: {0}")]
     Env(#[from] EnvError),
     /// The bytes that arrived are not those that were announced.
     #[error("policy version {version}: the bytes do not have the announced SHA-256")]
-    PolicyHash {
-        /// Version announced.
-        version: u64,
-    },
+    PolicyHash { version: u64 },
     /// The policy does not fit this robot and task, or is no valid policy.
     #[error("policy version {version} is refused: {source}")]
-    PolicyRefused {
-        /// Version announced.
-        version: u64,
-        /// What is wrong with it.
-        source: PolicyError,
-    },
+    PolicyRefused { version: u64, source: PolicyError },
     /// The policy says another version than the one announced.
     #[error("policy announced as version {announced} says that it is version {found}")]
-    PolicyVersion {
-        /// By the learner.
-        announced: u64,
-        /// In the file.
-        found: u64,
-    },
+    PolicyVersion { announced: u64, found: u64 },
     /// The policy answers with something that is not a number.
     #[error("policy version {version} answers lane {lane} with a value that is not finite")]
-    NotFinite {
-        /// Version in use.
-        version: u64,
-        /// Lane.
-        lane: usize,
-    },
+    NotFinite { version: u64, lane: usize },
     /// No new policy, or no learner, for too long.
     #[error("{what} for {waited_s:.0} s; is the learner alive?")]
-    Starved {
-        /// What was waited for.
-        what: &'static str,
-        /// How long.
-        waited_s: f64,
-    },
+    Starved { what: &'static str, waited_s: f64 },
     /// The link refuses chunks for good.
     #[error("sending: {0}")]
     Send(SendError),
@@ -58,12 +36,7 @@ pub enum ActorError {
     Transport(#[from] TransportError),
     /// The ledger cannot be written.
     #[error("ledger {path}: {source}")]
-    Ledger {
-        /// File.
-        path: String,
-        /// What the system said.
-        source: std::io::Error,
-    },
+    Ledger { path: String, source: std::io::Error },
     /// A saved actor does not fit this one.
     #[error("saved actor state does not fit: {0}")]
     Snapshot(String),

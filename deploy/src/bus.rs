@@ -64,48 +64,27 @@ pub struct Health {
 
 /// Why a bus did not do what was asked.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum BusError {
     /// Nothing came within the deadline; the next try may go well.
     #[error("the robot did not answer within {} ms", deadline.as_millis())]
-    Timeout {
-        /// The deadline.
-        deadline: Duration,
-    },
+    Timeout { deadline: Duration },
     /// There is no robot at this address.
     #[error("no robot at {address}: {reason}")]
-    Connect {
-        /// Where it was looked for.
-        address: String,
-        /// Why not.
-        reason: String,
-    },
+    Connect { address: String, reason: String },
     /// Another program has the port: two that speak on one bus take each other's answers, and one may let go
     /// of what the other moves.
     #[error("another program has {address}: is a `run` or `doctor` on it?")]
-    Taken {
-        /// Which port.
-        address: String,
-    },
+    Taken { address: String },
     /// Servos were told to let go, and do not say that they did.
     #[error("{found}: cut the supply, or hold the robot")]
-    Holds {
-        /// Which ones.
-        found: LetGo,
-    },
+    Holds { found: LetGo },
     /// It is another robot, or speaks otherwise.
     #[error("the robot at {address} is not the one expected: {reason}")]
-    Protocol {
-        /// Its address.
-        address: String,
-        /// What differs.
-        reason: String,
-    },
+    Protocol { address: String, reason: String },
     /// The connection broke, or too many answers in a row were missing.
     #[error("lost the robot: {reason}")]
-    Lost {
-        /// How.
-        reason: String,
-    },
+    Lost { reason: String },
 }
 
 /// Sixteen position servos.

@@ -20,97 +20,53 @@ use crate::verify::Refusal;
 
 /// Errors of this crate.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum DeployError {
     /// The robot file is missing or wrong.
     #[error("robot file {}: {source}", path.display())]
-    Robot {
-        /// Which file.
-        path: PathBuf,
-        /// What is wrong.
-        source: ModelError,
-    },
+    Robot { path: PathBuf, source: ModelError },
     /// Nothing that was sent can have counted.
     #[error(
         "{robot} never answered: nothing was sent that counts; is it the robot's --link-addr, and is the key the same?"
     )]
-    NotHeard {
-        /// Where the robot was looked for.
-        robot: std::net::SocketAddr,
-    },
+    NotHeard { robot: std::net::SocketAddr },
     /// The robot is not one that the task can drive.
     #[error("robot file {}: {source}", path.display())]
-    Task {
-        /// Which file.
-        path: PathBuf,
-        /// What is wrong.
-        source: caudata_task::TaskError,
-    },
+    Task { path: PathBuf, source: caudata_task::TaskError },
     /// The stream's name.
     #[error("stream `{name}`: {source}")]
-    Stream {
-        /// What was given.
-        name: String,
-        /// What a name must be.
-        source: RegistryError,
-    },
+    Stream { name: String, source: RegistryError },
     /// The policy server.
     #[error(transparent)]
     Server(#[from] ClientError),
     /// The server has no policy in this stream.
     #[error("policy server has no policy in stream `{stream}`")]
-    NoPolicy {
-        /// Which stream.
-        stream: String,
-    },
+    NoPolicy { stream: String },
     /// A policy must not run here.
     #[error("policy {policy} refused: {refusal}")]
-    Refused {
-        /// Which one.
-        policy: PolicyRef,
-        /// Why.
-        refusal: Box<Refusal>,
-    },
+    Refused { policy: PolicyRef, refusal: Box<Refusal> },
     /// A policy gave actions that are not finite.
     #[error(
         "policy {policy} gave {in_a_row} actions in a row that are not finite; the robot was stopped and the policy is quarantined"
     )]
-    BadActions {
-        /// Which one.
-        policy: PolicyRef,
-        /// How many.
-        in_a_row: u32,
-    },
+    BadActions { policy: PolicyRef, in_a_row: u32 },
     /// A policy held joints at their limits in its trial.
     #[error(
         "policy {policy} wanted joints at their limits in its trial; the robot was stood down and the policy is quarantined"
     )]
-    Saturated {
-        /// Which one.
-        policy: PolicyRef,
-    },
+    Saturated { policy: PolicyRef },
     /// Nobody says which policy runs.
     #[error("the agent did not say within {waited_s} s which policy runs")]
-    NoAgent {
-        /// How long it was waited for, s.
-        waited_s: u64,
-    },
+    NoAgent { waited_s: u64 },
     /// No policy that may run here is anywhere.
     #[error("no policy may run on this robot: {reason}")]
-    NothingFits {
-        /// Why not, in one line.
-        reason: String,
-    },
+    NothingFits { reason: String },
     /// A second signal: the servos were let go at once.
     #[error("stopped at once by a second signal; the servos were let go where they stood")]
     Interrupted,
     /// The hardware stopped the run.
     #[error("the robot stopped by itself: {fault:?} ({detail})")]
-    Stopped {
-        /// What.
-        fault: Fault,
-        /// Where, and what the hardware says.
-        detail: String,
-    },
+    Stopped { fault: Fault, detail: String },
     /// The trust file.
     #[error("trust file {0}")]
     Trust(SigningError),
@@ -119,60 +75,31 @@ pub enum DeployError {
     Key(#[from] SigningError),
     /// Policies would come from another computer in a way that anybody on the network can forge.
     #[error("policy server {address} is on another computer, and {missing}")]
-    Insecure {
-        /// Address of the server.
-        address: String,
-        /// What is not given.
-        missing: &'static str,
-    },
+    Insecure { address: String, missing: &'static str },
     /// The keys of a trust file were given up on this robot.
     #[error(
         "trust file {}: version {found} is in force, and on this robot version {seen} was: put the newer files back",
         path.display()
     )]
-    OlderTrust {
-        /// The first trust file.
-        path: PathBuf,
-        /// Version in force.
-        found: u64,
-        /// Highest version that was.
-        seen: u64,
-    },
+    OlderTrust { path: PathBuf, found: u64, seen: u64 },
     /// No trust file is given where one was in force.
     #[error(
         "robot state {}: trust file version {seen} was in force on this robot and none is given: give it with --trust",
         folder.display()
     )]
-    TrustLeftOut {
-        /// The state folder.
-        folder: PathBuf,
-        /// Highest version that was in force.
-        seen: u64,
-    },
+    TrustLeftOut { folder: PathBuf, seen: u64 },
     /// The wiring file.
     #[error(transparent)]
     Wiring(#[from] WiringError),
     /// The robot is not fit for torque.
     #[error("{wrong} of {checks} checks failed, the first: {first}")]
-    Unfit {
-        /// How many checks failed.
-        wrong: usize,
-        /// How many were made.
-        checks: usize,
-        /// The first that failed.
-        first: String,
-    },
+    Unfit { wrong: usize, checks: usize, first: String },
     /// ONNX Runtime is not there.
     #[error(transparent)]
     Runtime(PolicyError),
     /// The state file.
     #[error("{} cannot be trusted: {reason}", path.display())]
-    StateDamaged {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        reason: String,
-    },
+    StateDamaged { path: PathBuf, reason: String },
     /// Both copies of the state were damaged, and nobody proved yet what is too old.
     #[error(
         "this robot's state was lost; nothing is taken until a policy server that the trust file knows proves what is newest"
@@ -180,55 +107,25 @@ pub enum DeployError {
     StateLost,
     /// The server's word about where the label leads does not count, or does not fit.
     #[error("the server's answer about `{label}` of {stream} does not count: {reason}")]
-    Stale {
-        /// Which stream.
-        stream: String,
-        /// Which label.
-        label: String,
-        /// Why.
-        reason: String,
-    },
+    Stale { stream: String, label: String, reason: String },
     /// A folder or file cannot be used.
     #[error("cannot use {}: {source}", path.display())]
-    Folder {
-        /// Which.
-        path: PathBuf,
-        /// The system's words.
-        source: io::Error,
-    },
+    Folder { path: PathBuf, source: io::Error },
     /// A folder in which only this user may write is open to others, who could command the robot.
     #[error(
         "run folder {} may be used by others (mode {mode:o}, owner {owner}): whoever writes there commands the robot; `chmod 700` it, or name another with --run-dir",
         path.display()
     )]
-    Exposed {
-        /// Which folder.
-        path: PathBuf,
-        /// Its mode.
-        mode: u32,
-        /// Who owns it.
-        owner: u32,
-    },
+    Exposed { path: PathBuf, mode: u32, owner: u32 },
     /// A policy that the state names is not on the disk.
     #[error("policy file {} cannot be read: {source}", path.display())]
-    BlobMissing {
-        /// Where it should be.
-        path: PathBuf,
-        /// The system's words.
-        source: io::Error,
-    },
+    BlobMissing { path: PathBuf, source: io::Error },
     /// A policy on the disk has other bytes than those that were verified.
     #[error("policy file {} is damaged: its hash differs from its name", path.display())]
-    BlobDamaged {
-        /// Which file.
-        path: PathBuf,
-    },
+    BlobDamaged { path: PathBuf },
     /// Nobody trusted announced the policy on the disk as what it is taken for.
     #[error("{} is not signed, as this policy, by enough trusted keys", path.display())]
-    NotSigned {
-        /// The announcement beside it.
-        path: PathBuf,
-    },
+    NotSigned { path: PathBuf },
     /// The disk refuses.
     #[error(transparent)]
     Durable(#[from] DurableError),
@@ -240,34 +137,16 @@ pub enum DeployError {
     Log(#[from] LogError),
     /// The command file.
     #[error("command file {}: {reason}", path.display())]
-    Commands {
-        /// Which file.
-        path: PathBuf,
-        /// What is wrong.
-        reason: String,
-    },
+    Commands { path: PathBuf, reason: String },
     /// The key of the command link.
     #[error("key file {}: {reason}", path.display())]
-    LinkKey {
-        /// Which file.
-        path: PathBuf,
-        /// What is wrong.
-        reason: String,
-    },
+    LinkKey { path: PathBuf, reason: String },
     /// Threads or sockets are refused.
     #[error("the system refuses {what}: {source}")]
-    System {
-        /// What was asked for.
-        what: &'static str,
-        /// Its words.
-        source: io::Error,
-    },
+    System { what: &'static str, source: io::Error },
     /// A bug.
     #[error("internal error: {what}")]
-    Internal {
-        /// What happened.
-        what: String,
-    },
+    Internal { what: String },
 }
 
 impl DeployError {

@@ -42,15 +42,11 @@ pub struct Verified {
 
 /// Why a policy must not run here.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum Refusal {
     /// The bytes are others than announced.
     #[error("its bytes have SHA-256 {found}, announced was {expected}")]
-    WrongHash {
-        /// Hash of the bytes.
-        found: Sha256Digest,
-        /// Hash that was announced.
-        expected: Sha256Digest,
-    },
+    WrongHash { found: Sha256Digest, expected: Sha256Digest },
     /// The file, or what it says, does not fit.
     #[error("{0}")]
     Policy(#[from] PolicyError),
@@ -71,29 +67,16 @@ pub enum Refusal {
     OtherRobot(OtherQuestion),
     /// The file has another version than announced.
     #[error("the file says version {found}, announced was {expected}")]
-    OtherVersion {
-        /// Version in the file.
-        found: u64,
-        /// Version announced.
-        expected: u64,
-    },
+    OtherVersion { found: u64, expected: u64 },
     /// Inference does not do what the file says.
     #[error("probe {index}: {problem}")]
-    Probe {
-        /// Which observation.
-        index: usize,
-        /// What is wrong.
-        problem: String,
-    },
+    Probe { index: usize, problem: String },
     /// Keys that this robot trusts did not sign it.
     #[error("{0}")]
     Untrusted(#[from] Untrusted),
     /// It brought down the child process that looked at it.
     #[error("the process that tried it died: {how}")]
-    KilledItsProbe {
-        /// How.
-        how: String,
-    },
+    KilledItsProbe { how: String },
     /// The child process that looked at it found something wrong.
     #[error("{0}")]
     ByItsProbe(String),
@@ -102,16 +85,10 @@ pub enum Refusal {
     ByTheLoop(String),
     /// Inference takes too long on this computer.
     #[error("half of its runs take more than {median_us} µs on this computer")]
-    TooSlow {
-        /// The median.
-        median_us: u128,
-    },
+    TooSlow { median_us: u128 },
     /// It was begun with too often.
     #[error("it was begun with {attempts} times and never went through its trial")]
-    TooManyAttempts {
-        /// How often.
-        attempts: u32,
-    },
+    TooManyAttempts { attempts: u32 },
     /// An operator took it out of use.
     #[error("it is quarantined on the policy server: {0}")]
     Withdrawn(String),
@@ -120,10 +97,7 @@ pub enum Refusal {
     Before(String),
     /// The server's newest is older than what the robot has.
     #[error("the server offers an older version than {have}, which this robot has")]
-    Older {
-        /// Version here.
-        have: u64,
-    },
+    Older { have: u64 },
 }
 
 impl Refusal {

@@ -4,18 +4,14 @@ use thiserror::Error;
 
 /// Why a diagnosis could not be made.
 #[derive(Debug, Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum GapError {
     /// No run to fit to.
     #[error("no run to diagnose; give at least one --log")]
     NoRuns,
     /// A run lacks what diagnosis needs.
     #[error("run {run}: {message}")]
-    Run {
-        /// Folder name.
-        run: String,
-        /// What is missing and what to do.
-        message: String,
-    },
+    Run { run: String, message: String },
     /// The robot file.
     #[error(transparent)]
     Model(#[from] caudata_model::ModelError),

@@ -8,6 +8,7 @@ use caudata_transport::TransportError;
 /// Why the learner cannot go on.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum LearnerError {
     /// Settings that do not fit each other, the task or the data.
     #[error("{0}")]
@@ -28,12 +29,7 @@ pub enum LearnerError {
     Thread(std::io::Error),
     /// A file or folder cannot be written.
     #[error("cannot write {path}: {source}")]
-    Write {
-        /// The file or folder.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
+    Write { path: PathBuf, source: std::io::Error },
     /// A file that must survive a crash cannot be written.
     #[error(transparent)]
     Durable(#[from] caudata_durable::DurableError),
@@ -42,10 +38,7 @@ pub enum LearnerError {
     Owner(#[from] caudata_durable::OwnerError),
     /// A run is to go on, and what it would go on from is gone.
     #[error("{path} holds no checkpoint, though this run has got further than its start")]
-    CheckpointsGone {
-        /// The folder of checkpoints.
-        path: PathBuf,
-    },
+    CheckpointsGone { path: PathBuf },
     /// The policy cannot become a file.
     #[error("policy: {0}")]
     Policy(#[from] caudata_policy::PolicyError),
@@ -57,79 +50,38 @@ pub enum LearnerError {
     Transport(#[from] caudata_transport::TransportError),
     /// The robot file cannot be used.
     #[error("robot file {path}: {source}")]
-    Robot {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        source: caudata_model::ModelError,
-    },
+    Robot { path: PathBuf, source: caudata_model::ModelError },
     /// The task does not fit the robot.
     #[error("task: {0}")]
     Task(#[from] caudata_task::TaskError),
     /// An actor of this process failed.
     #[error("actor {id}: {source}")]
-    Actor {
-        /// Which.
-        id: u32,
-        /// Why.
-        source: caudata_actor::ActorError,
-    },
+    Actor { id: u32, source: caudata_actor::ActorError },
     /// An actor of this process is gone, or cannot be saved.
     #[error("actor {id} {reason}")]
-    ActorLost {
-        /// Which.
-        id: u32,
-        /// What was seen of it.
-        reason: String,
-    },
+    ActorLost { id: u32, reason: String },
     /// Too few rollouts for too long.
     #[error("only {chunks} chunks came within {waited_s:.0} s; are the actors alive?")]
-    Starved {
-        /// How long was waited.
-        waited_s: f64,
-        /// What came.
-        chunks: usize,
-    },
+    Starved { waited_s: f64, chunks: usize },
     /// Nothing could be learnt for many iterations.
     #[error(
         "{iterations} iterations in a row had no finite update; the weights are those of before"
     )]
-    NotFinite {
-        /// How many.
-        iterations: u32,
-    },
+    NotFinite { iterations: u32 },
     /// A checkpoint of another configuration.
     #[error(
         "{path} was written under another configuration, or by a version of this program with other keys; resume with the run's own config.toml and that version"
     )]
-    CheckpointConfig {
-        /// The checkpoint.
-        path: String,
-    },
+    CheckpointConfig { path: String },
     /// A checkpoint of another task or robot.
     #[error("{path} was written for another robot or task")]
-    CheckpointContract {
-        /// The checkpoint.
-        path: String,
-    },
+    CheckpointContract { path: String },
     /// A file cannot be read.
     #[error("cannot read {path}: {source}")]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
+    Read { path: PathBuf, source: std::io::Error },
     /// A policy cannot be begun with, or learnt from.
     #[error("learner.{role}.policy {path}: {reason}")]
-    Unfit {
-        /// `warm_start` or `teacher`.
-        role: &'static str,
-        /// The policy file.
-        path: PathBuf,
-        /// What does not fit.
-        reason: String,
-    },
+    Unfit { role: &'static str, path: PathBuf, reason: String },
     /// A checkpoint cannot be used.
     #[error("checkpoint {path} is damaged: {reason}")]
     CheckpointDamaged {

@@ -8,6 +8,7 @@ use tonic::Status;
 
 /// Why the store refused or failed. A refusal leaves everything that was stored before untouched.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum StoreError {
     /// The same version was published before with other bytes.
     #[error(
@@ -23,22 +24,10 @@ pub enum StoreError {
     },
     /// A number that no version bears any more, and none may bear again.
     #[error("{stream} version {version} is used up: {why}; publish a higher version instead")]
-    UsedUp {
-        /// Stream in question.
-        stream: String,
-        /// Version in question.
-        version: u64,
-        /// What became of what stood there.
-        why: String,
-    },
+    UsedUp { stream: String, version: u64, why: String },
     /// The bytes are not those that the header announced.
     #[error("uploaded bytes hash to {actual}, the header says {announced}; send the file again")]
-    HashMismatch {
-        /// SHA-256 (hex) in the header.
-        announced: String,
-        /// SHA-256 (hex) of what arrived.
-        actual: String,
-    },
+    HashMismatch { announced: String, actual: String },
     /// The stream's robots expect another contract.
     #[error(
         "contract {actual} does not fit stream {stream}, which holds {expected}; use another stream"
@@ -53,40 +42,18 @@ pub enum StoreError {
     },
     /// The header and the file's own metadata disagree.
     #[error("header and policy file disagree on {field}: {header} against {file}")]
-    HeaderMismatch {
-        /// Which field.
-        field: &'static str,
-        /// Value in the header.
-        header: String,
-        /// Value in the file.
-        file: String,
-    },
+    HeaderMismatch { field: &'static str, header: String, file: String },
     /// Nothing is stored under this name.
     #[error("{what} is not in the store")]
-    NotFound {
-        /// What was asked for.
-        what: String,
-    },
+    NotFound { what: String },
     /// Stored bytes no longer match their name.
     #[error("{path} is damaged on disk and was set aside; publish it again")]
-    Damaged {
-        /// The damaged file.
-        path: PathBuf,
-    },
+    Damaged { path: PathBuf },
     /// Somebody else moved the label.
     #[error(
         "label {label} of {stream} was moved meanwhile (change {found}, expected {expected}); look again and decide anew"
     )]
-    LabelMoved {
-        /// Stream in question.
-        stream: String,
-        /// Label in question.
-        label: String,
-        /// The label's generation.
-        found: u64,
-        /// What the caller expected.
-        expected: u64,
-    },
+    LabelMoved { stream: String, label: String, found: u64, expected: u64 },
     /// A label must not lead there, or a version must not be published so.
     #[error("{reason}")]
     NotAllowed {
@@ -97,10 +64,7 @@ pub enum StoreError {
     #[error(
         "the store is read-only since {reason}; what it holds is still served, and it looks by itself whether the disk works again"
     )]
-    ReadOnly {
-        /// What happened.
-        reason: String,
-    },
+    ReadOnly { reason: String },
     /// There are as many of something as may be.
     #[error("{reason}")]
     Full {
@@ -117,12 +81,7 @@ pub enum StoreError {
     },
     /// The data folder cannot be used at all.
     #[error("cannot use {path} as the store: {reason}")]
-    Unusable {
-        /// The data folder.
-        path: PathBuf,
-        /// Why.
-        reason: String,
-    },
+    Unusable { path: PathBuf, reason: String },
     /// Writing failed.
     #[error(transparent)]
     Durable(#[from] DurableError),
@@ -130,6 +89,7 @@ pub enum StoreError {
 
 /// Why a file of the store could not be read.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum RecordError {
     /// Not the JSON this server writes.
     #[error("not a record: {0}")]
@@ -139,10 +99,7 @@ pub enum RecordError {
     Checksum,
     /// Written by another version of the server.
     #[error("record format {found} is unknown; use a newer server")]
-    Format {
-        /// The format found.
-        found: u32,
-    },
+    Format { found: u32 },
     /// A hash that is not 64 hexadecimal digits.
     #[error("a hash is not 64 hexadecimal digits")]
     Hash,

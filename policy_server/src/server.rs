@@ -42,18 +42,14 @@ pub const DRAIN_MAX: Duration = Duration::from_secs(10);
 
 /// Why the server ended.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum ServeError {
     /// Another process listens there.
     #[error("address {0} is in use; stop the other process or choose another address")]
     InUse(SocketAddr),
     /// The system refuses the address.
     #[error("cannot listen on {addr}: {source}")]
-    Listen {
-        /// The address asked for.
-        addr: SocketAddr,
-        /// The operating system's answer.
-        source: std::io::Error,
-    },
+    Listen { addr: SocketAddr, source: std::io::Error },
     /// The gRPC server failed.
     #[error("the gRPC server failed: {0}")]
     Transport(#[from] tonic::transport::Error),

@@ -8,25 +8,16 @@ const PREFIX: usize = 4;
 
 /// Why a frame could not be read or written.
 #[derive(Debug, Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum FrameError {
     /// Longer than the reader or writer allows.
     #[error(
         "frame of {bytes} bytes, the limit is {limit}; the two sides do not speak the same protocol"
     )]
-    TooLarge {
-        /// Announced length.
-        bytes: usize,
-        /// The limit.
-        limit: usize,
-    },
+    TooLarge { bytes: usize, limit: usize },
     /// The stream ended within a frame.
     #[error("the connection closed within a frame, after {got} of {expected} bytes")]
-    Truncated {
-        /// Bytes received, prefix included.
-        got: usize,
-        /// Bytes due, prefix included.
-        expected: usize,
-    },
+    Truncated { got: usize, expected: usize },
     /// The stream failed, or its read time-out passed.
     #[error("the connection failed: {0}")]
     Io(#[from] io::Error),

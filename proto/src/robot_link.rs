@@ -103,62 +103,34 @@ pub struct BasePose {
 /// Why a message was refused.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum LinkError {
     /// Not a message of this link.
     #[error("not a robot message: {0}")]
     Malformed(#[from] prost::DecodeError),
     /// Longer than [`MAX_MESSAGE_BYTES`].
     #[error("robot message of {bytes} bytes, the limit is {MAX_MESSAGE_BYTES}")]
-    TooLarge {
-        /// Its length.
-        bytes: usize,
-    },
+    TooLarge { bytes: usize },
     /// The far side speaks another version.
     #[error(
         "robot link has protocol {found}, this program speaks {ROBOT_LINK_PROTOCOL}; use the same build on both sides"
     )]
-    Protocol {
-        /// Version of the far side.
-        found: u32,
-    },
+    Protocol { found: u32 },
     /// A part that must be there is not.
     #[error("robot message lacks `{field}`")]
-    Missing {
-        /// Which part.
-        field: &'static str,
-    },
+    Missing { field: &'static str },
     /// A list of the wrong length.
     #[error("`{field}` has {found} entries, must have {expected}")]
-    Length {
-        /// Which list.
-        field: &'static str,
-        /// Its length.
-        found: usize,
-        /// The right length.
-        expected: usize,
-    },
+    Length { field: &'static str, found: usize, expected: usize },
     /// A list of as many values as no robot has joints.
     #[error("`{field}` has {found} entries, must have 1 to {JOINTS_MAX}, one per joint")]
-    Joints {
-        /// Which list.
-        field: &'static str,
-        /// Its length.
-        found: usize,
-    },
+    Joints { field: &'static str, found: usize },
     /// NaN or infinity, or a number out of its range.
     #[error("`{field}` holds a number that is not finite or out of its range")]
-    Value {
-        /// Where.
-        field: &'static str,
-    },
+    Value { field: &'static str },
     /// A name that is empty, too long or not printable.
     #[error("`{field}` must be 1 to {max} printable ASCII characters")]
-    Text {
-        /// Which name.
-        field: &'static str,
-        /// Most characters.
-        max: usize,
-    },
+    Text { field: &'static str, max: usize },
 }
 
 /// The payload of one frame.

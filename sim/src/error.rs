@@ -4,27 +4,14 @@ use thiserror::Error;
 
 /// Why an engine refused.
 #[derive(Debug, Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum SimError {
     /// A configuration value is out of its range.
     #[error("{table}.{field} = {value}: {reason}")]
-    Config {
-        /// TOML table, `engine` or `terrain`.
-        table: &'static str,
-        /// Field in that table.
-        field: &'static str,
-        /// The value as given.
-        value: String,
-        /// What would be accepted.
-        reason: &'static str,
-    },
+    Config { table: &'static str, field: &'static str, value: String, reason: &'static str },
     /// A height map that is not one.
     #[error("terrain.map: {file} {reason}")]
-    Map {
-        /// The file.
-        file: String,
-        /// What is wrong with it.
-        reason: String,
-    },
+    Map { file: String, reason: String },
     /// The robot model has something this engine cannot simulate.
     #[error("robot model cannot be simulated: {0}")]
     Model(String),
@@ -35,50 +22,19 @@ pub enum SimError {
     #[error(
         "robot file: extension.lane.`{path}` is no parameter of this robot; if a diagnosis of an earlier version wrote it, diagnose its logs again"
     )]
-    Extension {
-        /// The path as written.
-        path: String,
-    },
+    Extension { path: String },
     /// An array has the wrong length.
     #[error("{what} has {got} values, expected {expected}")]
-    Shape {
-        /// Which array.
-        what: &'static str,
-        /// Its length.
-        got: usize,
-        /// The length this engine needs.
-        expected: usize,
-    },
+    Shape { what: &'static str, got: usize, expected: usize },
     /// A number is NaN, infinite or outside its physical range.
     #[error("{what} is {value} in lane {lane}, must be {low} to {high}")]
-    Value {
-        /// Which quantity.
-        what: &'static str,
-        /// The value.
-        value: f32,
-        /// The lane it was given for.
-        lane: usize,
-        /// Smallest value accepted.
-        low: f32,
-        /// Largest value accepted.
-        high: f32,
-    },
+    Value { what: &'static str, value: f32, lane: usize, low: f32, high: f32 },
     /// A lane index is out of range.
     #[error("lane {lane} does not exist, the engine has {lanes}")]
-    Lane {
-        /// The lane asked for.
-        lane: usize,
-        /// How many there are.
-        lanes: usize,
-    },
+    Lane { lane: usize, lanes: usize },
     /// A snapshot could not be written or read.
     #[error("snapshot cannot be {action}: {reason}")]
-    Snapshot {
-        /// `written` or `restored`.
-        action: &'static str,
-        /// What was wrong with it.
-        reason: String,
-    },
+    Snapshot { action: &'static str, reason: String },
 }
 
 pub(crate) fn check_len(what: &'static str, got: usize, expected: usize) -> Result<(), SimError> {

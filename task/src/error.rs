@@ -2,80 +2,34 @@
 
 /// Everything that `caudata-task` can refuse.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum TaskError {
     /// A configuration value is outside what makes sense.
     #[error("task.{field} is {value}: {reason}")]
-    Config {
-        /// Field, as written in the configuration file below `[task]`.
-        field: &'static str,
-        /// The value found.
-        value: String,
-        /// What would be right.
-        reason: &'static str,
-    },
+    Config { field: &'static str, value: String, reason: &'static str },
     /// The robot is not one that this task can drive.
     #[error(
         "robot '{robot}' has {found} {what}, the task takes {least} to {most}; choose another robot file"
     )]
-    Robot {
-        /// Name of the robot.
-        robot: String,
-        /// What was counted.
-        what: &'static str,
-        /// How many there are.
-        found: usize,
-        /// How many there must be at least.
-        least: usize,
-        /// How many there may be.
-        most: usize,
-    },
+    Robot { robot: String, what: &'static str, found: usize, least: usize, most: usize },
     /// The gait clock names a foot that the robot does not have.
     #[error("task.phase.offset_cycles names the foot '{foot}'; the robot has: {known}")]
-    UnknownFoot {
-        /// The name.
-        foot: String,
-        /// The robot's feet.
-        known: String,
-    },
+    UnknownFoot { foot: String, known: String },
     /// A term of the task file is wrong.
     #[error("{table} '{name}' {reason}")]
-    Term {
-        /// Where it stands.
-        table: &'static str,
-        /// Its name.
-        name: String,
-        /// What is wrong.
-        reason: String,
-    },
+    Term { table: &'static str, name: String, reason: String },
     /// Left and right of the robot differ.
     #[error(
         "robot '{robot}' is not its own mirror image: '{part}' has no counterpart on the other side in the nominal pose; \
          set learner.network.symmetric = false"
     )]
-    NotSymmetric {
-        /// Name of the robot.
-        robot: String,
-        /// Name of the joint or foot.
-        part: String,
-    },
+    NotSymmetric { robot: String, part: String },
     /// An array has the wrong length.
     #[error("{what} has {found} values, expected {expected}")]
-    Shape {
-        /// Which array.
-        what: &'static str,
-        /// Its length.
-        found: usize,
-        /// The length needed.
-        expected: usize,
-    },
+    Shape { what: &'static str, found: usize, expected: usize },
     /// A policy contract does not describe a valid policy.
     #[error("policy contract: {what} {reason}")]
-    Contract {
-        /// Field of the contract.
-        what: &'static str,
-        /// What is wrong with it.
-        reason: String,
-    },
+    Contract { what: &'static str, reason: String },
 }
 
 impl TaskError {

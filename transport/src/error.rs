@@ -5,6 +5,7 @@ use std::path::PathBuf;
 /// Why [`ActorLink::send`](crate::ActorLink::send) or [`flush`](crate::ActorLink::flush) did not succeed.
 /// In every case the frame handed to `send` has not been taken and will not arrive.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum SendError {
     /// The learner is alive but behind; the same frame may be tried again.
     #[error("the learner is behind: {unacknowledged} frames wait for it; try the same frame again")]
@@ -24,12 +25,7 @@ pub enum SendError {
     #[error(
         "frame of {size} bytes is over the limit of {max} bytes; raise limits.max_frame_bytes or send smaller chunks"
     )]
-    TooLarge {
-        /// Size of the frame, bytes.
-        size: usize,
-        /// Limit `max_frame_bytes`, bytes.
-        max: usize,
-    },
+    TooLarge { size: usize, max: usize },
     /// The other side has ended for good (in-process only), or this link has been shut down.
     #[error("the link is closed")]
     Closed,
@@ -40,6 +36,7 @@ pub enum SendError {
 
 /// Why a link could not be set up, received from or published on.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum TransportError {
     /// The configuration cannot work.
     #[error("transport configuration: {0}")]
@@ -48,20 +45,10 @@ pub enum TransportError {
     #[error(
         "policy of {size} bytes is over the limit of {max} bytes; raise limits.max_policy_bytes"
     )]
-    PolicyTooLarge {
-        /// Size of the policy, bytes.
-        size: usize,
-        /// Limit `max_policy_bytes`, bytes.
-        max: usize,
-    },
+    PolicyTooLarge { size: usize, max: usize },
     /// A policy older than the last one was published.
     #[error("policy version {version} is older than version {last} published before")]
-    VersionWentBack {
-        /// The version refused.
-        version: u64,
-        /// The newest version published on this link.
-        last: u64,
-    },
+    VersionWentBack { version: u64, last: u64 },
     /// Something was published after the stop signal.
     #[error("the run has been told to stop; nothing can be published after that")]
     Stopped,
@@ -69,40 +56,18 @@ pub enum TransportError {
     #[error(
         "another learner of run {run_id} is alive ({detail}); stop it or choose another run id"
     )]
-    AlreadyRunning {
-        /// The run.
-        run_id: String,
-        /// Where it was seen.
-        detail: String,
-    },
+    AlreadyRunning { run_id: String, detail: String },
     /// Files of another version, user or kind are where the run's own should be; they are not opened.
     #[error("{path}: {reason}; remove it or choose another run id")]
-    Stale {
-        /// The file or directory.
-        path: PathBuf,
-        /// Why it is not ours.
-        reason: String,
-    },
+    Stale { path: PathBuf, reason: String },
     /// Not enough room for the shared-memory segments.
     #[error(
         "{path}: {available} bytes free, {needed} bytes needed for shared memory; free some, mount it larger, or lower limits.*"
     )]
-    NoSpace {
-        /// The file system.
-        path: PathBuf,
-        /// Bytes wanted.
-        needed: u64,
-        /// Bytes free.
-        available: u64,
-    },
+    NoSpace { path: PathBuf, needed: u64, available: u64 },
     /// An address could not be listened on or understood.
     #[error("endpoint {endpoint}: {reason}")]
-    Endpoint {
-        /// The endpoint as configured.
-        endpoint: String,
-        /// What went wrong.
-        reason: String,
-    },
+    Endpoint { endpoint: String, reason: String },
     /// The other side has ended for good (in-process only), or this link has been shut down.
     #[error("the link is closed")]
     Closed,

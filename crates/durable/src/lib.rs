@@ -20,13 +20,11 @@ pub use shipped::{set_home, shipped, shipped_flag};
 
 /// Why a durable write failed. The file's earlier content, if any, is untouched.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum DurableError {
     /// No space, or a quota or file-size limit was hit.
     #[error("disk full while writing {path}: free some space and try again")]
-    DiskFull {
-        /// File that was being written.
-        path: PathBuf,
-    },
+    DiskFull { path: PathBuf },
     /// Any other failure of the operating system.
     #[error("cannot {action} {path}: {source}")]
     Io {
@@ -39,10 +37,7 @@ pub enum DurableError {
     },
     /// [`create_new`] found the name taken.
     #[error("{path} exists already")]
-    Exists {
-        /// The name in question.
-        path: PathBuf,
-    },
+    Exists { path: PathBuf },
 }
 
 impl DurableError {

@@ -14,23 +14,14 @@ pub struct Owner {
 
 /// Why a folder is not this process's own.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum OwnerError {
     /// Another process holds the lock.
     #[error("process {process} holds {path} and is at work in this folder")]
-    Taken {
-        /// The lock file.
-        path: PathBuf,
-        /// Its number, as it has written it down.
-        process: String,
-    },
+    Taken { path: PathBuf, process: String },
     /// The lock file cannot be used.
     #[error("cannot lock {path}: {source}")]
-    Io {
-        /// The lock file.
-        path: PathBuf,
-        /// The operating system's answer.
-        source: io::Error,
-    },
+    Io { path: PathBuf, source: io::Error },
 }
 
 /// The lock goes with the open file, not with this handle: a child process that is just being started shares

@@ -23,26 +23,17 @@ pub const FAST_FAILURES_MAX: u32 = 3;
 
 /// Why a question has no answer.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum BusFault {
     /// The port fails.
     #[error("the serial port failed: {0}")]
     Port(#[from] io::Error),
     /// Nothing in time.
     #[error("servo {id} did not answer within {} ms", deadline.as_millis())]
-    Silent {
-        /// Which servo.
-        id: u8,
-        /// The deadline.
-        deadline: Duration,
-    },
+    Silent { id: u8, deadline: Duration },
     /// The servo says no.
     #[error("servo {id} refused: {error}")]
-    Refused {
-        /// Which servo.
-        id: u8,
-        /// Why.
-        error: ErrorNumber,
-    },
+    Refused { id: u8, error: ErrorNumber },
 }
 
 /// What a bus counted.

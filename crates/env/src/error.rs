@@ -6,6 +6,7 @@ use caudata_task::TaskError;
 
 /// Everything that [`crate::VecEnv`] can refuse.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum EnvError {
     /// The task's configuration is invalid, or the robot is not one that it can drive.
     #[error(transparent)]
@@ -20,43 +21,19 @@ pub enum EnvError {
     #[error(
         "task.control_period_s is {task_s} s but the engine's dt_s times substeps is {engine_s} s; make them equal"
     )]
-    ControlPeriod {
-        /// What the task asks for.
-        task_s: f64,
-        /// What the engine does.
-        engine_s: f64,
-    },
+    ControlPeriod { task_s: f64, engine_s: f64 },
     /// The engine simulates another robot than the task was given.
     #[error("the engine holds robot '{engine}' with other files than the task's robot '{task}'")]
-    OtherRobot {
-        /// Robot of the task.
-        task: String,
-        /// Robot of the engine.
-        engine: String,
-    },
+    OtherRobot { task: String, engine: String },
     /// The engine has no lanes.
     #[error("the engine has no lanes, at least one is needed")]
     NoLanes,
     /// An array has the wrong length.
     #[error("{what} has {found} values, expected {expected}")]
-    Shape {
-        /// Which array.
-        what: &'static str,
-        /// Its length.
-        found: usize,
-        /// The length needed.
-        expected: usize,
-    },
+    Shape { what: &'static str, found: usize, expected: usize },
     /// An action is not a finite number: the policy is broken, stepping on would hide it.
     #[error("action {action} of lane {lane} is {value}, it must be finite; check the policy")]
-    Action {
-        /// Lane.
-        lane: usize,
-        /// Index in the lane's action.
-        action: usize,
-        /// The value.
-        value: f32,
-    },
+    Action { lane: usize, action: usize, value: f32 },
     /// A snapshot could not be written, or does not belong here.
     #[error("environment snapshot: {0}")]
     Snapshot(String),

@@ -18,37 +18,21 @@ pub const MAX_BYTES: usize = 64 * 1024;
 
 /// Why a summary is refused.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum SummaryError {
     /// It cannot be read.
     #[error("cannot read {path}: {source}")]
-    Read {
-        /// Which file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
+    Read { path: PathBuf, source: std::io::Error },
     /// It is no summary.
     #[error(
         "{path} is not an evaluation summary: {reason}; write it anew with `caudata eval --write-summary`"
     )]
-    Invalid {
-        /// Which file.
-        path: PathBuf,
-        /// Why.
-        reason: String,
-    },
+    Invalid { path: PathBuf, reason: String },
     /// It is about another policy.
     #[error(
         "{path} is about policy {found}, not {expected}; write it anew with `caudata eval --write-summary`"
     )]
-    OtherPolicy {
-        /// Which file.
-        path: PathBuf,
-        /// SHA-256 in the file, hex.
-        found: String,
-        /// SHA-256 of the policy, hex.
-        expected: String,
-    },
+    OtherPolicy { path: PathBuf, found: String, expected: String },
 }
 
 /// The summary.

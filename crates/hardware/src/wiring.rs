@@ -19,23 +19,14 @@ pub const WIRING_FORMAT: &str = "caudata.wiring.v1";
 
 /// Why a wiring file is not taken.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum WiringError {
     /// It cannot be read.
     #[error("wiring file {}: {source}", path.display())]
-    Read {
-        /// Which file.
-        path: PathBuf,
-        /// The system's words.
-        source: std::io::Error,
-    },
+    Read { path: PathBuf, source: std::io::Error },
     /// It says something that cannot be.
     #[error("wiring file {}: {reason}", path.display())]
-    Wrong {
-        /// Which file.
-        path: PathBuf,
-        /// What.
-        reason: String,
-    },
+    Wrong { path: PathBuf, reason: String },
 }
 
 /// The whole file.

@@ -25,33 +25,17 @@ impl fmt::Display for Remark {
 
 /// Why a robot could not be loaded. Each message is one line that says what is wrong, where, and what to do.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum ModelError {
     /// A file could not be read.
     #[error("cannot read {}: {source}", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// The reason given by the system.
-        source: std::io::Error,
-    },
+    Read { path: PathBuf, source: std::io::Error },
     /// A file is larger than any robot description.
     #[error("{file} has more than {limit} bytes; is it the right file?")]
-    TooLarge {
-        /// The file.
-        file: String,
-        /// The limit.
-        limit: u64,
-    },
+    TooLarge { file: String, limit: u64 },
     /// The robot file is not valid TOML, has an unknown or missing key, or a value of the wrong type.
     #[error("{file}:{line}: {message}")]
-    RobotFile {
-        /// The file.
-        file: String,
-        /// Line, counted from 1.
-        line: usize,
-        /// What is wrong.
-        message: String,
-    },
+    RobotFile { file: String, line: usize, message: String },
     /// The MJCF is not well-formed XML.
     #[error("{0}")]
     Xml(Remark),
@@ -60,22 +44,8 @@ pub enum ModelError {
     Mjcf(Remark),
     /// The two files do not describe one valid robot.
     #[error("{file}: {at}: {message}")]
-    Invalid {
-        /// The robot file.
-        file: String,
-        /// Key or thing at fault.
-        at: String,
-        /// What is wrong and what to do.
-        message: String,
-    },
+    Invalid { file: String, at: String, message: String },
     /// An argument has the wrong length.
     #[error("{what} has {got} values where this robot needs {need}")]
-    Length {
-        /// The argument.
-        what: &'static str,
-        /// Its length.
-        got: usize,
-        /// The right length.
-        need: usize,
-    },
+    Length { what: &'static str, got: usize, need: usize },
 }

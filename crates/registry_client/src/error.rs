@@ -8,43 +8,25 @@ use crate::limits::RATE_MIN;
 
 /// What a call to the policy server can end with.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum ClientError {
     /// The address is not one.
     #[error("`{address}` is not an address like 127.0.0.1:7401")]
-    Address {
-        /// What was given.
-        address: String,
-    },
+    Address { address: String },
     /// What is said there could be read and changed on the way.
     #[error(
         "policy server {address} is not on this host and the connection is not encrypted: give https://HOST:PORT and a folder of certificates (`caudata pki`)"
     )]
-    Plain {
-        /// What was given.
-        address: String,
-    },
+    Plain { address: String },
     /// The certificates are not there, or do not work.
     #[error("certificates: {reason}")]
-    Certificates {
-        /// What is wrong.
-        reason: String,
-    },
+    Certificates { reason: String },
     /// Nobody answers.
     #[error("policy server {address} does not answer: {reason}; is it running?")]
-    Unreachable {
-        /// Where it was expected.
-        address: String,
-        /// What the network said.
-        reason: String,
-    },
+    Unreachable { address: String, reason: String },
     /// The server answered with a refusal.
     #[error("policy server refuses ({code:?}): {message}")]
-    Refused {
-        /// gRPC status code.
-        code: Code,
-        /// The server's words.
-        message: String,
-    },
+    Refused { code: Code, message: String },
     /// An answer that does not pass the checks.
     #[error("policy server sent a bad answer: {0}")]
     BadAnswer(#[from] RegistryError),
@@ -53,19 +35,13 @@ pub enum ClientError {
     OtherQuestion(#[from] OtherQuestion),
     /// A fetch that broke the rules: too many bytes, or bytes of another file.
     #[error("fetched bytes are not those asked for: {reason}")]
-    WrongBytes {
-        /// What is wrong.
-        reason: String,
-    },
+    WrongBytes { reason: String },
     /// Bytes come, but too few.
     #[error("policy server sends less than {RATE_MIN} bytes per second; is the network that slow?")]
     TooSlow,
     /// The call took too long.
     #[error("policy server did not finish {what} in time; try again")]
-    TimedOut {
-        /// Which call.
-        what: &'static str,
-    },
+    TimedOut { what: &'static str },
 }
 
 impl ClientError {

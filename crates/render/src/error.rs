@@ -2,17 +2,11 @@
 
 /// Why a picture could not be made.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum RenderError {
     /// A size or setting is out of range.
     #[error("{what} is {value}: {reason}")]
-    Setting {
-        /// Which one.
-        what: &'static str,
-        /// As given.
-        value: String,
-        /// What would be accepted.
-        reason: &'static str,
-    },
+    Setting { what: &'static str, value: String, reason: &'static str },
     /// The pose does not fit the robot.
     #[error(transparent)]
     Model(#[from] caudata_model::ModelError),

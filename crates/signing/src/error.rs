@@ -11,31 +11,17 @@ const FILE_MAX: u64 = 64 << 10;
 
 /// What is wrong with a key or trust file.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum SigningError {
     /// It cannot be read or written.
     #[error("{}: {source}", path.display())]
-    File {
-        /// Which file.
-        path: PathBuf,
-        /// The system's words.
-        source: std::io::Error,
-    },
+    File { path: PathBuf, source: std::io::Error },
     /// It holds a secret, and others may use it.
     #[error("{}: others may use this secret (mode {mode:o}); `chmod 600` it", path.display())]
-    Exposed {
-        /// Which file.
-        path: PathBuf,
-        /// Its mode.
-        mode: u32,
-    },
+    Exposed { path: PathBuf, mode: u32 },
     /// Its content is not what it must be.
     #[error("{}: {reason}", path.display())]
-    Content {
-        /// Which file.
-        path: PathBuf,
-        /// What is wrong.
-        reason: String,
-    },
+    Content { path: PathBuf, reason: String },
 }
 
 impl SigningError {

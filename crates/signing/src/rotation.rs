@@ -22,28 +22,17 @@ const TRUST_DOMAIN: &[u8] = b"caudata.trust.v1\0";
 const CHAIN_MAX: usize = 1024;
 /// Why a trust file does not follow on another.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum NoSuccessor {
     /// It does not read.
     #[error("{0}")]
     Content(String),
     /// It is not the next one.
     #[error("it is version {found}, the one after {from} is {}", from.saturating_add(1))]
-    OutOfTurn {
-        /// Version in force.
-        from: u64,
-        /// Version that it says.
-        found: u64,
-    },
+    OutOfTurn { from: u64, found: u64 },
     /// Keys that may say so did not sign it.
     #[error("{whose} root keys signed it {valid} times, {needed} are needed")]
-    Unsigned {
-        /// Which file lacks signatures.
-        whose: &'static str,
-        /// Distinct root keys with a valid signature.
-        valid: usize,
-        /// How many there must be.
-        needed: usize,
-    },
+    Unsigned { whose: &'static str, valid: usize, needed: usize },
 }
 
 /// A signature over a trust file.

@@ -5,6 +5,7 @@ use std::net::SocketAddr;
 
 /// Why the endpoint could not be opened.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum ServeError {
     /// Another process listens there.
     #[error(
@@ -13,10 +14,5 @@ pub enum ServeError {
     InUse(SocketAddr),
     /// The system refuses the address or the thread.
     #[error("cannot listen on {addr}: {source}")]
-    Io {
-        /// The address asked for.
-        addr: SocketAddr,
-        /// What the system said.
-        source: io::Error,
-    },
+    Io { addr: SocketAddr, source: io::Error },
 }

@@ -61,12 +61,7 @@ pub enum LoggingError {
     Thread(std::io::Error),
     /// The filter does not parse.
     #[error("log filter `{filter}` is not valid: {reason}")]
-    Filter {
-        /// The text given.
-        filter: String,
-        /// What the parser says.
-        reason: String,
-    },
+    Filter { filter: String, reason: String },
 }
 
 /// Sends events and spans of this process to standard error and writes the banner line.

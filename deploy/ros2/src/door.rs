@@ -33,18 +33,14 @@ const ODOM: &str = "odom";
 
 /// Why the door does not open.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum DoorError {
     /// zenoh.
     #[error("zenoh: {0}")]
     Zenoh(String),
     /// The command link.
     #[error("command link to {address}: {source}")]
-    Link {
-        /// Where the robot listens.
-        address: SocketAddr,
-        /// The system's words.
-        source: std::io::Error,
-    },
+    Link { address: SocketAddr, source: std::io::Error },
 }
 
 fn zenoh_error(error: zenoh::Error) -> DoorError {

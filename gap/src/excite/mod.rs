@@ -28,23 +28,14 @@ pub const DEFAULT_RATE_HZ: f64 = 100.0;
 
 /// Why there is no such trial.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum ExciteError {
     /// No such joint.
     #[error("the robot has no actuated joint `{joint}`; it has {known}")]
-    Joint {
-        /// As given.
-        joint: String,
-        /// The robot's.
-        known: String,
-    },
+    Joint { joint: String, known: String },
     /// No such trial, or not for this robot.
     #[error("there is no trial `{trial}` for this robot; there are {known}")]
-    Trial {
-        /// As given.
-        trial: String,
-        /// What there is.
-        known: String,
-    },
+    Trial { trial: String, known: String },
     /// A rate that makes no sense.
     #[error("a rate of {0} Hz is not between 10 and 1000")]
     Rate(f64),

@@ -9,33 +9,17 @@ pub const MAX_FILE_BYTES: u64 = 256 * 1024 * 1024;
 
 /// Why a recording could not be turned into a log. One line each.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum ImportError {
     /// The system refused.
     #[error("{}: {source}", path.display())]
-    Io {
-        /// The recording.
-        path: PathBuf,
-        /// The system's reason.
-        source: std::io::Error,
-    },
+    Io { path: PathBuf, source: std::io::Error },
     /// The recording is not what its format says.
     #[error("{file}: {message}")]
-    Format {
-        /// The recording.
-        file: String,
-        /// What is wrong, and where.
-        message: String,
-    },
+    Format { file: String, message: String },
     /// The robot file does not fit the recording.
     #[error("{file}: does not fit the robot `{robot}`: {message}")]
-    Robot {
-        /// The recording.
-        file: String,
-        /// Name in the robot file.
-        robot: String,
-        /// What does not fit.
-        message: String,
-    },
+    Robot { file: String, robot: String, message: String },
     /// The log cannot be written.
     #[error(transparent)]
     Log(#[from] LogError),

@@ -23,13 +23,11 @@ pub const NONCE_BYTES: usize = 32;
 /// Why a message was refused.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[non_exhaustive]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum RegistryError {
     /// A part that must be there is not.
     #[error("message lacks `{field}`")]
-    Missing {
-        /// Which part.
-        field: &'static str,
-    },
+    Missing { field: &'static str },
     /// A stream name that could not be told from a path trick.
     #[error(
         "stream name must be 1 to 64 characters of a-z, 0-9, `-`, `_`, `.` in parts separated by `/`, none of them starting with a dot"
@@ -37,34 +35,13 @@ pub enum RegistryError {
     StreamName,
     /// Text that is empty, too long or not printable.
     #[error("`{field}` must be {min} to {max} printable ASCII characters")]
-    Text {
-        /// Which text.
-        field: &'static str,
-        /// Fewest characters.
-        min: usize,
-        /// Most characters.
-        max: usize,
-    },
+    Text { field: &'static str, min: usize, max: usize },
     /// A hash that is not 32 bytes long.
     #[error("`{field}` has {found} bytes, a SHA-256 has 32")]
-    HashLength {
-        /// Which hash.
-        field: &'static str,
-        /// Its length.
-        found: usize,
-    },
+    HashLength { field: &'static str, found: usize },
     /// A number out of its range.
     #[error("`{field}` is {found}, must be {min} to {max}")]
-    Range {
-        /// Which number.
-        field: &'static str,
-        /// Its value.
-        found: u64,
-        /// Smallest value allowed.
-        min: u64,
-        /// Largest value allowed.
-        max: u64,
-    },
+    Range { field: &'static str, found: u64, min: u64, max: u64 },
     /// Bytes that are no message.
     #[error("these bytes are no manifest")]
     Encoding,
@@ -73,14 +50,7 @@ pub enum RegistryError {
     Label,
     /// Words that are too long or hold control characters.
     #[error("`{field}` must be {min} to {max} bytes in one line")]
-    Words {
-        /// Which words.
-        field: &'static str,
-        /// Fewest bytes.
-        min: usize,
-        /// Most bytes.
-        max: usize,
-    },
+    Words { field: &'static str, min: usize, max: usize },
     /// Things that do not go together.
     #[error("{0}")]
     Together(&'static str),

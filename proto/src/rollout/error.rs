@@ -5,15 +5,11 @@ use thiserror::Error;
 /// Why a frame was refused. [`DecodeError::reason_id`] is its name in counters.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum DecodeError {
     /// Longer than [`super::DecodeLimits::max_frame_bytes`].
     #[error("frame has {bytes} bytes, the limit is {limit}; send fewer steps or lanes per chunk")]
-    FrameTooLarge {
-        /// Bytes of the frame.
-        bytes: usize,
-        /// The limit.
-        limit: usize,
-    },
+    FrameTooLarge { bytes: usize, limit: usize },
     /// Not a protobuf message of this shape.
     #[error("frame is not a rollout message: {0}")]
     Malformed(#[from] prost::DecodeError),
@@ -21,104 +17,37 @@ pub enum DecodeError {
     #[error(
         "frame has protocol {found}, this program speaks {expected}; use the same build on both sides"
     )]
-    Protocol {
-        /// Version in the frame.
-        found: u32,
-        /// Version of this program.
-        expected: u32,
-    },
+    Protocol { found: u32, expected: u32 },
     /// An envelope with nothing in it, or a chunk without one of its parts.
     #[error("frame lacks `{field}`")]
-    Missing {
-        /// What is missing.
-        field: &'static str,
-    },
+    Missing { field: &'static str },
     /// An identifier or a line of text is empty, too long or not printable.
     #[error("`{field}` must be {min} to {max} printable characters")]
-    Text {
-        /// Which text.
-        field: &'static str,
-        /// Fewest characters.
-        min: usize,
-        /// Most bytes.
-        max: usize,
-    },
+    Text { field: &'static str, min: usize, max: usize },
     /// A hash that is not 32 bytes long.
     #[error("`{field}` has {found} bytes, a SHA-256 has 32")]
-    HashLength {
-        /// Which hash.
-        field: &'static str,
-        /// Its length.
-        found: usize,
-    },
+    HashLength { field: &'static str, found: usize },
     /// A dimension is zero or above its limit.
     #[error("`{field}` is {found}, must be 1 to {limit}")]
-    Dimension {
-        /// Which dimension.
-        field: &'static str,
-        /// Its value.
-        found: usize,
-        /// Its limit.
-        limit: usize,
-    },
+    Dimension { field: &'static str, found: usize, limit: usize },
     /// A tensor's length does not follow from the dimensions.
     #[error("`{field}` has {found} numbers, the dimensions call for {expected}")]
-    Length {
-        /// Which tensor.
-        field: &'static str,
-        /// Its length.
-        found: usize,
-        /// The length that the dimensions call for.
-        expected: usize,
-    },
+    Length { field: &'static str, found: usize, expected: usize },
     /// A tensor's bytes are not a whole number of numbers.
     #[error("`{field}` has {bytes} bytes, not a multiple of {width}")]
-    Ragged {
-        /// Which tensor.
-        field: &'static str,
-        /// Its length in bytes.
-        bytes: usize,
-        /// Bytes of one number.
-        width: usize,
-    },
+    Ragged { field: &'static str, bytes: usize, width: usize },
     /// NaN or infinity.
     #[error("`{field}` holds a NaN or an infinity at index {index}")]
-    NotFinite {
-        /// Which tensor.
-        field: &'static str,
-        /// Where.
-        index: usize,
-    },
+    NotFinite { field: &'static str, index: usize },
     /// Finite but absurdly large.
     #[error("`{field}` holds {value:e} at index {index}, the limit is {limit:e}")]
-    Magnitude {
-        /// Which tensor.
-        field: &'static str,
-        /// Where.
-        index: usize,
-        /// The value.
-        value: f64,
-        /// The limit.
-        limit: f32,
-    },
+    Magnitude { field: &'static str, index: usize, value: f64, limit: f32 },
     /// A flag other than 0 and 1.
     #[error("`{field}` holds {value} at index {index}, flags are 0 or 1")]
-    Flag {
-        /// Which flags.
-        field: &'static str,
-        /// Where.
-        index: usize,
-        /// The value.
-        value: u8,
-    },
+    Flag { field: &'static str, index: usize, value: u8 },
     /// An episode that both failed and ran out of time in the same step.
     #[error("step {step} of lane {lane} is both terminated and truncated")]
-    FlagsOverlap {
-        /// Step.
-        step: usize,
-        /// Lane.
-        lane: usize,
-    },
+    FlagsOverlap { step: usize, lane: usize },
     /// Final observations that are not exactly those of the truncated steps.
     #[error(
         "final observation {index} does not belong to truncated step {expected:?} (step, lane)"
@@ -131,24 +60,13 @@ pub enum DecodeError {
     },
     /// An episode summary that cannot be.
     #[error("episode {index}: {problem}")]
-    Episode {
-        /// Which episode.
-        index: usize,
-        /// What is wrong.
-        problem: &'static str,
-    },
+    Episode { index: usize, problem: &'static str },
     /// Past actions that no observation can have.
     #[error("action_history: {problem}")]
-    ActionHistory {
-        /// What is wrong.
-        problem: &'static str,
-    },
+    ActionHistory { problem: &'static str },
     /// Statistics that cannot be those of this chunk.
     #[error("moments: {problem}")]
-    Moments {
-        /// What is wrong.
-        problem: &'static str,
-    },
+    Moments { problem: &'static str },
 }
 
 /// Every value of [`DecodeError::reason_id`], for registering counters beforehand.

@@ -7,6 +7,7 @@ use caudata_sim::SimError;
 
 /// Why the table could not be made.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum VerifyError {
     /// The robot file.
     #[error(transparent)]
@@ -19,12 +20,7 @@ pub enum VerifyError {
     Mujoco(String),
     /// The robot file or its MJCF cannot be read.
     #[error("cannot read {path}: {reason}")]
-    Read {
-        /// Which file.
-        path: PathBuf,
-        /// Why.
-        reason: String,
-    },
+    Read { path: PathBuf, reason: String },
 }
 
 /// Reads a text file.

@@ -17,6 +17,7 @@ pub const KEY_FILE: &str = "tls.key";
 
 /// Why certificates cannot be made or read.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum PkiError {
     /// A word that is no role.
     #[error("`{0}` is no role; roles are learner, actor, server, router, operator and robot")]
@@ -32,20 +33,10 @@ pub enum PkiError {
     Exists(PathBuf),
     /// A file cannot be read or written.
     #[error("{}: {source}", path.display())]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
+    File { path: PathBuf, source: std::io::Error },
     /// A file is not the certificate or key that it should be.
     #[error("{}: {reason}", path.display())]
-    Content {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
+    Content { path: PathBuf, reason: String },
     /// The certificate cannot be made.
     #[error("cannot make a certificate: {0}")]
     Make(String),

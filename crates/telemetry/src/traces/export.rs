@@ -47,13 +47,11 @@ pub struct TraceSettings {
 
 /// Why traces cannot be exported.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum TraceError {
     /// The address is not one.
     #[error("telemetry.otlp_endpoint: `{endpoint}` is not an address like http://127.0.0.1:4317")]
-    Endpoint {
-        /// What was given.
-        endpoint: String,
-    },
+    Endpoint { endpoint: String },
     /// The certificates are not there, or do not work.
     #[error("telemetry.otlp_endpoint: certificates: {0}")]
     Certificates(String),
