@@ -121,7 +121,7 @@ impl Commander {
 }
 
 /// The robot's end, without the network: what counts and what does not.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Receiver {
     nonce: u64,
     sequence: u64,
@@ -139,20 +139,10 @@ pub struct Receiver {
 impl Receiver {
     /// With a nonce that was never used before.
     pub fn new(nonce: u64) -> Self {
-        Self {
-            nonce,
-            sequence: 0,
-            command: [0.0; COMMAND_DIM],
-            at: None,
-            killed: false,
-            released: false,
-            asks_for_button: false,
-            ignored: 0,
-        }
+        Self { nonce, ..Self::default() }
     }
 
     /// From now on a velocity counts only while its sender says that a dead-man's button is held.
-    #[must_use]
     pub fn asking_for_button(mut self, asks: bool) -> Self {
         (self.asks_for_button, self.released) = (asks, asks);
         self
@@ -228,18 +218,14 @@ const DATAGRAM_CHECKS: &[Check<DatagramCheck>] = &[
     // It was made with the link's key.
     Check { name: "command tag", refuse: |came| !came.key.made(came.bytes) },
     // For this start of the robot.
-    Check {
-        name: "command nonce",
-        refuse: |came| came.message.kind != Kind::Ask && came.message.nonce != came.receiver.nonce,
-    },
+    Check::new("command nonce", |came| {
+        came.message.kind != Kind::Ask && came.message.nonce != came.receiver.nonce
+    }),
     // And after the newest that counted. To repeat a kill does no harm.
-    Check {
-        name: "command sequence",
-        refuse: |came| {
-            !matches!(came.message.kind, Kind::Ask | Kind::Kill)
-                && came.message.sequence <= came.receiver.sequence
-        },
-    },
+    Check::new("command sequence", |came| {
+        !matches!(came.message.kind, Kind::Ask | Kind::Kill)
+            && came.message.sequence <= came.receiver.sequence
+    }),
 ];
 
 /// Listens in a thread of its own; dropped, it ends.

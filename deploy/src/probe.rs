@@ -72,21 +72,15 @@ pub type ChildCheck = fn(&Probed) -> Result<(), Refusal>;
 /// What a child that tried a candidate must have come to.
 pub const CHILD: &[Check<ChildCheck>] = &[
     // It came back.
-    Check {
-        name: "child lived",
-        refuse: |probed| match probed {
-            Probed::Died(how) => Err(Refusal::KilledItsProbe { how: how.clone() }),
-            _ => Ok(()),
-        },
-    },
+    Check::new("child lived", |probed| match probed {
+        Probed::Died(how) => Err(Refusal::KilledItsProbe { how: how.clone() }),
+        _ => Ok(()),
+    }),
     // And found nothing wrong.
-    Check {
-        name: "child content",
-        refuse: |probed| match probed {
-            Probed::Refused(reason) => Err(Refusal::ByItsProbe(reason.clone())),
-            _ => Ok(()),
-        },
-    },
+    Check::new("child content", |probed| match probed {
+        Probed::Refused(reason) => Err(Refusal::ByItsProbe(reason.clone())),
+        _ => Ok(()),
+    }),
 ];
 
 impl Probed {

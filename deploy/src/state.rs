@@ -197,56 +197,38 @@ pub type OfferCheck = fn(&Offer<'_>) -> Result<(), Decision>;
 /// What keeps an offered policy from being fetched.
 pub const OFFER: &[Check<OfferCheck>] = &[
     // A robot whose state is lost takes nothing before a server proved what is newest.
-    Check {
-        name: "lost state",
-        refuse: |offer| if offer.lost { Err(Decision::StateLost) } else { Ok(()) },
-    },
+    Check::new("lost state", |offer| if offer.lost { Err(Decision::StateLost) } else { Ok(()) }),
     // It was not refused before.
-    Check {
-        name: "quarantine",
-        refuse: |offer| {
-            let of_it = |e: &&Quarantined| {
-                e.policy.sha256 == offer.policy.sha256 && e.holds_on(offer.robot)
-            };
-            match offer.state.quarantined.iter().find(of_it) {
-                Some(entry) => Err(Decision::Refused { reason: entry.reason.clone() }),
-                None => Ok(()),
-            }
-        },
-    },
+    Check::new("quarantine", |offer| {
+        let of_it =
+            |e: &&Quarantined| e.policy.sha256 == offer.policy.sha256 && e.holds_on(offer.robot);
+        match offer.state.quarantined.iter().find(of_it) {
+            Some(entry) => Err(Decision::Refused { reason: entry.reason.clone() }),
+            None => Ok(()),
+        }
+    }),
     // It is not older than what this robot has.
-    Check {
-        name: "older",
-        refuse: |offer| match offer.active_version() {
-            Some(have) if have > offer.policy.version => Err(Decision::Older { have }),
-            _ => Ok(()),
-        },
-    },
+    Check::new("older", |offer| match offer.active_version() {
+        Some(have) if have > offer.policy.version => Err(Decision::Older { have }),
+        _ => Ok(()),
+    }),
     // It is not older than anything this robot has seen.
-    Check {
-        name: "seen",
-        refuse: |offer| match offer.seen_version() {
-            Some(have)
-                if have > offer.policy.version && !offer.state.needs(offer.policy.sha256) =>
-            {
-                Err(Decision::Older { have })
-            }
-            _ => Ok(()),
-        },
-    },
+    Check::new("seen", |offer| match offer.seen_version() {
+        Some(have) if have > offer.policy.version && !offer.state.needs(offer.policy.sha256) => {
+            Err(Decision::Older { have })
+        }
+        _ => Ok(()),
+    }),
     // Its version does not shut out all later ones.
-    Check {
-        name: "jump",
-        refuse: |offer| {
-            let known = offer.seen_version().max(offer.active_version());
-            match offer.policy.version.saturating_sub(known.unwrap_or(0)) > VERSION_JUMP_MAX {
-                true => Err(Decision::Refused {
-                    reason: format!("its version is more than {VERSION_JUMP_MAX} above any seen"),
-                }),
-                false => Ok(()),
-            }
-        },
-    },
+    Check::new("jump", |offer| {
+        let known = offer.seen_version().max(offer.active_version());
+        match offer.policy.version.saturating_sub(known.unwrap_or(0)) > VERSION_JUMP_MAX {
+            true => Err(Decision::Refused {
+                reason: format!("its version is more than {VERSION_JUMP_MAX} above any seen"),
+            }),
+            false => Ok(()),
+        }
+    }),
 ];
 
 impl Offer<'_> {

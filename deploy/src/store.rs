@@ -291,29 +291,23 @@ pub type StoredCheck = fn(&Stored<'_>) -> Result<(), DeployError>;
 /// What a policy in the robot's folder must be.
 pub const STORED: &[Check<StoredCheck>] = &[
     // The bytes on the disk are those that were put there.
-    Check {
-        name: "stored hash",
-        refuse: |stored| {
-            let found = Sha256Digest(Sha256::digest(&stored.bytes).into());
-            match found == stored.policy.sha256 {
-                true => Ok(()),
-                false => Err(DeployError::BlobDamaged { path: stored.path.clone() }),
-            }
-        },
-    },
+    Check::new("stored hash", |stored| {
+        let found = Sha256Digest(Sha256::digest(&stored.bytes).into());
+        match found == stored.policy.sha256 {
+            true => Ok(()),
+            false => Err(DeployError::BlobDamaged { path: stored.path.clone() }),
+        }
+    }),
     // The announcement on the disk is this policy's, and signed.
-    Check {
-        name: "stored signature",
-        refuse: |stored| {
-            let Some(trust) = stored.trust else { return Ok(()) };
-            let path = manifest_file(stored.folder, stored.policy);
-            let manifest = Manifest::from_bytes(&read_bounded(&path, MANIFEST_BYTES_MAX)?);
-            let signed = manifest.is_ok_and(|manifest| {
-                PolicyRef::from(&manifest) == *stored.policy && trust.check(&manifest).is_ok()
-            });
-            if signed { Ok(()) } else { Err(DeployError::NotSigned { path }) }
-        },
-    },
+    Check::new("stored signature", |stored| {
+        let Some(trust) = stored.trust else { return Ok(()) };
+        let path = manifest_file(stored.folder, stored.policy);
+        let manifest = Manifest::from_bytes(&read_bounded(&path, MANIFEST_BYTES_MAX)?);
+        let signed = manifest.is_ok_and(|manifest| {
+            PolicyRef::from(&manifest) == *stored.policy && trust.check(&manifest).is_ok()
+        });
+        if signed { Ok(()) } else { Err(DeployError::NotSigned { path }) }
+    }),
 ];
 
 /// The bytes of a policy, as they were put into the robot's folder. With `trust`, keys of it must have signed

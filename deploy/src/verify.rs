@@ -155,30 +155,21 @@ pub type AnnouncementCheck = fn(&Announcement<'_>) -> Result<(), Refusal>;
 /// before ([`caudata_proto::registry::question::ANSWERS`]).
 pub const ANNOUNCEMENT: &[Check<AnnouncementCheck>] = &[
     // Trusted keys signed it.
-    Check {
-        name: "signature",
-        refuse: |found| match found.trust {
-            Some(trust) => Ok(trust.check(found.manifest)?),
-            None => Ok(()),
-        },
-    },
+    Check::new("signature", |found| match found.trust {
+        Some(trust) => Ok(trust.check(found.manifest)?),
+        None => Ok(()),
+    }),
     // It is for this robot.
-    Check {
-        name: "robot",
-        refuse: |found| {
-            let here = Facts { robot: Some(found.model.name()), ..Facts::default() };
-            here.answered_by(found.manifest).map_err(Refusal::OtherRobot)
-        },
-    },
+    Check::new("robot", |found| {
+        let here = Facts { robot: Some(found.model.name()), ..Facts::default() };
+        here.answered_by(found.manifest).map_err(Refusal::OtherRobot)
+    }),
     // And for this model of it.
-    Check {
-        name: "robot model",
-        refuse: |found| {
-            let hash = found.model.hash();
-            let here = Facts { model: Some(&hash), ..Facts::default() };
-            here.answered_by(found.manifest).map_err(Refusal::OtherRobot)
-        },
-    },
+    Check::new("robot model", |found| {
+        let hash = found.model.hash();
+        let here = Facts { model: Some(&hash), ..Facts::default() };
+        here.answered_by(found.manifest).map_err(Refusal::OtherRobot)
+    }),
 ];
 
 impl Announcement<'_> {
@@ -216,66 +207,51 @@ pub type CandidateCheck = fn(&Candidate<'_>) -> Result<(), VerifyError>;
 /// What the bytes of a policy must be.
 pub const CANDIDATE: &[Check<CandidateCheck>] = &[
     // The bytes are the announced ones.
-    Check {
-        name: "hash",
-        refuse: |candidate| {
-            let found = Sha256Digest(Sha256::digest(&candidate.bytes).into());
-            let expected = candidate.policy.sha256;
-            match found == expected {
-                true => Ok(()),
-                false => Err(Refusal::WrongHash { found, expected }.into()),
-            }
-        },
-    },
+    Check::new("hash", |candidate| {
+        let found = Sha256Digest(Sha256::digest(&candidate.bytes).into());
+        let expected = candidate.policy.sha256;
+        match found == expected {
+            true => Ok(()),
+            false => Err(Refusal::WrongHash { found, expected }.into()),
+        }
+    }),
     // The file bears the announced version.
-    Check {
-        name: "version",
-        refuse: |candidate| {
-            let found = candidate.file()?.metadata().version;
-            let expected = candidate.policy.file_version();
-            match found == expected {
-                true => Ok(()),
-                false => Err(Refusal::OtherVersion { found, expected }.into()),
-            }
-        },
-    },
+    Check::new("version", |candidate| {
+        let found = candidate.file()?.metadata().version;
+        let expected = candidate.policy.file_version();
+        match found == expected {
+            true => Ok(()),
+            false => Err(Refusal::OtherVersion { found, expected }.into()),
+        }
+    }),
     // What the policy may not choose itself is as on this robot. (What it may choose is in range: reading the
     // file checks that.)
-    Check {
-        name: "contract",
-        refuse: |candidate| {
-            let file = candidate.file()?;
-            let expected = expected_contract(candidate.model, &file.metadata().contract);
-            let expected = expected.map_err(Refusal::from)?;
-            Ok(file.check_contract(&expected).map_err(Refusal::Contract)?)
-        },
-    },
+    Check::new("contract", |candidate| {
+        let file = candidate.file()?;
+        let expected = expected_contract(candidate.model, &file.metadata().contract);
+        let expected = expected.map_err(Refusal::from)?;
+        Ok(file.check_contract(&expected).map_err(Refusal::Contract)?)
+    }),
     // Its actions are numbers that a servo can come near to.
-    Check {
-        name: "actions in range",
-        refuse: |candidate| {
-            candidate.refuse_action(
-                |a| !(a.found.abs() <= ACTION_MAX && a.reference.abs() <= ACTION_MAX),
-                |a| format!("action {} is {:e}, beyond ±{ACTION_MAX}", a.joint, a.found),
-            )
-        },
-    },
+    Check::new("actions in range", |candidate| {
+        candidate.refuse_action(
+            |a| !(a.found.abs() <= ACTION_MAX && a.reference.abs() <= ACTION_MAX),
+            |a| format!("action {} is {:e}, beyond ±{ACTION_MAX}", a.joint, a.found),
+        )
+    }),
     // ONNX Runtime computes what the file says.
-    Check {
-        name: "same actions",
-        refuse: |candidate| {
-            candidate.refuse_action(
-                |a| {
-                    let apart = (a.found - a.reference).abs();
-                    apart > PROBE_TOLERANCE * (1.0 + a.reference.abs())
-                },
-                |a| {
-                    let (joint, found, reference) = (a.joint, a.found, a.reference);
-                    format!("action {joint} is {found}, worked out plainly it is {reference}")
-                },
-            )
-        },
-    },
+    Check::new("same actions", |candidate| {
+        candidate.refuse_action(
+            |a| {
+                let apart = (a.found - a.reference).abs();
+                apart > PROBE_TOLERANCE * (1.0 + a.reference.abs())
+            },
+            |a| {
+                let (joint, found, reference) = (a.joint, a.found, a.reference);
+                format!("action {joint} is {found}, worked out plainly it is {reference}")
+            },
+        )
+    }),
 ];
 
 /// Checks the bytes of `policy` completely.

@@ -31,44 +31,35 @@ pub(crate) type PublicationCheck = fn(&Publication<'_>) -> Result<(), StoreError
 /// What a new version must be.
 pub(crate) const PUBLICATION: &[Check<PublicationCheck>] = &[
     // Its number was never another's.
-    Check {
-        name: "number",
-        refuse: |new| {
-            let (version, sha256) = (new.manifest.version, &new.manifest.sha256);
-            let why = new.used_up.and_then(|used| used.objection(version, sha256));
-            why.map_or(Ok(()), |why| {
-                Err(StoreError::UsedUp { stream: new.manifest.stream.to_string(), version, why })
-            })
-        },
-    },
+    Check::new("number", |new| {
+        let (version, sha256) = (new.manifest.version, &new.manifest.sha256);
+        let why = new.used_up.and_then(|used| used.objection(version, sha256));
+        why.map_or(Ok(()), |why| {
+            Err(StoreError::UsedUp { stream: new.manifest.stream.to_string(), version, why })
+        })
+    }),
     // A stream keeps to one contract.
-    Check {
-        name: "contract",
-        refuse: |new| match new.newest {
-            Some(newest) if newest.contract_hash != new.manifest.contract_hash => {
-                Err(StoreError::ContractMismatch {
-                    stream: new.manifest.stream.to_string(),
-                    expected: hex(&newest.contract_hash),
-                    actual: hex(&new.manifest.contract_hash),
-                })
-            }
-            _ => Ok(()),
-        },
-    },
-    // Bytes that are out of use under one number do not come back under another.
-    Check {
-        name: "quarantined bytes",
-        refuse: |new| {
-            let same = |known: &&&Quarantined| known.sha256 == Some(new.manifest.sha256);
-            let found = new.quarantined.iter().find(same);
-            found.map_or(Ok(()), |known| {
-                refused(format!(
-                    "these bytes are version {} of {}, which is quarantined: {}",
-                    known.state.version, known.state.stream, known.state.reason
-                ))
+    Check::new("contract", |new| match new.newest {
+        Some(newest) if newest.contract_hash != new.manifest.contract_hash => {
+            Err(StoreError::ContractMismatch {
+                stream: new.manifest.stream.to_string(),
+                expected: hex(&newest.contract_hash),
+                actual: hex(&new.manifest.contract_hash),
             })
-        },
-    },
+        }
+        _ => Ok(()),
+    }),
+    // Bytes that are out of use under one number do not come back under another.
+    Check::new("quarantined bytes", |new| {
+        let same = |known: &&&Quarantined| known.sha256 == Some(new.manifest.sha256);
+        let found = new.quarantined.iter().find(same);
+        found.map_or(Ok(()), |known| {
+            refused(format!(
+                "these bytes are version {} of {}, which is quarantined: {}",
+                known.state.version, known.state.stream, known.state.reason
+            ))
+        })
+    }),
 ];
 
 impl Publication<'_> {
@@ -94,72 +85,57 @@ pub(crate) type MoveCheck = fn(&Move<'_>) -> Result<(), StoreError>;
 /// What moving a label must be.
 pub(crate) const MOVE: &[Check<MoveCheck>] = &[
     // It is where whoever moves it believes.
-    Check {
-        name: "label moved",
-        refuse: |to| {
-            let found = to.before.map_or(0, |state| state.generation);
-            match found == to.wanted.expected_generation {
-                true => Ok(()),
-                false => Err(StoreError::LabelMoved {
-                    stream: to.wanted.stream.to_string(),
-                    label: to.wanted.label.to_string(),
-                    found,
-                    expected: to.wanted.expected_generation,
-                }),
-            }
-        },
-    },
+    Check::new("label moved", |to| {
+        let found = to.before.map_or(0, |state| state.generation);
+        match found == to.wanted.expected_generation {
+            true => Ok(()),
+            false => Err(StoreError::LabelMoved {
+                stream: to.wanted.stream.to_string(),
+                label: to.wanted.label.to_string(),
+                found,
+                expected: to.wanted.expected_generation,
+            }),
+        }
+    }),
     // It leads to something that is there.
-    Check {
-        name: "label known",
-        refuse: |to| {
-            let (stream, version) = (&to.wanted.stream, to.wanted.version);
-            match to.known {
-                true => Ok(()),
-                false => {
-                    refused(format!("{stream} has no version {version} that a label could lead to"))
-                }
+    Check::new("label known", |to| {
+        let (stream, version) = (&to.wanted.stream, to.wanted.version);
+        match to.known {
+            true => Ok(()),
+            false => {
+                refused(format!("{stream} has no version {version} that a label could lead to"))
             }
-        },
-    },
+        }
+    }),
     // And that is not quarantined.
-    Check {
-        name: "label usable",
-        refuse: |to| {
-            let (stream, version) = (&to.wanted.stream, to.wanted.version);
-            match to.quarantined {
-                false => Ok(()),
-                true => refused(format!("{stream} version {version} is quarantined")),
-            }
-        },
-    },
+    Check::new("label usable", |to| {
+        let (stream, version) = (&to.wanted.stream, to.wanted.version);
+        match to.quarantined {
+            false => Ok(()),
+            true => refused(format!("{stream} version {version} is quarantined")),
+        }
+    }),
     // It never leads down.
-    Check {
-        name: "label up",
-        refuse: |to| match to.before {
-            Some(before) if before.version > to.wanted.version => refused(format!(
-                "{} leads to version {}, and robots never go back to a lower one; `caudata policy revert` publishes \
-                 version {} again under a higher number",
-                to.wanted.label, before.version, to.wanted.version
-            )),
-            _ => Ok(()),
-        },
-    },
+    Check::new("label up", |to| match to.before {
+        Some(before) if before.version > to.wanted.version => refused(format!(
+            "{} leads to version {}, and robots never go back to a lower one; `caudata policy revert` publishes \
+             version {} again under a higher number",
+            to.wanted.label, before.version, to.wanted.version
+        )),
+        _ => Ok(()),
+    }),
     // `stable` needs robots' word, or a reason.
-    Check {
-        name: "label proof",
-        refuse: |to| {
-            let SetLabel { stream, label, version, override_reason, .. } = to.wanted;
-            let (good, needed) = to.good;
-            match label.needs_proof() && good < needed && override_reason.is_none() {
-                false => Ok(()),
-                true => refused(format!(
-                    "{good} robots ran {stream} version {version} through its trial, {label} needs {needed}; let robots \
-                     follow another label first, or give a reason to override"
-                )),
-            }
-        },
-    },
+    Check::new("label proof", |to| {
+        let SetLabel { stream, label, version, override_reason, .. } = to.wanted;
+        let (good, needed) = to.good;
+        match label.needs_proof() && good < needed && override_reason.is_none() {
+            false => Ok(()),
+            true => refused(format!(
+                "{good} robots ran {stream} version {version} through its trial, {label} needs {needed}; let robots \
+                 follow another label first, or give a reason to override"
+            )),
+        }
+    }),
 ];
 
 impl Move<'_> {

@@ -15,6 +15,13 @@ pub struct Check<F> {
     pub refuse: F,
 }
 
+impl<F> Check<F> {
+    /// A check by its name.
+    pub const fn new(name: &'static str, refuse: F) -> Self {
+        Self { name, refuse }
+    }
+}
+
 /// Tries to get past each check of `table`, with it and without it. `attempt` brings what the named check
 /// alone refuses to the table that it is given, and says whether it was taken or why not. Gives a line for
 /// each check.

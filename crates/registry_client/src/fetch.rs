@@ -28,35 +28,28 @@ type WholeCheck = fn(&Manifest, &[u8]) -> bool;
 /// What each message must be.
 const PIECES: &[Check<PieceCheck>] = &[
     // What follows is the file that was asked for, from where it was asked for.
-    Check {
-        name: "follows",
-        refuse: |piece| match piece.part {
-            FetchPart::Info(info) => {
-                info.offset != piece.offset
-                    || info.size != piece.manifest.size
-                    || info.sha256 != piece.manifest.sha256
-            }
-            FetchPart::NotModified => true,
-            FetchPart::Data(_) => false,
-        },
-    },
+    Check::new("follows", |piece| match piece.part {
+        FetchPart::Info(info) => {
+            info.offset != piece.offset
+                || info.size != piece.manifest.size
+                || info.sha256 != piece.manifest.sha256
+        }
+        FetchPart::NotModified => true,
+        FetchPart::Data(_) => false,
+    }),
     // No byte more than announced is taken.
-    Check {
-        name: "size",
-        refuse: |piece| match piece.part {
-            FetchPart::Data(data) => piece.have as u64 + data.len() as u64 > piece.manifest.size,
-            _ => false,
-        },
-    },
+    Check::new("size", |piece| match piece.part {
+        FetchPart::Data(data) => piece.have as u64 + data.len() as u64 > piece.manifest.size,
+        _ => false,
+    }),
 ];
 
 /// What all of them together must be.
 const WHOLE: &[Check<WholeCheck>] = &[
     Check { name: "length", refuse: |manifest, bytes| bytes.len() as u64 != manifest.size },
-    Check {
-        name: "hash",
-        refuse: |manifest, bytes| <[u8; 32]>::from(Sha256::digest(bytes)) != manifest.sha256,
-    },
+    Check::new("hash", |manifest, bytes| {
+        <[u8; 32]>::from(Sha256::digest(bytes)) != manifest.sha256
+    }),
 ];
 
 /// The bytes that `part` adds to the `have` bytes that came so far, the first of this answer behind `offset`.

@@ -219,19 +219,16 @@ const PROOF: &[Check<ProofCheck>] = &[
     // It answers this robot's own question of just now.
     Check { name: "question", refuse: |proof| Ok(proof.asked.answered_by(&proof.answer.said)?) },
     // A key that may say so signed it.
-    Check {
-        name: "fresh signature",
-        refuse: |proof| {
-            let SignedFreshness { said, signature } = proof.answer;
-            let bytes = freshness_bytes(said);
-            let form = ed25519_dalek::Signature::from_slice(&signature.signature);
-            let known = |(id, key): &(String, VerifyingKey)| {
-                let fits = |s: &ed25519_dalek::Signature| key.verify_strict(&bytes, s).is_ok();
-                *id == signature.key_id && form.as_ref().is_ok_and(fits)
-            };
-            if proof.trust.fresh_keys.iter().any(known) { Ok(()) } else { Err(Stale::Unsigned) }
-        },
-    },
+    Check::new("fresh signature", |proof| {
+        let SignedFreshness { said, signature } = proof.answer;
+        let bytes = freshness_bytes(said);
+        let form = ed25519_dalek::Signature::from_slice(&signature.signature);
+        let known = |(id, key): &(String, VerifyingKey)| {
+            let fits = |s: &ed25519_dalek::Signature| key.verify_strict(&bytes, s).is_ok();
+            *id == signature.key_id && form.as_ref().is_ok_and(fits)
+        };
+        if proof.trust.fresh_keys.iter().any(known) { Ok(()) } else { Err(Stale::Unsigned) }
+    }),
 ];
 
 impl Proof<'_> {

@@ -46,34 +46,19 @@ pub type Compare = fn(&Facts<'_>, &Facts<'_>) -> Result<(), OtherQuestion>;
 
 /// What an answer is held against.
 pub const ANSWERS: &[Check<Compare>] = &[
-    Check {
-        name: "stream",
-        refuse: |asked, said| same("stream", asked.stream, said.stream, ToString::to_string),
-    },
-    Check {
-        name: "version",
-        refuse: |asked, said| same("version", asked.version, said.version, u64::to_string),
-    },
-    Check {
-        name: "label",
-        refuse: |asked, said| same("label", asked.label, said.label, ToString::to_string),
-    },
-    Check {
-        name: "bytes",
-        refuse: |asked, said| same("bytes", asked.sha256, said.sha256, |hash| hex(*hash)),
-    },
-    Check {
-        name: "robot",
-        refuse: |asked, said| same("robot", asked.robot, said.robot, ToString::to_string),
-    },
-    Check {
-        name: "robot model",
-        refuse: |asked, said| same("robot model", asked.model, said.model, |hash| hex(*hash)),
-    },
-    Check {
-        name: "nonce",
-        refuse: |asked, said| same("nonce", asked.nonce, said.nonce, |nonce| hex(*nonce)),
-    },
+    Check::new("stream", |asked, said| {
+        same("stream", asked.stream, said.stream, ToString::to_string)
+    }),
+    Check::new("version", |asked, said| {
+        same("version", asked.version, said.version, u64::to_string)
+    }),
+    Check::new("label", |asked, said| same("label", asked.label, said.label, ToString::to_string)),
+    Check::new("bytes", |asked, said| same("bytes", asked.sha256, said.sha256, |hash| hex(*hash))),
+    Check::new("robot", |asked, said| same("robot", asked.robot, said.robot, ToString::to_string)),
+    Check::new("robot model", |asked, said| {
+        same("robot model", asked.model, said.model, |hash| hex(*hash))
+    }),
+    Check::new("nonce", |asked, said| same("nonce", asked.nonce, said.nonce, |nonce| hex(*nonce))),
 ];
 
 fn same<T: PartialEq>(
