@@ -76,9 +76,9 @@ pub(crate) fn collect(
         chunk.actions.extend_from_slice(&actions);
         chunk.action_means.extend_from_slice(&means);
         laps.lap(Part::Recording);
-        let before = env.physics_time();
+        let before = env.physics_time;
         env.step(&actions)?;
-        let physics = env.physics_time() - before;
+        let physics = env.physics_time - before;
         let took = laps.lap_with(Part::Task, (Part::Physics, physics));
         let output = env.output();
         metrics.env_seconds.inc_by(took.as_secs_f64());

@@ -11,7 +11,8 @@
 pub struct Quota {
     per_version: u32,
     max_lead: u32,
-    credits: u32,
+    /// Credits left, to save it.
+    pub credits: u32,
     newest: Option<u64>,
 }
 
@@ -51,18 +52,12 @@ impl Quota {
         self.credits = self.credits.saturating_sub(1);
     }
 
-    /// Credits left, to save it.
-    pub fn credits(&self) -> u32 {
-        self.credits
-    }
-
     /// The version seen last.
     pub fn newest(&self) -> Option<u64> {
         self.newest
     }
 
     /// As it was when saved: with these credits and this newest version.
-    #[must_use]
     pub fn restored(self, credits: u32, newest: Option<u64>) -> Self {
         Self { credits: credits.min(self.cap()), newest, ..self }
     }

@@ -345,7 +345,7 @@ impl Actor<'_> {
                 actor_id: self.settings.actor_id,
                 actor_key: self.actor_key,
                 policy_version: self.quota.newest(),
-                credits: self.quota.credits(),
+                credits: self.quota.credits,
                 env: self.env.snapshot().map_err(|error| error.to_string())?,
             })
         });

@@ -217,7 +217,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
                 self.notifier.say(Word::Brakes);
             }
         };
-        self.counts.overruns = pacer.overruns();
+        self.counts.overruns = pacer.overruns;
         self.counts.held = self.gate.held();
         self.counts.rate_limited = self.gate.rate_limited();
         self.counts.saturated = self.gate.saturated();
@@ -260,7 +260,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         self.metrics.ticks.inc();
         let dt_s = sensed.servos.time_s - self.last_time_s;
         self.last_time_s = sensed.servos.time_s;
-        let bias_radps = self.gravity.bias_radps();
+        let bias_radps = self.gravity.bias_radps;
         self.going = self.plan.going(&sensed, bias_radps, dt_s);
         self.watch_for_the_end(stop, &sensed);
         self.watch_hardware(&sensed);

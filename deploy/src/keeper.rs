@@ -48,7 +48,6 @@ impl Keeper {
     }
 
     /// Takes only what keys of `trust` signed.
-    #[must_use]
     pub fn trusting(mut self, trust: Trust) -> Self {
         self.trust = Some(Arc::new(trust));
         self
@@ -65,14 +64,12 @@ impl Keeper {
     }
 
     /// Lets a child process try candidates first.
-    #[must_use]
     pub fn probing(mut self, probe: ProbeProgram) -> Self {
         self.probe = Some(Arc::new(probe));
         self
     }
 
     /// Tells the policy server what becomes of policies.
-    #[must_use]
     pub fn reporting(mut self, reporter: Arc<Reporter>) -> Self {
         self.reporter = Some(reporter);
         self

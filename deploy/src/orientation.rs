@@ -23,7 +23,8 @@ const TRUST_ZERO_AT: f32 = 0.5;
 #[derive(Clone, Copy, Debug, Default)]
 pub struct GravityFilter {
     gravity: Option<[f32; 3]>,
-    bias_radps: [f32; 3],
+    /// The gyro offset learnt so far, rad/s. About the vertical it cannot be seen and stays 0.
+    pub bias_radps: [f32; 3],
 }
 
 impl GravityFilter {
@@ -53,11 +54,6 @@ impl GravityFilter {
         let estimate = unit(turned).unwrap_or(gravity);
         self.gravity = Some(estimate);
         estimate
-    }
-
-    /// The gyro offset learnt so far, rad/s. About the vertical it cannot be seen and stays 0.
-    pub fn bias_radps(&self) -> [f32; 3] {
-        self.bias_radps
     }
 }
 
@@ -163,8 +159,8 @@ mod tests {
             gravity = filter.update([0.0, 0.017_45, 0.0], [0.0, 0.0, G_MPS2], DT);
         }
         close(gravity, [0.0, 0.0, -1.0], 1e-3);
-        assert!((filter.bias_radps()[1] - 0.017_45).abs() < 1e-3, "{:?}", filter.bias_radps());
-        assert!(filter.bias_radps()[2].abs() < 1e-6);
+        assert!((filter.bias_radps[1] - 0.017_45).abs() < 1e-3, "{:?}", filter.bias_radps);
+        assert!(filter.bias_radps[2].abs() < 1e-6);
     }
 
     #[test]

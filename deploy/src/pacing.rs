@@ -60,7 +60,8 @@ pub struct Due {
 pub struct Pacer {
     period: Duration,
     next: Duration,
-    overruns: u64,
+    /// Periods skipped so far.
+    pub overruns: u64,
 }
 
 impl Pacer {
@@ -79,11 +80,6 @@ impl Pacer {
         self.overruns += skipped;
         self.next = at + self.period;
         Due { at, skipped }
-    }
-
-    /// Periods skipped so far.
-    pub fn overruns(&self) -> u64 {
-        self.overruns
     }
 }
 
@@ -106,7 +102,7 @@ mod tests {
         assert_eq!(due(&mut pacer, 103), (120, 0));
         assert_eq!(due(&mut pacer, 139), (140, 0));
         assert_eq!(due(&mut pacer, 141), (160, 0));
-        assert_eq!(pacer.overruns(), 0);
+        assert_eq!(pacer.overruns, 0);
     }
 
     #[test]
@@ -127,7 +123,7 @@ mod tests {
         // Held up until 205: slots 60 to 180 are gone (7 of them), 200 is 5 ms late and runs.
         assert_eq!(due(&mut pacer, 205), (200, 7));
         assert_eq!(due(&mut pacer, 206), (220, 0));
-        assert_eq!(pacer.overruns(), 8);
+        assert_eq!(pacer.overruns, 8);
     }
 
     #[test]
@@ -145,6 +141,6 @@ mod tests {
             last = Some(ran);
             now = ran + MS * ((k * k * 7 + k) % 67);
         }
-        assert!(pacer.overruns() > 100);
+        assert!(pacer.overruns > 100);
     }
 }

@@ -120,9 +120,7 @@ impl Prospects {
         let mut terms: Vec<(Term, bool)> = Vec::new();
         for &effect in effects::ALL.iter().filter(|e| wanted(e)) {
             let middle = effect.grid.len() / 2;
-            let Some(place) = Place::named(model, effect.domain, &[]) else {
-                continue;
-            };
+            let Some(place) = Place::named(model, effect.domain, &[]) else { continue };
             let somewhere = effect.domain == Domain::Robot || !place.items.is_empty();
             if somewhere && middle < effect.grid.len() {
                 let values = effect.sizes(model, &place, middle);
@@ -345,9 +343,7 @@ fn gram(
     let (joints, count) = (model.actuated().len(), terms.len());
     let mut gram = vec![vec![0.0; count * count]; joints + 1];
     for piece in data.pieces() {
-        let Some(tolerance) = tolerance(piece.kind) else {
-            continue;
-        };
+        let Some(tolerance) = tolerance(piece.kind) else { continue };
         let group = if piece.kind.of_joint() { piece.index } else { joints };
         let scale = (1.0 / (tolerance * (piece.range.len().max(1) as f64).sqrt())) as f32;
         let own = &predictions[0][piece.range.clone()];

@@ -136,9 +136,7 @@ fn channels(model: &RobotModel, table: &Table, base: BaseHold) -> Vec<Channel> {
     let mut channels = Vec::new();
     let axis = |a: Axis| (a as usize, ["x", "y", "z"][a as usize].to_owned());
     for signal in table.signals().iter().filter(|s| is_read(s, base)) {
-        let Some(column) = table.column(signal) else {
-            continue;
-        };
+        let Some(column) = table.column(signal) else { continue };
         let joint = |kind: Kind, name: &String| {
             let index = joints.iter().position(|j| j == name)?;
             Some((kind, index, name.clone()))

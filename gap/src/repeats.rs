@@ -59,10 +59,7 @@ fn mean(first: &Trial, members: Vec<Trial>) -> Trial {
                 if !m.masked_s.iter().any(|(a, b)| (*a..=*b).contains(&at)) {
                     let value = c.at(at);
                     // each run counts its turns from where it began
-                    sum += match yaw {
-                        true => nearest_turn(value, channel.value[k]),
-                        false => value,
-                    };
+                    sum += if yaw { nearest_turn(value, channel.value[k]) } else { value };
                     count += 1.0;
                 }
             }

@@ -196,10 +196,7 @@ fn tags(all: &Overview, name: &StreamName, version: u64) -> String {
                 Some(reason) => format!(" title=\"overridden: {}\"", escape(reason)),
                 None => String::new(),
             };
-            let mark = match label.override_reason {
-                Some(_) => " !",
-                None => "",
-            };
+            let mark = if label.override_reason.is_some() { " !" } else { "" };
             let name = &label.label;
             let _ = write!(tags, "<span class=\"tag\"{title}>{name}{mark}</span>");
         }

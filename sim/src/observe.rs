@@ -309,7 +309,7 @@ fn start_height_m(
     }
     let clearance = if hung { HELD_CLEARANCE_M } else { 0.0 };
     let standing = touching_height_m(model, terrain, at)? + clearance;
-    let floating = terrain.water_level_m().map_or(f64::NEG_INFINITY, f64::from);
+    let floating = terrain.water_level_m.map_or(f64::NEG_INFINITY, f64::from);
     Ok(standing.max(floating))
 }
 

@@ -20,9 +20,9 @@ const IMPEDANCE: (f64, f64) = (1e-4, 0.9999);
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stop {
     /// k / d(r), 1/s².
-    stiffness_per_s2: f64,
+    pub stiffness_per_s2: f64,
     /// b, 1/s.
-    damping_per_s: f64,
+    pub damping_per_s: f64,
     /// d at the limit.
     low: f64,
     /// What it grows by.
@@ -85,23 +85,12 @@ impl Stop {
     }
 
     /// The same with a time constant of `1/times`.
-    #[must_use]
     pub fn harder(self, times: f64) -> Self {
         Self {
             stiffness_per_s2: self.stiffness_per_s2 * times * times,
             damping_per_s: self.damping_per_s * times,
             ..self
         }
-    }
-
-    /// Its spring over its impedance, 1/s².
-    pub fn stiffness_per_s2(&self) -> f64 {
-        self.stiffness_per_s2
-    }
-
-    /// Its damper, 1/s.
-    pub fn damping_per_s(&self) -> f64 {
-        self.damping_per_s
     }
 
     /// A: inverse of the inertia that the stop reckons with, 1/(kg·m²).
@@ -176,11 +165,11 @@ mod tests {
     fn reference_is_mujocos() {
         let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-9 * b, "{a} and {b}");
         let stop = Stop::new(&Softness::default(), 1.0);
-        near(stop.damping_per_s(), 2.0 / 0.019);
-        near(stop.stiffness_per_s2(), 1.0 / (0.019 * 0.019));
+        near(stop.damping_per_s, 2.0 / 0.019);
+        near(stop.stiffness_per_s2, 1.0 / (0.019 * 0.019));
         let direct = Softness { solref: [-1000.0, -50.0], ..Softness::default() };
         let stop = Stop::new(&direct, 1.0);
-        near(stop.damping_per_s(), 50.0 / 0.95);
-        near(stop.stiffness_per_s2(), 1000.0 / (0.95 * 0.95));
+        near(stop.damping_per_s, 50.0 / 0.95);
+        near(stop.stiffness_per_s2, 1000.0 / (0.95 * 0.95));
     }
 }

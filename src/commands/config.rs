@@ -65,10 +65,7 @@ pub fn fits(config: &Config) -> Result<(), Failure> {
         return Err(Failure::message(ExitCode::BadConfig, message)
             .hint("train on batch; `caudata eval --engine mujoco` measures the policy there"));
     }
-    match config.warm_start_path() {
-        Some(path) => begins_with(&path, &contract),
-        None => Ok(()),
-    }
+    config.warm_start_path().map_or(Ok(()), |path| begins_with(&path, &contract))
 }
 
 /// The learner compares layers, too.

@@ -44,10 +44,7 @@ fn tell(report: &Report) {
         short(behaviour.vx_mps),
         short(behaviour.command_mps),
         100.0 * behaviour.fall_share,
-        match &behaviour.fell_by {
-            Some(reason) => format!(" ({reason})"),
-            None => String::new(),
-        }
+        behaviour.fell_by.as_ref().map_or_else(String::new, |reason| format!(" ({reason})"))
     ));
     say::line(match report.verdict {
         Verdict::Walks => "nothing to explain",

@@ -39,10 +39,7 @@ pub struct ImportArgs {
 
 impl ImportArgs {
     fn format(&self, path: &Path) -> Result<Format, Failure> {
-        match self.format {
-            Some(format) => Ok(format),
-            None => Format::guess(path).map_err(failure),
-        }
+        self.format.map_or_else(|| Format::guess(path).map_err(failure), Ok)
     }
 }
 

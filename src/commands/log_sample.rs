@@ -52,7 +52,7 @@ pub fn sample(run: &Path, seconds: u32) -> Result<(RunLog, RobotModel, Vec<Strin
     let period_s = config.task.control_period_s;
     let steps = (f64::from(seconds) / period_s).round() as usize;
     let (table, notes) = rows(&mut env, &model, (steps, period_s), &mut act)?;
-    let base = match env.engine().terrain().water_level_m() {
+    let base = match env.engine().terrain().water_level_m {
         Some(_) => BaseHold::Water,
         None => BaseHold::Free,
     };

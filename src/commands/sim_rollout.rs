@@ -209,7 +209,7 @@ fn circumstances(
     row_s: f64,
 ) -> LogMeta {
     let ground = caudata_sim::Terrain::generate(&config.terrain, args.seed);
-    let wet = ground.is_ok_and(|t| t.water_level_m().is_some());
+    let wet = ground.is_ok_and(|t| t.water_level_m.is_some());
     let base = match args.base {
         Base::Fixed => BaseHold::Fixed,
         Base::Free if engine.model().base() == BaseKind::Fixed => BaseHold::Fixed,

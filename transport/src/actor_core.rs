@@ -226,7 +226,7 @@ impl<U: Uplink> ActorLink for RemoteActor<U> {
     fn stats(&self) -> LinkStats {
         let outbox = self.core.outbox();
         LinkStats {
-            retransmits: outbox.retransmits(),
+            retransmits: outbox.retransmits,
             depth: outbox.depth(),
             peers: usize::from(outbox.is_connected(Instant::now())),
             ..self.stats

@@ -134,7 +134,7 @@ impl<D: Downlink> LearnerLink for RemoteLearner<D> {
         let inbox = self.core.inbox();
         LinkStats {
             refused: inbox.refused(),
-            duplicates: inbox.duplicates(),
+            duplicates: inbox.duplicates,
             depth: inbox.depth(),
             peers: inbox.peers(Instant::now()),
             ..self.stats

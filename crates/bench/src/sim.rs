@@ -223,7 +223,7 @@ impl Theirs<'_> {
         let ground = Terrain::generate(&terrain, 1)?;
         let start = InitialState::nominal(model);
         let mut height = 0.12 + f64::from(ground.height_m(0.0, 0.0));
-        if let Some(level) = ground.water_level_m() {
+        if let Some(level) = ground.water_level_m {
             // its fluid fills all space and lifts nothing: weightless in water
             options["density"] = json!(1000.0);
             options["viscosity"] = json!(0.001);

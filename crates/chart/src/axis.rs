@@ -39,7 +39,6 @@ impl Axis {
     }
 
     /// The axis, made long enough that `x` is inside.
-    #[must_use]
     pub fn with(mut self, x: f64) -> Self {
         self.low = self.low.min(x);
         self.high = self.high.max(x);

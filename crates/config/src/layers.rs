@@ -34,7 +34,6 @@ impl Source {
     }
 
     /// With one more override.
-    #[must_use]
     pub fn set(mut self, assignment: impl Into<String>) -> Self {
         self.overrides.push(assignment.into());
         self

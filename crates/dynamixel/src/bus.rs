@@ -76,7 +76,8 @@ pub struct Bus<P> {
     late_bytes: usize,
     unquiet: bool,
     fast_failures: u32,
-    setup_deadline: Duration,
+    /// Time for one answer during set-up.
+    pub setup_deadline: Duration,
     counts: BusCounts,
 }
 
@@ -101,11 +102,6 @@ impl<P: Port> Bus<P> {
     /// slow.
     pub fn be_patient(&mut self, deadline: Duration) {
         self.setup_deadline = SETUP_DEADLINE.max(deadline);
-    }
-
-    /// Time for one answer during set-up.
-    pub fn setup_deadline(&self) -> Duration {
-        self.setup_deadline
     }
 
     /// What was counted so far.

@@ -72,7 +72,7 @@ pub fn compare<P: Port>(
     wants: &[Want],
     fix: bool,
 ) -> Result<Vec<Finding>, BusFault> {
-    let deadline = bus.setup_deadline();
+    let deadline = bus.setup_deadline;
     let mut findings = Vec::new();
     for want in wants {
         let register = want.register;
@@ -98,7 +98,7 @@ pub fn compare<P: Port>(
 /// # Errors
 /// [`BusFault`] of the present speed where none works, so that it says what matters.
 pub fn find_baud<P: Port>(bus: &mut Bus<P>, id: u8) -> Result<u32, BusFault> {
-    let (present, deadline) = (bus.baud(), bus.setup_deadline());
+    let (present, deadline) = (bus.baud(), bus.setup_deadline);
     let first = match persistently(|| bus.ping(id, deadline)) {
         Ok(_) => return Ok(present),
         Err(error) => error,
@@ -125,7 +125,7 @@ pub fn move_to_baud<P: Port>(bus: &mut Bus<P>, id: u8, baud: u32) -> Result<(), 
         let what = format!("servos have no speed of {baud} baud");
         return Err(std::io::Error::new(std::io::ErrorKind::InvalidInput, what).into());
     };
-    let deadline = bus.setup_deadline();
+    let deadline = bus.setup_deadline;
     bus.write(id, &xm430::TORQUE_ENABLE, 0, deadline)?;
     // Its answer may come at either speed.
     match bus.write(id, &xm430::BAUD_RATE, i32::from(code), deadline) {
@@ -139,7 +139,7 @@ pub fn move_to_baud<P: Port>(bus: &mut Bus<P>, id: u8, baud: u32) -> Result<(), 
 
 /// What a servo's latched hardware errors are.
 pub fn hardware_error<P: Port>(bus: &mut Bus<P>, id: u8) -> Result<HardwareError, BusFault> {
-    let deadline = bus.setup_deadline();
+    let deadline = bus.setup_deadline;
     let (bits, _) = persistently(|| bus.read(id, &xm430::HARDWARE_ERROR_STATUS, deadline))?;
     Ok(HardwareError(bits as u8))
 }

@@ -78,7 +78,7 @@ pub fn serve(
 ) -> Result<(), EmulationError> {
     let mut start = Instant::now();
     let (mut buffer, mut out) = ([0; 4096], Vec::new());
-    let (mut goals, mut was_on) = (robot.bus.goal_writes(), false);
+    let (mut goals, mut was_on) = (robot.bus.goal_writes, false);
     while !stop() {
         let count = terminals.servos.receive(&mut buffer, LOOK)?;
         let robot_us = (robot.time_s() * 1e6) as u64;
@@ -94,7 +94,7 @@ pub fn serve(
         // about what the goals did.
         for byte in buffer[..count].iter().filter(|_| pace == Pace::Goals) {
             robot.bus.hear(&[*byte], (robot.time_s() * 1e6) as u64);
-            let new = robot.bus.goal_writes() - goals;
+            let new = robot.bus.goal_writes - goals;
             goals += new;
             let steps = new as u32 * (CONTROL_PERIOD_S / robot.step_s()).round() as u32;
             for _ in 0..steps {

@@ -138,7 +138,7 @@ impl Reader {
     pub fn read(&self, engine: &dyn Engine, lane: usize, truth: &mut Truth) {
         let terrain = engine.terrain();
         let state = engine.state();
-        let water = terrain.water_level_m().map(|level_m| {
+        let water = terrain.water_level_m.map(|level_m| {
             let [x, y, _]: [f32; 3] = row(&state.com_pos_m, lane);
             let (sin, cos) = state.heading_rad[lane].sin_cos();
             let ground = |ahead| terrain.height_m(x + ahead * cos, y + ahead * sin);
@@ -187,9 +187,7 @@ impl Reader {
         let gravity: [f32; 3] = row(&state.imu_gravity, lane);
         let afloat = submerged && com[2] - highest_ground_m > self.afloat_above_m;
         let on_ground = |foot: usize| {
-            let Some(water) = water.filter(|_| submerged) else {
-                return 1.0;
-            };
+            let Some(water) = water.filter(|_| submerged) else { return 1.0 };
             if afloat {
                 return 0.0;
             }

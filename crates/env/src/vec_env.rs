@@ -79,7 +79,8 @@ pub struct VecEnv {
     pub(crate) joint_strengths: Vec<f32>,
     /// Added to every drawn start.
     pub(crate) start_shift: StartShift,
-    physics_time: Duration,
+    /// Time that the engine has taken for steps since it was made; no result depends on it.
+    pub physics_time: Duration,
 }
 
 impl VecEnv {
@@ -247,11 +248,6 @@ impl VecEnv {
     /// The stream for exploration noise of a lane's present episode.
     pub fn action_stream(&mut self, lane: usize) -> &mut Stream {
         &mut self.lanes[lane].action_stream
-    }
-
-    /// Time that the engine has taken for steps since it was made; no result depends on it.
-    pub fn physics_time(&self) -> Duration {
-        self.physics_time
     }
 
     /// Tells how many environment steps the whole run has done; pushes and costs may grow with it.

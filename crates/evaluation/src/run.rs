@@ -80,7 +80,7 @@ pub fn run_scenario(
     let episodes = (settings.episodes as usize).next_multiple_of(commands);
     let terrain = Terrain::generate(&scenario.terrain, settings.seed)
         .map_err(|error| EvaluationError::Env(error.into()))?;
-    let config = conditions(config, scenario, settings, terrain.water_level_m());
+    let config = conditions(config, scenario, settings, terrain.water_level_m);
     let shore = scenario.goal.and_then(|goal| Shore::of(&terrain, goal));
     let measure = Measure {
         settle_s: settings.settle_s,

@@ -50,7 +50,7 @@ struct Motion {
 impl Shore {
     /// Where the ground of a `shore` goes below the water's surface along x, y = 0; `None` on other terrain.
     pub fn of(terrain: &Terrain, goal: Goal) -> Option<Self> {
-        let surface_m = terrain.water_level_m()?;
+        let surface_m = terrain.water_level_m?;
         let steps = (WATERLINE_WITHIN_M / WATERLINE_STEP_M) as i32;
         let x = |i: i32| i as f32 * WATERLINE_STEP_M;
         let wet = |i: &i32| terrain.height_m(x(*i), 0.0) < surface_m;

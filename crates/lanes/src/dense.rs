@@ -43,8 +43,10 @@ impl Activation {
 /// A layer `y = W·x + b`, packed for the products.
 #[derive(Clone, Debug, Default)]
 pub struct Dense {
-    inputs: usize,
-    outputs: usize,
+    /// Inputs.
+    pub inputs: usize,
+    /// Outputs.
+    pub outputs: usize,
     /// Wᵀ in blocks of outputs, `[⌈out/16⌉, in, 16]`.
     by_output: Vec<f32>,
     /// W in blocks of inputs, `[⌈in/16⌉, out, 16]`.
@@ -79,16 +81,6 @@ impl Dense {
                 self.by_input[at..at + part.len()].copy_from_slice(part);
             }
         }
-    }
-
-    /// Inputs.
-    pub fn inputs(&self) -> usize {
-        self.inputs
-    }
-
-    /// Outputs.
-    pub fn outputs(&self) -> usize {
-        self.outputs
     }
 
     /// `y = W·x + b`: rows of `x` have at least the inputs, rows of `y` room for `padded(out)` values.

@@ -164,13 +164,13 @@ impl Perceptron {
             let side = &self.sides[at + 1];
             let input = self.input_of(at, x, &tape.outputs);
             for (half, (from, to, rows)) in layer.iter().zip(halves(input, side)) {
-                let len = half.outputs() * padded(half.inputs());
+                let len = half.outputs * padded(half.inputs);
                 let (weight, after) = rest.split_at_mut(len);
                 let dy = tape.gradient.get(to..).unwrap_or_default();
                 half.weight_gradient(rows, dy, from, weight);
                 rest = after;
             }
-            let (bias, after) = rest.split_at_mut(layer[0].outputs());
+            let (bias, after) = rest.split_at_mut(layer[0].outputs);
             let rows = halves(input, side).map(|(.., rows)| rows);
             layer[0].bias_gradient(rows[0], &tape.gradient, bias);
             rest = after;

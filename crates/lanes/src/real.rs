@@ -81,14 +81,12 @@ pub trait Real:
     }
 
     /// The nearest value within `low..=high`.
-    #[must_use]
     #[inline(always)]
     fn clamp(self, low: Self, high: Self) -> Self {
         self.max(low).min(high)
     }
 
     /// −1, 0 or 1.
-    #[must_use]
     #[inline(always)]
     fn signum0(self) -> Self {
         let positive = Self::select(Self::zero().lt(self), Self::one(), Self::zero());

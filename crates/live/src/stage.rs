@@ -250,7 +250,7 @@ fn environment(
     let settings = Settings { episode_s: EPISODE_S, seed: SEED, ..Settings::default() };
     let ground =
         Terrain::generate(terrain, SEED).map_err(|error| EvaluationError::Env(error.into()))?;
-    let mut config = conditions(config, &scenario, &settings, ground.water_level_m());
+    let mut config = conditions(config, &scenario, &settings, ground.water_level_m);
     config.actors.lanes = 1;
     config.actors.threads = 1;
     config.task.push = PushConfig { enabled: false, ..PushConfig::default() };

@@ -144,7 +144,6 @@ impl RobotModel {
     }
 
     /// The path of an actuated joint's servo figure (`qd_max_radps`), if nobody looked that up.
-    #[must_use]
     pub fn assumed_of_servo(&self, actuated_index: usize, figure: &str) -> Option<&str> {
         let own = format!(".{}.{figure}", self.servo_name(actuated_index));
         let mut all = self.assumed.iter();

@@ -60,7 +60,6 @@ impl MlpSpec {
 
     /// The same network where observations of `obs_dim` values, at least as many as now, have more at their end:
     /// it does not look at these.
-    #[must_use]
     pub fn widened(&self, obs_dim: usize) -> Self {
         let mut spec = self.clone();
         spec.obs_mean.resize(obs_dim, 0.0);

@@ -110,7 +110,6 @@ impl RegistryClient {
     }
 
     /// Bears with the server for longer or shorter.
-    #[must_use]
     pub fn with_patience(mut self, patience: Patience) -> Self {
         self.patience = patience;
         self

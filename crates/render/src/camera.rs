@@ -34,7 +34,8 @@ impl View {
 /// A pinhole camera; z of the world is up in the picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
-    eye_m: Vec3,
+    /// Where the camera is, world, m.
+    pub eye_m: Vec3,
     forward: Vec3,
     right: Vec3,
     up: Vec3,
@@ -95,11 +96,6 @@ impl Camera {
     ) -> Result<Self, RenderError> {
         let (azimuth, elevation) = view.angles_rad();
         Self::orbit(target_m, distance_m, heading_rad + azimuth, elevation)
-    }
-
-    /// Where the camera is, world, m.
-    pub fn eye_m(&self) -> Vec3 {
-        self.eye_m
     }
 
     /// Unit direction through `(x, y)` of a picture of `width × height` pixels, from its upper left corner;

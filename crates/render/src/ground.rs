@@ -69,7 +69,7 @@ fn meet_field(grid: &HeightGrid, span_m: (f64, f64), ray: &Ray, far: f64) -> Opt
     if enter >= leave {
         return None;
     }
-    let cell = grid.cell_m();
+    let cell = grid.cell_m;
     let last = grid.points() - 2;
     let index = |x: f64| (((x + half) / cell).max(0.0) as usize).min(last);
     let start = ray.at(enter + 1e-9);
@@ -108,7 +108,7 @@ fn meet_field(grid: &HeightGrid, span_m: (f64, f64), ray: &Ray, far: f64) -> Opt
 /// The two triangles of a cell.
 fn meet_cell(grid: &HeightGrid, ray: &Ray, [ix, iy]: [usize; 2], far: f64) -> Option<Hit> {
     let h = |dx: usize, dy: usize| f64::from(grid.at(ix + dx, iy + dy));
-    let cell = grid.cell_m();
+    let cell = grid.cell_m;
     let half = grid.size_m() / 2.0;
     let corner = [ix as f64 * cell - half, iy as f64 * cell - half];
     let slopes = [[h(1, 0) - h(0, 0), h(1, 1) - h(1, 0)], [h(1, 1) - h(0, 1), h(0, 1) - h(0, 0)]];
@@ -151,7 +151,7 @@ pub(crate) fn colour(ground: &Ground, at: Vec3, footprint_m: f64) -> Vec3 {
             colour = mix(ICE, colour, factor);
         }
     }
-    let water = terrain.water_level_m().map_or(f64::NEG_INFINITY, f64::from);
+    let water = terrain.water_level_m.map_or(f64::NEG_INFINITY, f64::from);
     if at[2] < water {
         colour = mix(colour, [0.42, 0.38, 0.28], 0.6); // sand under water
     }

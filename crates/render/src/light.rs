@@ -98,7 +98,7 @@ fn openness(scene: &Scene, from: Vec3, normal: Vec3) -> f64 {
 /// What is `seen` at `distance`, through the water in between; also how far away the haze begins to count.
 /// `None`: no water in between.
 fn water(scene: &Scene, ray: &Ray, seen: Vec3, distance: f64) -> Option<(Vec3, f64)> {
-    let level = f64::from(scene.ground.terrain.water_level_m()?);
+    let level = f64::from(scene.ground.terrain.water_level_m?);
     let surface = ground::plane(ray, level, distance).map(|hit| hit.t);
     let under = ray.from[2] < level;
     let path = match (under, surface) {

@@ -42,8 +42,7 @@ pub fn render(scene: &Scene, camera: &Camera, quality: &Quality) -> Result<Image
             for k in 0..rays * rays {
                 let offset = |i: u32| (f64::from(i) + 0.5) / f64::from(rays);
                 let (x, y) = (column as f64 + offset(k % rays), row as f64 + offset(k / rays));
-                let ray =
-                    Ray { from: camera.eye_m(), along: camera.direction(x, y, width, height) };
+                let ray = Ray { from: camera.eye_m, along: camera.direction(x, y, width, height) };
                 sum = add(sum, light::along(scene, &ray, pixel_rad));
             }
             *pixel = scale(sum, 1.0 / f64::from(rays * rays)).map(srgb);

@@ -75,7 +75,7 @@ pub struct Plan {
 }
 
 /// `adapt.json`.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct Adapted {
     /// Verdict of the diagnosis.
     pub verdict: Verdict,
@@ -155,15 +155,7 @@ pub fn adapt(
         verdict: report.verdict,
         causes: report.causes.iter().map(Named::from).collect(),
         trained: WORTH_IT.contains(&report.verdict) && !report.causes.is_empty(),
-        before_in_nominal: None,
-        before_in_extended: None,
-        after_in_extended: None,
-        before_in_truth: None,
-        after_in_truth: None,
-        better: None,
-        policy: None,
-        published: None,
-        seconds: Vec::new(),
+        ..Adapted::default()
     };
     if adapted.trained {
         let extended = diagnosis.join(diagnosis::EXTENDED);

@@ -161,7 +161,6 @@ fn place(log: &Path) -> PathBuf {
 
 /// Whether there is an extended robot file. Where a gap has been found and no model that is nearer to held-out
 /// runs than the robot as given, there is none.
-#[must_use]
 pub fn carries(report: &Report) -> bool {
     let gap = [Verdict::Unexplained, Verdict::InsufficientData];
     !report.model.is_empty() || !gap.contains(&report.verdict)

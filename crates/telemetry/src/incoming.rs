@@ -50,7 +50,6 @@ settings! {
 
 impl ConnectionLimits {
     /// No more than a process with so many file handles can hold beside its own files.
-    #[must_use]
     pub fn within(self, files: u64) -> Self {
         let room = usize::try_from(files.saturating_sub(FILES_RESERVED)).unwrap_or(usize::MAX);
         let total = self.total.min(room.max(1));

@@ -95,7 +95,6 @@ impl Metrics {
 
     /// Shows the page that another process keeps in `file` ([`Metrics::write_page`]) together with this one;
     /// nothing while there is none. For a process that must not open a socket itself.
-    #[must_use]
     pub fn beside(self, file: PathBuf) -> Self {
         Self { beside: Some(file.into()), ..self }
     }

@@ -29,10 +29,8 @@ pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
     let metrics = Metrics::new().beside(folder.file(LOOP_PAGE));
     let factory = args.factory.as_deref();
     let (source, agent_metrics) = Source::open(&args.source, factory, &metrics)?;
-    let _endpoint = match args.metrics_addr {
-        Some(addr) => Some(metrics_endpoint(addr, metrics, process)?),
-        None => None,
-    };
+    let _endpoint =
+        args.metrics_addr.map(|addr| metrics_endpoint(addr, metrics, process)).transpose()?;
     let stage = Stage::open(source.keeper.clone(), folder.clone());
     // What became of policies while nobody listened counts before the next one is chosen; who asks is
     // answered after that.

@@ -48,7 +48,7 @@ pub fn run(args: &LimpArgs) -> Result<(), DeployError> {
     }
     let mut ids: Vec<u8> = wiring.joint.values().map(|joint| joint.id).collect();
     ids.sort_unstable();
-    let patience = bus.setup_deadline();
+    let patience = bus.setup_deadline;
     let found = let_go(&mut bus, &ids, patience)
         .map_err(|fault| BusError::Lost { reason: fault.to_string() })?;
     if !found.is_proved() {

@@ -106,7 +106,7 @@ fn servo<P: Port>(
     fix: bool,
     inspection: &mut Inspection,
 ) -> Result<(), BusFault> {
-    let (id, baud, deadline) = (joint.id, wiring.bus.baud, bus.setup_deadline());
+    let (id, baud, deadline) = (joint.id, wiring.bus.baud, bus.setup_deadline);
     let found = find_baud(bus, id)?;
     if found != baud {
         let text = format!("{found}, must be {baud}");

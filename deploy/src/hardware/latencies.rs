@@ -74,12 +74,12 @@ impl Timed {
     fn at<T>(&mut self, what: impl FnOnce(&mut Emulated) -> T) -> T {
         let now_us = self.time.now().as_micros() as u64;
         let port = self.robot.bus_mut().port_mut();
-        port.wait_us(now_us.saturating_sub(port.now_us()));
+        port.wait_us(now_us.saturating_sub(port.now_us));
         if now_us >= self.faults.0.as_micros() as u64 {
             port.bus().set_faults(self.faults.1);
         }
         let done = what(&mut self.robot);
-        let then_us = self.robot.bus_mut().port_mut().now_us();
+        let then_us = self.robot.bus_mut().port_mut().now_us;
         self.time.set_us(then_us);
         done
     }
@@ -263,11 +263,11 @@ fn watchdog(hang_after: Duration) -> Duration {
     robot.write(&readings.pos_rad).unwrap();
     let port = robot.bus_mut().port_mut();
     port.wait_us(hang_after.as_micros() as u64);
-    let hung_us = port.now_us();
+    let hung_us = port.now_us;
     while (0..16).any(|joint| !emulated(&mut robot, joint).watchdog_fired()) {
         robot.bus_mut().port_mut().wait_us(500);
     }
-    Duration::from_micros(robot.bus_mut().port_mut().now_us() - hung_us)
+    Duration::from_micros(robot.bus_mut().port_mut().now_us - hung_us)
 }
 
 /// What is promised, and what of a run it is about.

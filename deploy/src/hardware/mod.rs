@@ -88,7 +88,7 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
         let ids: Vec<u8> = joints.iter().map(|j| j.id).collect();
         // Known from the first tick on; then each servo tells in turn.
         let register = &xm430::PRESENT_INPUT_VOLTAGE;
-        let deadline = bus.setup_deadline();
+        let deadline = bus.setup_deadline;
         let (volts, _) =
             persistently(|| bus.read(ids[0], register, deadline)).map_err(|e| lost(&e))?;
         let group = |fast| GroupRead::new(&ids, xm430::TICK_ADDRESS, xm430::TICK_BYTES, fast);
@@ -124,7 +124,6 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
     }
 
     /// Counts time in goals, each of which moves it by `period_s`: for an emulated robot that does the same.
-    #[must_use]
     pub fn in_step(mut self, period_s: f64) -> Self {
         self.goal_period_s = Some(period_s);
         self
@@ -313,7 +312,7 @@ impl<P: Port, B: I2c> ServoBus for HardwareRobot<P, B> {
     }
 
     fn torque_off(&mut self) -> Result<(), BusError> {
-        let patience = self.bus.setup_deadline();
+        let patience = self.bus.setup_deadline;
         let found = let_go(&mut self.bus, &self.ids, patience);
         self.armed = false;
         let found = found.map_err(|e| lost(&e))?;

@@ -136,9 +136,9 @@ fn fault_39_one_servo_silent_is_counted_and_its_readings_stand() {
     ticks(&mut robot, 5).unwrap();
     emulated(&mut robot, 4).unplug(true);
     for tick in 1..=10 {
-        let before = robot.bus_mut().port_mut().now_us();
+        let before = robot.bus_mut().port_mut().now_us;
         let readings = robot.read(DEADLINE);
-        let waited = robot.bus_mut().port_mut().now_us() - before;
+        let waited = robot.bus_mut().port_mut().now_us - before;
         assert!(waited <= 8_000, "tick {tick} waited {waited} µs");
         robot.bus_mut().port_mut().wait_us(15_000);
         // With Fast Sync Read one silent servo silences all: after three ticks plain Sync Read takes over.
@@ -162,7 +162,7 @@ fn fault_41_an_alert_names_joint_and_errors_at_once() {
 fn fault_42_a_servo_that_restarts_is_found_within_a_second() {
     let mut robot = robot();
     ticks(&mut robot, 5).unwrap();
-    let now_us = robot.bus_mut().port_mut().now_us();
+    let now_us = robot.bus_mut().port_mut().now_us;
     emulated(&mut robot, 15).reboot(now_us);
     let mut found = None;
     for tick in 1..=50 {

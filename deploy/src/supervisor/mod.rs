@@ -255,10 +255,8 @@ impl<'a> Supervisor<'a> {
             insisted: INSIST_MAX,
             undying: UNDYING_MAX,
         };
-        match judge(&signs, &limits, self.state, self.touched) {
-            Some(event) => self.handle(event),
-            None => Ok(()),
-        }
+        let event = judge(&signs, &limits, self.state, self.touched);
+        event.map_or(Ok(()), |event| self.handle(event))
     }
 
     fn handle(&mut self, event: Event) -> Result<(), Failure> {

@@ -163,9 +163,7 @@ pub fn blind(
             Some((*why.collect::<Option<Vec<&str>>>()?.first()?, effect.trial))
         };
         let missing = need.and_then(|n| Some((n.1(&evidence)?, n.2)));
-        let Some((missing, trial)) = missing.or_else(unseen) else {
-            continue;
-        };
+        let Some((missing, trial)) = missing.or_else(unseen) else { continue };
         // a trial that this robot cannot do is replaced by the one of its own that shows most of it
         let record = match trials.contains(&trial) {
             true => trial.to_owned(),

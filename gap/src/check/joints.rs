@@ -89,9 +89,7 @@ fn units(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
         );
         out.push(joint.note("range", "pos", detail));
     }
-    let Some(t) = follows(run, joint, joint) else {
-        return;
-    };
+    let Some(t) = follows(run, joint, joint) else { return };
     // 57.3 either way, also where the joint's range is wide enough to hold it
     if t.r > 0.7 && t.slope > 20.0 && beyond(&joint.pos).is_none() {
         let detail =
@@ -107,9 +105,7 @@ fn units(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
 }
 
 fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
-    let Some(t) = follows(run, joint, joint) else {
-        return;
-    };
+    let Some(t) = follows(run, joint, joint) else { return };
     if t.r < -0.5 && t.second_sd > 0.2 * t.first_sd {
         let detail = format!(
             "goes against cmd.{} (correlation {:.2}); turn the sign of one of them",
@@ -184,9 +180,7 @@ fn one_sided(
 
 /// A reading that stays the same to the last bit while the command asks for both sides of it.
 fn stuck(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
-    let (Some(cmd), Some(pos)) = (&joint.cmd, &joint.pos) else {
-        return;
-    };
+    let (Some(cmd), Some(pos)) = (&joint.cmd, &joint.pos) else { return };
     let far = asks_much_rad(run, joint);
     let asked = cmd.iter().filter(|u| (*u - pos[0]).abs() > far).count();
     if pos.iter().all(|q| *q == pos[0]) && asked >= run.grid.points(LONG_ENOUGH_S) {
@@ -223,9 +217,7 @@ fn stuck(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
 /// Positions that were rounded much more coarsely than the encoder counts.
 fn counts(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     let signal = Signal::Position(joint.name.clone());
-    let Some(column) = run.log.table.column(&signal) else {
-        return;
-    };
+    let Some(column) = run.log.table.column(&signal) else { return };
     let mut known: Vec<f64> = column.iter().flatten().copied().collect();
     known.sort_unstable_by(f64::total_cmp);
     known.dedup();
@@ -374,9 +366,7 @@ fn missed(run: &Run<'_>, cmd: &Channels, pos: &Channels) -> Option<Missed> {
 
 /// Whether two commands go together, one of them late by anything up to what is looked at.
 fn alike(run: &Run<'_>, a: &Channels, b: &Channels) -> bool {
-    let (Some(u), Some(v)) = (&a.slow_cmd, &b.slow_cmd) else {
-        return false;
-    };
+    let (Some(u), Some(v)) = (&a.slow_cmd, &b.slow_cmd) else { return false };
     let most = run.grid.points(LAG_RANGE_S) as isize;
     best_lag(u, v, -most..=most).1.r > 0.5
 }
@@ -385,9 +375,7 @@ fn alike(run: &Run<'_>, a: &Channels, b: &Channels) -> bool {
 fn doubled(joints: &[Channels], out: &mut Vec<Finding>) {
     for (a, first) in joints.iter().enumerate() {
         for second in &joints[a + 1..] {
-            let (Some(x), Some(y)) = (&first.pos, &second.pos) else {
-                continue;
-            };
+            let (Some(x), Some(y)) = (&first.pos, &second.pos) else { continue };
             let known = || x.iter().zip(y).filter(|(p, q)| p.is_finite() && q.is_finite());
             let all = known().count();
             let same = known().filter(|(p, q)| p == q).count();

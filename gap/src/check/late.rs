@@ -76,9 +76,7 @@ fn dead_time(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
 
 /// Times from much being asked of a joint that rests to its first motion, s.
 fn dead_times_s(run: &Run<'_>, joint: &Channels) -> Vec<f64> {
-    let (Some(cmd), Some(pos)) = (&joint.cmd, &joint.pos) else {
-        return Vec::new();
-    };
+    let (Some(cmd), Some(pos)) = (&joint.cmd, &joint.pos) else { return Vec::new() };
     let grid = &run.grid;
     let far = asks_much_rad(run, joint);
     let count = run.robot.servo(joint.index).encoder_lsb_rad();
@@ -168,9 +166,7 @@ fn slow(run: &Run<'_>, joints: &[Channels], lags: &[Lag<'_>], out: &mut Vec<Find
     if 2 * slow.len() <= lags.len() {
         return;
     }
-    let Some(lag) = slow.iter().max_by(|a, b| a.r.total_cmp(&b.r)) else {
-        return;
-    };
+    let Some(lag) = slow.iter().max_by(|a, b| a.r.total_cmp(&b.r)) else { return };
     let detail = format!(
         "follows its command {:.0} ms late ({} joint(s)): readings are late, or the servo is much slower than in the robot file. Steps from rest tell which",
         1e3 * lag.s,

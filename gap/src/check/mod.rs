@@ -102,10 +102,7 @@ pub fn check_dirs(
 /// several would have the same, their paths.
 pub fn run_names(logs: &[impl AsRef<Path>]) -> Vec<String> {
     let short = |log: &Path| {
-        let name = match log.is_file() {
-            true => log.file_stem(),
-            false => log.file_name(),
-        };
+        let name = if log.is_file() { log.file_stem() } else { log.file_name() };
         let name = name.unwrap_or(log.as_os_str());
         name.to_string_lossy().into_owned()
     };

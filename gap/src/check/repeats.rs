@@ -105,9 +105,7 @@ pub(super) fn odd_spans(
     let grid = &runs[group[0]].grid;
     let mut found: Vec<OddSpan> = Vec::new();
     for j in 0..channels[group[0]].len() {
-        let Some(off) = Off::of(runs, channels, group, j) else {
-            continue;
-        };
+        let Some(off) = Off::of(runs, channels, group, j) else { continue };
         // of two nobody knows which one was disturbed: both
         let members = if group.len() == 2 { 1..2 } else { 0..group.len() };
         for m in members {

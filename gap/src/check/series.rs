@@ -153,9 +153,7 @@ pub struct Together {
 pub fn together(first: &[f64], second: &[f64], lag: isize) -> Together {
     let (mut n, mut sx, mut sy, mut sxx, mut syy, mut sxy) = (0usize, 0.0, 0.0, 0.0, 0.0, 0.0);
     for (i, &y) in second.iter().enumerate() {
-        let Some(&x) = i.checked_add_signed(-lag).and_then(|k| first.get(k)) else {
-            continue;
-        };
+        let Some(&x) = i.checked_add_signed(-lag).and_then(|k| first.get(k)) else { continue };
         if x.is_finite() && y.is_finite() {
             n += 1;
             sx += x;

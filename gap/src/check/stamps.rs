@@ -112,10 +112,7 @@ fn lost(time_s: &[f64], median_s: f64, out: &mut Vec<Finding>) {
     if share < LOST_SHARE.0 {
         return;
     }
-    let said = match share < LOST_SHARE.1 {
-        true => Finding::note,
-        false => Finding::fatal,
-    };
+    let said = if share < LOST_SHARE.1 { Finding::note } else { Finding::fatal };
     let detail = format!(
         "{missing:.0} rows are missing ({:.0} %), in {} places: what was commanded in them is not known; log every command",
         100.0 * share,
@@ -133,18 +130,14 @@ fn clock_jumped(run: &Run<'_>, joints: &[Channels], at_s: f64, step_s: f64) -> u
         .flat_map(|j| [Signal::Command(j.name.clone()), Signal::Position(j.name.clone())]);
     let mut jumped = 0;
     for signal in signals {
-        let Some(column) = table.column(&signal) else {
-            continue;
-        };
+        let Some(column) = table.column(&signal) else { continue };
         let known = || table.time_s().iter().zip(column).filter_map(|(&t, x)| Some((t, (*x)?)));
         let before: Vec<(f64, f64)> =
             known().filter(|(t, _)| (at_s - BESIDE_S..=at_s).contains(t)).collect();
         let end_s = at_s + step_s;
         let after: Vec<(f64, f64)> =
             known().filter(|(t, _)| (end_s..=end_s + BESIDE_S).contains(t)).collect();
-        let (Some(v0), Some(v1)) = (speed(&before), speed(&after)) else {
-            continue;
-        };
+        let (Some(v0), Some(v1)) = (speed(&before), speed(&after)) else { continue };
         // a steady motion on both sides, far enough to tell
         let mean = 0.5 * (v0 + v1);
         if (v0 - v1).abs() > 0.5 * mean.abs() || mean.abs() * step_s < TELLING_RAD {

@@ -114,7 +114,6 @@ impl PartialEq for Effect {
 
 impl Effect {
     /// Everywhere that it can act on a robot, widest first.
-    #[must_use]
     pub fn places(&self, model: &RobotModel) -> Vec<Place> {
         places(model, self.domain)
     }
@@ -125,7 +124,6 @@ impl Effect {
     }
 
     /// Figures that it corrects at `place` and that nobody looked up, by their paths in the robot file.
-    #[must_use]
     pub fn assumed(&self, model: &RobotModel, place: &Place) -> Vec<String> {
         let joints: Vec<usize> = match place.domain {
             Domain::Joints => place.items.clone(),
@@ -143,13 +141,11 @@ impl Effect {
     }
 
     /// Value of parameter `index` that is `units` references at `place`.
-    #[must_use]
     pub fn value(&self, model: &RobotModel, place: &Place, index: usize, units: f64) -> f64 {
         units * reference(model, place, self.parameters[index].reference)
     }
 
     /// Grid point `k` at `place`, SI. `[P]`
-    #[must_use]
     pub fn sizes(&self, model: &RobotModel, place: &Place, k: usize) -> Vec<f64> {
         (self.grid[k].iter().enumerate())
             .map(|(i, &units)| self.value(model, place, i, units))
@@ -157,7 +153,6 @@ impl Effect {
     }
 
     /// Values without the effect, SI. `[P]`
-    #[must_use]
     pub fn neutral(&self, model: &RobotModel, place: &Place) -> Vec<f64> {
         (0..self.parameters.len())
             .map(|i| {
@@ -171,7 +166,6 @@ impl Effect {
     }
 
     /// Lowest and highest value of parameter `index`, SI.
-    #[must_use]
     pub fn bounds(&self, model: &RobotModel, place: &Place, index: usize) -> (f64, f64) {
         let p = &self.parameters[index];
         let low = self.value(model, place, index, p.low);
@@ -187,7 +181,6 @@ impl Effect {
     /// Whether parameter `index` wants to go further than is plausible: its value lies on a bound. Without
     /// the effect, and where there is none at all of what it counts, nothing does; nor where there is all of
     /// what it is a share of.
-    #[must_use]
     pub fn at_bound(&self, model: &RobotModel, place: &Place, index: usize, value: f64) -> bool {
         let spec = &self.parameters[index];
         let a_share = spec.unit.is_empty() && (spec.low, spec.high) == (0.0, 1.0);
@@ -199,7 +192,6 @@ impl Effect {
     }
 
     /// Smallest change of parameter `index` that matters, SI.
-    #[must_use]
     pub fn scale(&self, model: &RobotModel, place: &Place, index: usize) -> f64 {
         self.value(model, place, index, self.parameters[index].scale)
     }

@@ -93,7 +93,6 @@ pub static ALL: &[&Effect] = &[
 ];
 
 /// The effect with this id.
-#[must_use]
 pub fn find(id: &str) -> Option<&'static Effect> {
     ALL.iter().copied().find(|e| e.id == id)
 }

@@ -97,9 +97,7 @@ impl Bag {
             let topic = Topic { sheet, ..Topic::default() };
             self.topics.insert(message.topic.to_owned(), topic);
         }
-        let Some(topic) = self.topics.get_mut(message.topic) else {
-            return Ok(());
-        };
+        let Some(topic) = self.topics.get_mut(message.topic) else { return Ok(()) };
         self.values += topic.take(message)?;
         match self.values > MAX_VALUES {
             true => Err(format!("more than {MAX_VALUES} values: split the recording")),

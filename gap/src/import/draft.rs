@@ -39,9 +39,7 @@ pub struct Drafted {
 /// # Errors
 /// [`ImportError`] where there is none, or no column of it can be the time.
 pub fn map(recordings: &[Recording], robot: &RobotModel) -> Result<Drafted, ImportError> {
-    let Some(first) = recordings.first() else {
-        return Ok(Drafted::default());
-    };
+    let Some(first) = recordings.first() else { return Ok(Drafted::default()) };
     let clock = match &first.clock {
         Some(clock) => clock.clone(),
         None => clock(first)?,
@@ -123,9 +121,7 @@ fn by_numbers(
     let mut known: BTreeMap<(usize, &str), &str> = BTreeMap::new();
     for column in sheet.header().into_iter().filter(|c| *c != clock && sheet.hint(c).is_none()) {
         let words = Words::of(column);
-        let Some(joint) = words.joint(robot) else {
-            continue;
-        };
+        let Some(joint) = words.joint(robot) else { continue };
         match (words.kind(), words.unit) {
             (Some(kind), _) => {
                 known.insert((joint, kind), column);

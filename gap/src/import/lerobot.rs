@@ -211,9 +211,7 @@ fn take(
         episode.time_s.push(time_s);
         let mut found: Vec<(String, f64)> = Vec::new();
         for feature in features {
-            let Some(column) = column(&feature.name) else {
-                continue;
-            };
+            let Some(column) = column(&feature.name) else { continue };
             let said = column.row(row);
             if !said.is_empty() && said.len() != feature.columns.len() {
                 return Err(format!(

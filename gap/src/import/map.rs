@@ -305,10 +305,7 @@ pub fn apply(
 }
 
 fn letters(c: char) -> char {
-    match c.is_ascii_alphanumeric() || c == '-' {
-        true => c,
-        false => '_',
-    }
+    if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' }
 }
 
 /// Where a signal's column is.

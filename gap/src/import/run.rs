@@ -61,10 +61,7 @@ impl Imported {
 /// What a run from `path` is called: the folder's name, or the file's without its ending.
 pub(super) fn file_stem(path: &Path) -> String {
     let whole = path.canonicalize().unwrap_or_else(|_| path.to_owned());
-    let name = match whole.is_dir() {
-        true => whole.file_name(),
-        false => whole.file_stem(),
-    };
+    let name = if whole.is_dir() { whole.file_name() } else { whole.file_stem() };
     name.unwrap_or_default().to_string_lossy().into_owned()
 }
 

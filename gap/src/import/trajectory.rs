@@ -85,9 +85,7 @@ fn between(
     }
     let u = (t_ns - from_ns) as f64 * 1e-9 / span_s;
     let speeds = from.and_then(|p| Some((*p.velocity.get(j)?, *to.velocity.get(j)?)));
-    let Some((va, vb)) = speeds else {
-        return Some(a + u * (b - a));
-    };
+    let Some((va, vb)) = speeds else { return Some(a + u * (b - a)) };
     // the cubic with these ends and these speeds there
     let (u2, u3) = (u * u, u * u * u);
     Some(

@@ -27,10 +27,7 @@ pub fn maps(report: &Report) -> String {
     let both = !after.is_empty();
     let card = |cells, title| figure(&format!("<b>{title}</b>"), &map(cells, &before, title));
     let given = if both { "As given" } else { "Model as given" };
-    let extended = match both {
-        true => card(&after, "Extended"),
-        false => String::new(),
-    };
+    let extended = if both { card(&after, "Extended") } else { String::new() };
     let given = card(&before, given);
     format!("<div class=\"grid\">{given}{extended}</div>{}", legend())
 }
@@ -132,10 +129,7 @@ fn write_cell(out: &mut Drawing, (x, y): (f64, f64), name: &str, d: &Divergence)
         4.. => r#"class="v" style="fill:var(--bg)""#,
         _ => VALUE,
     };
-    let ratio = match d.ratio >= 10.0 {
-        true => d.ratio.round(),
-        false => (10.0 * d.ratio).round() / 10.0,
-    };
+    let ratio = if d.ratio >= 10.0 { d.ratio.round() } else { (10.0 * d.ratio).round() / 10.0 };
     out.told(&about, |out| {
         write_box(out, (x, y), &format!(r#"style="fill:var(--h{level})""#));
         let middle = (x + 0.5 * CELL_W, y + 15.0);

@@ -103,10 +103,7 @@ pub fn tiles(report: &Report) -> String {
 /// Faults of the data.
 pub fn faults(report: &Report) -> String {
     let row = |f: &DataFault| {
-        let (class, word) = match f.fatal {
-            true => ("bad", ""),
-            false => ("warn", " (note)"),
-        };
+        let (class, word) = if f.fatal { ("bad", "") } else { ("warn", " (note)") };
         let kind = format!("<b class=\"{class}\">{}</b>{word}", escape(&f.kind));
         vec![kind, escape(&f.location), escape(&f.detail)]
     };
@@ -386,9 +383,7 @@ pub fn cells(report: &Report) -> String {
 
 /// Errors of angles: of the robot as given, of standard models, and of the extended one.
 pub fn position_errors(report: &Report) -> String {
-    let Some(given) = report.position_errors.first() else {
-        return String::new();
-    };
+    let Some(given) = report.position_errors.first() else { return String::new() };
     let joints: Vec<&String> = given.joints_rad.keys().collect();
     let names: Vec<String> = joints.iter().map(|j| escape(j)).collect();
     let head = format!("model|all joints|{}", names.join("|"));

@@ -114,10 +114,7 @@ pub(super) fn held_cuts(trial: &Trial, options: SegmentOptions) -> Vec<Cut> {
                 start_s,
                 from_s,
                 end_s,
-                servos: match loose || just_caught {
-                    true => swings,
-                    false => Servos::Hold,
-                },
+                servos: if loose || just_caught { swings } else { Servos::Hold },
             }
         }));
     }
@@ -191,9 +188,7 @@ pub(super) fn replay_span(trial: &Trial) -> (f64, f64) {
 
 /// The stamp of a position that is nearest to `t_s`.
 fn stamp_near(trial: &Trial, t_s: f64) -> f64 {
-    let Some(c) = trial.channels.iter().find(|c| c.kind == Kind::Position) else {
-        return t_s;
-    };
+    let Some(c) = trial.channels.iter().find(|c| c.kind == Kind::Position) else { return t_s };
     let after = c.time_s.partition_point(|&t| t < t_s);
     let near = [after.saturating_sub(1), after]
         .into_iter()

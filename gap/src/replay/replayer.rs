@@ -67,14 +67,12 @@ impl Replayer {
 
     /// Puts the water's surface at `level_m` above the ground at z = 0 (`water_level_m` of a run's
     /// `log.toml`).
-    #[must_use]
     pub fn with_water_level(mut self, level_m: f64) -> Self {
         self.water_level_m = level_m;
         self
     }
 
     /// Asks `go_on` before each engine full of stretches.
-    #[must_use]
     pub fn with_go_on(mut self, go_on: GoOn) -> Self {
         self.go_on = go_on;
         self
@@ -86,7 +84,6 @@ impl Replayer {
     }
 
     /// With `term` in every candidate, as if the robot file's own extension had it.
-    #[must_use]
     pub fn with_also(mut self, term: Term) -> Self {
         self.given.push(term);
         self

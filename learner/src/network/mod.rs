@@ -93,7 +93,6 @@ impl NetworkSpec {
     }
 
     /// The same networks, but the value function sees more, which the mirror changes so.
-    #[must_use]
     pub fn with_critic(self, critic: SignedPermutation) -> Self {
         Self { critic, ..self }
     }

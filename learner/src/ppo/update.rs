@@ -84,7 +84,8 @@ pub struct Ppo {
     networks: Networks,
     teacher: Option<Teacher>,
     settings: PpoSettings,
-    learning_rate: f64,
+    /// Learning rate of the next update.
+    pub learning_rate: f64,
     /// Environment steps of the whole run so far.
     env_steps: u64,
     pulse: Pulse,
@@ -166,11 +167,6 @@ impl Ppo {
     /// The optimiser, for restoring its state.
     pub fn adam_mut(&mut self) -> &mut Adam {
         &mut self.adam
-    }
-
-    /// Learning rate of the next update.
-    pub fn learning_rate(&self) -> f64 {
-        self.learning_rate
     }
 
     /// Environment steps of the whole run before the next update, on which the target of the KL divergence

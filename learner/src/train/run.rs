@@ -439,7 +439,7 @@ impl Run<'_> {
             parameters: self.ppo.net().to_vec()?,
             adam_m,
             adam_v,
-            learning_rate: self.ppo.learning_rate(),
+            learning_rate: self.ppo.learning_rate,
             moments: progress.moments.clone(),
             step_rewards: progress.step_rewards.clone(),
             returns: progress.returns.clone(),

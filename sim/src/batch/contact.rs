@@ -155,8 +155,8 @@ fn bristle<R: Lanes, const FLAT: bool>(
     // normal: spring, damper and inertia
     let d = point.soft.impedance(depth);
     let weight = d / ((one - d) * k(point.mobility));
-    let spring = d * R::splat(point.soft.stiffness_per_s2());
-    let damper = R::splat(point.soft.damping_per_s());
+    let spring = d * R::splat(point.soft.stiffness_per_s2);
+    let damper = R::splat(point.soft.damping_per_s);
     let on = touching & memory[4].lt(spring * depth - damper * vn);
     let half = k(law.theta_dt);
     let resists = spring.mul_add(half, damper);

@@ -40,8 +40,8 @@ pub(super) fn force<R: Lanes>(
     let give = R::uniform(point.mobility);
     let d = point.soft.impedance(depth);
     let weight = d / ((one - d) * give);
-    let spring = d * R::splat(point.soft.stiffness_per_s2());
-    let damper = R::splat(point.soft.damping_per_s());
+    let spring = d * R::splat(point.soft.stiffness_per_s2);
+    let damper = R::splat(point.soft.damping_per_s);
     let half = R::uniform(law.theta_dt);
     let mid = add_scaled(vel, acc, half);
     let mid_n = dot(mid, normal);

@@ -97,7 +97,7 @@ impl<R: Lanes> CoreOf<R> {
         terrain: &Terrain,
         threads: usize,
     ) -> Result<Self, SimError> {
-        let level = terrain.water_level_m();
+        let level = terrain.water_level_m;
         let program = Program::<R>::new(model, config, level.is_some())?;
         let level = level.map_or(0.0, f64::from);
         let shared = Shared::new(program, Ground::new(terrain), config, level);

@@ -37,7 +37,7 @@ impl<R: Lanes> Ground<R> {
             grip: if terrain.has_patches() { grid.friction().to_vec() } else { Vec::new() },
             points: R::elem(n as f64),
             last: R::elem((n - 1) as f64),
-            per_m: R::elem(1.0 / grid.cell_m()),
+            per_m: R::elem(1.0 / grid.cell_m),
             half_m: R::elem(0.5 * grid.size_m()),
         }
     }

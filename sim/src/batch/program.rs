@@ -389,7 +389,7 @@ fn contact_points<R: Lanes>(
             })?;
             let other = if model.carries_feet(i) { Part::Trunk } else { Part::Tail };
             let soft = Stop::new(&geom.soft, mobility.links[i]).harder(config.contact_hardness);
-            let full_m = (DEEPEST_MPS2 / soft.stiffness_per_s2()).max(geom.soft.solimp[2]);
+            let full_m = (DEEPEST_MPS2 / soft.stiffness_per_s2).max(geom.soft.solimp[2]);
             points.extend(centres.into_iter().map(|c| Point {
                 link: i,
                 node,

@@ -20,7 +20,6 @@ macro_rules! features {
             }
 
             /// What either needs.
-            #[must_use]
             pub fn or(self, other: Self) -> Self {
                 Self { $($flag: self.$flag | other.$flag,)+ }
             }

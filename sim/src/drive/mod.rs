@@ -75,7 +75,6 @@ impl<R: Real> ImplicitTorque<R> {
     }
 
     /// Both together.
-    #[must_use]
     #[inline(always)]
     pub fn plus(self, other: Self) -> Self {
         Self {

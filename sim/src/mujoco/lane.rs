@@ -210,7 +210,7 @@ impl Lane {
 impl Water {
     /// `None` on dry ground, and for a robot whose file knows no water.
     fn new(shared: &Shared, params: &LaneParams) -> Option<Self> {
-        let level = shared.terrain.water_level_m()?;
+        let level = shared.terrain.water_level_m?;
         Some(Self {
             links: WaterLink::all(&shared.model, params)?,
             surface: Surface {

@@ -43,7 +43,7 @@ pub(super) struct Water {
 impl Water {
     /// `None` on dry ground, and for a robot whose file knows no water.
     pub fn new(shared: &Shared, params: &LaneParams, masses: &[LinkMass]) -> Option<Self> {
-        let level = shared.terrain.water_level_m()?;
+        let level = shared.terrain.water_level_m?;
         let links = WaterLink::all(&shared.model, params)?;
         let wet = |l: &WaterLink<f64>| {
             (l.added_mass_kg.iter().chain(&l.added_inertia_kgm2)).any(|&a| a > 0.0)

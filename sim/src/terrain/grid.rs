@@ -15,7 +15,8 @@
 #[derive(Debug, Clone, PartialEq)]
 pub struct HeightGrid {
     points: usize,
-    cell_m: f64,
+    /// Distance of grid points, m.
+    pub cell_m: f64,
     /// `[points (y), points (x)]`, from the smallest x and y, m.
     heights_m: Vec<f32>,
     /// Same layout, per cell.
@@ -33,11 +34,6 @@ impl HeightGrid {
     /// Grid points along one edge.
     pub fn points(&self) -> usize {
         self.points
-    }
-
-    /// Distance of grid points, m.
-    pub fn cell_m(&self) -> f64 {
-        self.cell_m
     }
 
     /// Edge length, m.

@@ -23,7 +23,9 @@ pub const APRON_DROP_M: f64 = 0.002;
 pub struct Terrain {
     /// `None`: the plane z = 0, without end.
     grid: Option<HeightGrid>,
-    water_level_m: Option<f32>,
+    /// Height of the water's surface, world, m; `None`: dry. Below it is water wherever the ground is lower,
+    /// without end.
+    pub water_level_m: Option<f32>,
 }
 
 impl Terrain {
@@ -47,12 +49,6 @@ impl Terrain {
     /// The height field; `None` on the plane without end.
     pub fn grid(&self) -> Option<&HeightGrid> {
         self.grid.as_ref()
-    }
-
-    /// Height of the water's surface, world, m; `None`: dry. Below it is water wherever the ground is lower,
-    /// without end.
-    pub fn water_level_m(&self) -> Option<f32> {
-        self.water_level_m
     }
 
     /// Height of the ground at `(x, y)`, world, m.
@@ -95,7 +91,7 @@ impl Terrain {
         add(self.water_level_m.map_or(u32::MAX, f32::to_bits));
         if let Some(grid) = &self.grid {
             add(grid.points() as u32);
-            add((grid.cell_m() as f32).to_bits());
+            add((grid.cell_m as f32).to_bits());
             let values = grid.heights_m().iter().chain(grid.friction());
             values.for_each(|v| add(v.to_bits()));
         }

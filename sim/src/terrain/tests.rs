@@ -41,7 +41,7 @@ fn the_layout_is_as_documented() {
     let g = grid(&TerrainConfig::of(TerrainKind::Valley), 0);
     let (ix, iy) = (50, 105);
     let half = g.size_m() / 2.0;
-    let (x, y) = (ix as f64 * g.cell_m() - half, iy as f64 * g.cell_m() - half);
+    let (x, y) = (ix as f64 * g.cell_m - half, iy as f64 * g.cell_m - half);
     assert_eq!(g.points(), 161);
     assert_eq!(g.at(ix, iy), g.heights_m()[iy * 161 + ix]);
     // y = 2.5: 2 m of wall at 15°
@@ -127,7 +127,7 @@ fn slippery_ground_is_level_with_patches() {
 #[test]
 fn the_shore_goes_from_dry_land_into_the_pool() {
     let t = terrain(TerrainKind::Shore);
-    near(t.water_level_m().unwrap(), 0.4);
+    near(t.water_level_m.unwrap(), 0.4);
     near(t.height_m(0.0, 0.0), 0.5);
     // the beach falls 0.1 m to the water in 0.1/tan 15° = 0.373 m
     let tan = 15f64.to_radians().tan();
@@ -163,12 +163,12 @@ fn the_ground_grows_harder_from_right_to_left() {
 
 #[test]
 fn water_stands_where_it_should() {
-    assert_eq!(terrain(TerrainKind::Rough).water_level_m(), None);
+    assert_eq!(terrain(TerrainKind::Rough).water_level_m, None);
     let pool = terrain(TerrainKind::DeepWater);
-    assert_eq!((pool.water_level_m(), pool.height_m(3.0, 50.0)), (Some(2.0), 0.0));
+    assert_eq!((pool.water_level_m, pool.height_m(3.0, 50.0)), (Some(2.0), 0.0));
     let flooded = TerrainConfig { water_level_m: 0.25, ..TerrainConfig::of(TerrainKind::Hills) };
     let flooded = Terrain::generate(&flooded, 1).unwrap();
-    assert_eq!(flooded.water_level_m(), Some(0.25));
+    assert_eq!(flooded.water_level_m, Some(0.25));
 }
 
 #[test]

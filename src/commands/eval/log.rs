@@ -35,7 +35,7 @@ pub fn write(
     for outcome in outcomes {
         let (name, period_s) = (&outcome.result.name, outcome.period_s);
         let robot = robot.display().to_string();
-        let base = match outcome.terrain.water_level_m() {
+        let base = match outcome.terrain.water_level_m {
             Some(_) => BaseHold::Water,
             None => BaseHold::Free,
         };

@@ -47,10 +47,8 @@ impl Desk {
         let before = all.filter(|change| change.iteration < iteration);
         let made =
             before.map(|change| Changed { iteration: change.iteration, set: change.set.clone() });
-        let config = match iteration.checked_sub(1) {
-            Some(before) => self.record.at(&self.first, before).ok(),
-            None => None,
-        };
+        let before = iteration.checked_sub(1);
+        let config = before.and_then(|before| self.record.at(&self.first, before).ok());
         *self.now() =
             Now { config: config.unwrap_or_else(|| self.first.clone()), made: made.collect() };
     }

@@ -100,14 +100,10 @@ impl View {
     }
 
     fn started(&mut self, started: &Started) {
-        let from = match &started.resumed_from {
-            Some(path) => format!(", resumed from {path}"),
-            None => String::new(),
-        };
-        let metrics = match &started.metrics {
-            Some(addr) => format!(", metrics at http://{addr}/metrics"),
-            None => String::new(),
-        };
+        let from = started.resumed_from.as_ref().map(|path| format!(", resumed from {path}"));
+        let metrics =
+            started.metrics.as_ref().map(|addr| format!(", metrics at http://{addr}/metrics"));
+        let [from, metrics] = [from, metrics].map(Option::unwrap_or_default);
         if started.iteration >= started.iterations {
             return self.note(&format!(
                 "nothing left to learn: {} iterations are done{from}; more with --iterations",

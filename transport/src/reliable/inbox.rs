@@ -25,7 +25,7 @@ pub(crate) struct Inbox {
     generation: u64,
     stop: bool,
     refused: u64,
-    duplicates: u64,
+    pub(crate) duplicates: u64,
 }
 
 struct Link {
@@ -155,10 +155,6 @@ impl Inbox {
         self.refused
     }
 
-    pub(crate) fn duplicates(&self) -> u64 {
-        self.duplicates
-    }
-
     /// Whether the link has one of the `max_actors` seats: it is there, or what it sent is still unread. So
     /// there are never more than `max_actors * window_frames` unread frames, however often actors are
     /// replaced.
@@ -263,7 +259,7 @@ mod tests {
         assert!(inbox.on_message(&data(1, 2), b"b".to_vec(), now));
         // The window of two is full: an actor that keeps to its grant does not send this.
         assert!(!inbox.on_message(&data(1, 3), b"c".to_vec(), now));
-        assert_eq!((inbox.duplicates(), inbox.refused()), (1, 1));
+        assert_eq!((inbox.duplicates, inbox.refused()), (1, 1));
         assert_eq!(inbox.pop().as_deref(), Some(&b"a"[..]));
         // Received 2, read 1, window 2: numbers up to 3 are granted.
         let answers = inbox.answers(false, now);

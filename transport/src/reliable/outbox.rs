@@ -34,7 +34,7 @@ pub(crate) struct Outbox {
     mark: Option<(u64, u64)>,
     generation: u64,
     stop: bool,
-    retransmits: u64,
+    pub(crate) retransmits: u64,
 }
 
 /// A policy of one learner process: its epoch, and which of its policies.
@@ -85,10 +85,6 @@ impl Outbox {
     /// Frames taken and not acknowledged.
     pub(crate) fn depth(&self) -> usize {
         self.frames.len()
-    }
-
-    pub(crate) fn retransmits(&self) -> u64 {
-        self.retransmits
     }
 
     pub(crate) fn stop(&self) -> bool {
@@ -301,7 +297,7 @@ mod tests {
         assert_eq!(number(&outbox.step(later)), (UpKind::Data, 2));
         outbox.on_status(&status(1, 4, 2), later);
         assert_eq!(number(&outbox.step(later)), (UpKind::Data, 3));
-        assert_eq!(outbox.retransmits(), 2);
+        assert_eq!(outbox.retransmits, 2);
     }
 
     #[test]

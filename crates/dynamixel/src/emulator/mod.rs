@@ -46,7 +46,7 @@ pub struct EmulatedBus {
     queue: VecDeque<(u64, Vec<u8>)>,
     free_at_us: u64,
     /// Group writes of goal positions so far.
-    goal_writes: u64,
+    pub goal_writes: u64,
 }
 
 impl EmulatedBus {
@@ -82,11 +82,6 @@ impl EmulatedBus {
     /// The servos, to change them from outside.
     pub fn servos_mut(&mut self) -> &mut [EmulatedServo] {
         &mut self.servos
-    }
-
-    /// Group writes of goal positions heard so far.
-    pub fn goal_writes(&self) -> u64 {
-        self.goal_writes
     }
 
     /// Lets time pass: watchdogs.

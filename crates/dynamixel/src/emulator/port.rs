@@ -14,7 +14,8 @@ const NOISE_US: u64 = 10;
 #[derive(Debug)]
 pub struct EmulatedPort {
     bus: EmulatedBus,
-    now_us: u64,
+    /// Time over there, µs.
+    pub now_us: u64,
     /// When its time began, by the machine's clock, which is not looked at again.
     start: Instant,
     arrived: Vec<u8>,
@@ -31,11 +32,6 @@ impl EmulatedPort {
     /// The far end.
     pub fn bus(&mut self) -> &mut EmulatedBus {
         &mut self.bus
-    }
-
-    /// Time over there, µs.
-    pub fn now_us(&self) -> u64 {
-        self.now_us
     }
 
     /// Lets time pass.

@@ -57,7 +57,7 @@ fn sixteen_servos_in_one_question_plain_and_fast() {
         assert_eq!(positions(&group), expected);
         // 30 bytes asked, 16 × 21 or 232 answered, 10 µs each.
         let wire_us = if fast { 300 + 2320 } else { 300 + 3360 };
-        assert_eq!(bus.port_mut().now_us(), wire_us);
+        assert_eq!(bus.port_mut().now_us, wire_us);
         assert_eq!(bus.counts().silent, 0);
     }
 }
@@ -92,7 +92,7 @@ fn one_silent_servo_is_named_and_the_deadline_holds() {
     let mut group = GroupRead::new(&ids(16), TICK_ADDRESS, TICK_BYTES, false);
     bus.read_group(&mut group, DEADLINE).unwrap();
     // In the emulated port's own time: nothing here waits by the machine's clock.
-    assert!(bus.port_mut().now_us() <= 7_000, "waited {} µs", bus.port_mut().now_us());
+    assert!(bus.port_mut().now_us <= 7_000, "waited {} µs", bus.port_mut().now_us);
     let silent: Vec<usize> = (0..16).filter(|i| group.answer(*i) == Answer::Silent).collect();
     assert_eq!(silent, [4]);
     assert_eq!(bus.counts().silent, 1);

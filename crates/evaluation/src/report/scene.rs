@@ -144,12 +144,12 @@ impl GroundScene {
     /// The ground within [`MARGIN_M`] of a way through these world points, m; all of it for none.
     pub fn around(terrain: &Terrain, way_m: &[[f32; 3]]) -> Self {
         Self {
-            water_m: terrain.water_level_m(),
+            water_m: terrain.water_level_m,
             grid: terrain.grid().map(|grid| {
                 let way = |axis: usize| way_m.iter().map(move |at| at[axis]);
                 let half = grid.size_m() / 2.0;
                 let index = |x: f64| {
-                    let at = (x + half) / grid.cell_m();
+                    let at = (x + half) / grid.cell_m;
                     at.round().clamp(0.0, (grid.points() - 1) as f64) as usize
                 };
                 let range = |axis: usize| {
@@ -167,9 +167,9 @@ impl GroundScene {
                 };
                 let rows: Vec<Vec<f32>> = (y0..=y1).step_by(thin).map(row).collect();
                 GridScene {
-                    x0_m: x0 as f64 * grid.cell_m() - half,
-                    y0_m: y0 as f64 * grid.cell_m() - half,
-                    cell_m: grid.cell_m() * thin as f64,
+                    x0_m: x0 as f64 * grid.cell_m - half,
+                    y0_m: y0 as f64 * grid.cell_m - half,
+                    cell_m: grid.cell_m * thin as f64,
                     columns: rows.first().map_or(0, Vec::len),
                     heights_m: flat_column(&rows),
                 }

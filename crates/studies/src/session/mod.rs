@@ -138,7 +138,6 @@ pub struct Next {
 }
 
 /// A weight as `log.toml` notes it, in one line.
-#[must_use]
 pub fn noted(weight: &Payload) -> String {
     let [x, y, z] = weight.at_m;
     format!(

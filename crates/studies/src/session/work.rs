@@ -34,10 +34,7 @@ const LOOK_FOR_LOG_EVERY: Duration = Duration::from_millis(200);
 /// a log cannot be used, or a step is stopped.
 pub fn session(plan: &Plan, steps: &mut Steps<'_>) -> Result<Session, Failure> {
     let lab = Arc::new(files::robot(&plan.robot)?);
-    let truth = match &plan.truth {
-        Some(path) => Some(truth(path, &lab)?),
-        None => None,
-    };
+    let truth = plan.truth.as_ref().map(|path| truth(path, &lab)).transpose()?;
     let _taken = OutFolder::take(&plan.dir, &asked(plan, &lab, truth.as_deref()))?;
     let mut own = Own { plan, lab, truth, rounds: Vec::new(), prospects: None };
     own.go_back()?;

@@ -271,14 +271,14 @@ fn a_batch_of_another_size_is_refused() {
 fn a_critic_alone_learns_while_the_policy_and_its_rate_stay() {
     let batch = batch(8, 8);
     let mut ppo = ppo(|_| {}, 1);
-    let (before, rate) = (ppo.net().to_vec().unwrap(), ppo.learning_rate());
+    let (before, rate) = (ppo.net().to_vec().unwrap(), ppo.learning_rate);
     let order = &mut stream(Purpose::Minibatch);
     ppo.update(&Arc::new(batch), &scaling(), 0, order, true).unwrap();
     let after = ppo.net().to_vec().unwrap();
     let policy = ppo.net().policy_len();
     assert_eq!(before[..policy], after[..policy]);
     assert_ne!(before[policy..], after[policy..]);
-    assert_eq!(ppo.learning_rate(), rate);
+    assert_eq!(ppo.learning_rate, rate);
 }
 
 #[test]
