@@ -1,7 +1,7 @@
 //! Volumes and inertias of shapes, and inertias put together.
 
 use crate::pose::{self, Pose};
-use crate::types::Shape;
+use crate::types::{Geom, Shape, Softness};
 
 /// Mass, centre of mass (m) and inertia about it (kg·m²), in the axes of the frame that it is seen from.
 #[derive(Clone, Copy, Debug, Default)]
@@ -53,6 +53,26 @@ impl Inertial {
             self.inertia_kgm2 = diagonal([mean; 3]);
         }
         self
+    }
+}
+
+/// Thinner than this nothing is drawn, m.
+const THIN_M: f64 = 5e-4;
+
+impl Inertial {
+    /// The box of even density that has this inertia, to be looked at.
+    pub fn drawn(&self) -> Geom {
+        let ([x, y, z], quat_wxyz) = principal(self.inertia_kgm2);
+        let half = |rest: f64| (1.5 * rest / self.mass_kg).max(0.0).sqrt().max(THIN_M);
+        Geom {
+            name: None,
+            shape: Shape::Box { half_size_m: [y + z - x, z + x - y, x + y - z].map(half) },
+            link_from_geom: Pose { pos_m: self.com_m, quat_wxyz },
+            friction: 0.0,
+            contype: 0,
+            conaffinity: 0,
+            soft: Softness::default(),
+        }
     }
 }
 

@@ -3,10 +3,10 @@
 use std::collections::BTreeSet;
 
 use crate::geometry::Solid;
-use crate::parts::{Actuator, Body, Joint, Robot};
+use crate::parts::{Actuator, Body, Joint, Painted, Robot};
 use crate::pose::{self, Pose};
 use crate::tree::{Element, Remarks};
-use crate::types::JointMotion;
+use crate::types::{JointMotion, Shape};
 
 /// Joint positions of the pose that the robot file calls nominal.
 pub(super) fn nominal(robot: &Robot, joint: &Joint) -> f64 {
@@ -43,6 +43,7 @@ pub(super) fn finish(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
         }
     }
     strengthen(robot, root, remarks);
+    shape(robot, remarks);
     name_uniquely(robot);
     if robot.actuators.is_empty() {
         remarks.refuse(
@@ -220,6 +221,47 @@ fn strengthen(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
             }
         }
     }
+}
+
+/// A lighter body without a shape is not drawn, share of the robot's mass.
+const DRAWN_LEAST: f64 = 0.002;
+
+/// Ellipsoids that touch become the capsules inside them; what has no shape is drawn as the box of its inertia.
+fn shape(robot: &mut Robot, remarks: &mut Remarks) {
+    let least_kg = DRAWN_LEAST * weight_n(robot) / GRAVITY_MPS2;
+    for body in &mut robot.bodies {
+        let touching = body.geoms.iter_mut().map(|g| &mut g.geom).filter(|g| g.collides());
+        for geom in touching {
+            if let Shape::Ellipsoid { semi_axes_m } = geom.shape {
+                (geom.shape, geom.link_from_geom) = inside(semi_axes_m, &geom.link_from_geom);
+                let message = "ellipsoids touch the ground as the capsules inside them";
+                remarks.note_once(&body.element, message);
+            }
+        }
+        let moves = body.parent.is_some() || robot.free_base;
+        let inertial = body.inertial.filter(|i| moves && i.mass_kg > least_kg);
+        if let (true, Some(inertial)) = (body.geoms.is_empty(), inertial) {
+            body.geoms.push(Painted { geom: inertial.drawn(), rgba: None });
+            let message = "a body without a shape is drawn as the box of its inertia";
+            remarks.note_once(&body.element, message);
+        }
+    }
+}
+
+/// The capsule along an ellipsoid's longest axis that lies inside it; a ball where it is one.
+fn inside(semi_axes_m: [f64; 3], link_from_geom: &Pose) -> (Shape, Pose) {
+    let radius_m = semi_axes_m.into_iter().fold(f64::INFINITY, f64::min);
+    let longest_m = semi_axes_m.into_iter().fold(0.0, f64::max);
+    let half_length_m = longest_m - radius_m;
+    if half_length_m < 1e-6 {
+        return (Shape::Sphere { radius_m }, *link_from_geom);
+    }
+    let along = semi_axes_m.iter().position(|a| *a == longest_m).unwrap_or(2);
+    let axis = |k: usize| [0, 1, 2].map(|i| f64::from(u8::from(i == (along + k) % 3)));
+    let quat_wxyz = pose::quat_from_axes(axis(1), axis(2));
+    let quat_wxyz = quat_wxyz.unwrap_or(Pose::IDENTITY.quat_wxyz);
+    let turned = Pose { quat_wxyz, ..Pose::IDENTITY };
+    (Shape::Capsule { radius_m, half_length_m }, link_from_geom.compose(&turned))
 }
 
 /// Two digits of a number: it is a guess.

@@ -96,6 +96,12 @@ pub fn import(file: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
         };
         remarks.note(&root, message);
     }
+    let base = &robot.bodies[0];
+    if !robot.free_base && base.joints.len() > 1 && !robot_toml::driven(&robot, 0) {
+        let message = "moves on joints without a drive, so its base counts as held and no preset trains it; for a \
+                       robot that walks in space write <freejoint/> in their place";
+        remarks.note_of(&base.element, message);
+    }
     if let Some(wheel) = robot.bodies.iter().find(|body| robot_toml::wheel(body)) {
         let message = "rolls on its joint: wheels are not counted as feet, and driven ones end at a full turn";
         remarks.note_of(&wheel.element, message);

@@ -436,7 +436,6 @@ pub(super) fn moved(joint: &Joint, q: f64) -> Pose {
 
 /// Shapes that can touch the ground.
 pub(super) fn reaching(body: &Body) -> impl Iterator<Item = &Geom> {
-    let solid = |g: &&Geom| !matches!(g.shape, Shape::Ellipsoid { .. } | Shape::Plane);
     let geoms = body.geoms.iter().map(|painted| &painted.geom);
-    geoms.filter(|g| g.collides()).filter(solid)
+    geoms.filter(|g| g.collides() && g.shape != Shape::Plane)
 }

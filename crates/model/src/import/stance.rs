@@ -88,10 +88,12 @@ impl Limb {
     /// How far out the file stretches it, forward and to the left; forward counts only where it is spread.
     fn out_m(&self) -> [f64; 2] {
         let [x, y, _] = pose::sub(self.zero_m, self.hip_m);
-        match y.abs() < SPREAD_LEAST * self.length_m() || x.abs() > 2.0 * y.abs() {
-            true => [0.0, y],
-            false => [x, y].map(|d| SPREAD * d),
-        }
+        // a leg in the middle, of those that stand around a trunk, is spread forward or backward
+        let aside = match self.hip_m[1].abs() < ASIDE_LEAST_M {
+            true => x.abs() >= SPREAD_LEAST * self.length_m(),
+            false => y.abs() >= SPREAD_LEAST * self.length_m() && x.abs() <= 2.0 * y.abs(),
+        };
+        if aside { [x, y].map(|d| SPREAD * d) } else { [0.0, y] }
     }
 
     /// Whether it is bent in the file, with its end where a foot belongs.

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use crate::geometry::principal;
 use crate::parts::{Actuator, Body, Joint, Painted, Robot};
 use crate::pose::Pose;
-use crate::types::{JointMotion, Shape, Softness};
+use crate::types::{JointMotion, Softness};
 use crate::xml_text::{escaped, line};
 
 /// Writes everything out: no classes, radians, inertia of every body.
@@ -116,15 +116,12 @@ fn write_geom(w: &mut String, Painted { geom, rgba }: &Painted, depth: usize) {
     }
     let _ =
         write!(text, " type=\"{kind}\" size=\"{}\"{}", size.join(" "), pose(&geom.link_from_geom));
-    // an ellipsoid touches nothing here: it is for the eye
-    let touches = !matches!(geom.shape, Shape::Ellipsoid { .. });
-    let bits = |b: u32| if touches { b } else { 0 };
-    for (key, value) in [("contype", bits(geom.contype)), ("conaffinity", bits(geom.conaffinity))] {
+    for (key, value) in [("contype", geom.contype), ("conaffinity", geom.conaffinity)] {
         if value != 1 {
             let _ = write!(text, " {key}=\"{value}\"");
         }
     }
-    if geom.collides() && touches {
+    if geom.collides() {
         let _ = write!(text, " friction=\"{}\"", geom.friction.max(0.0));
         soft(&mut text, &geom.soft, "solref", "solimp");
     }

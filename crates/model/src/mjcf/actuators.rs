@@ -44,15 +44,22 @@ pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot)
             }
             continue;
         };
-        // a robot's own file is held against the order of the robot file, which says more
-        if !context.remarks.strict && robot.actuators.iter().any(|a| a.joint == joint) {
-            context
-                .remarks
-                .note_of(&e, format!("`{joint}` has an actuator already; this one is not kept"));
-            continue;
-        }
         let gear = e.numbers("gear", context.remarks).and_then(|g| g.first().copied());
         let gear = gear.unwrap_or(1.0).abs();
+        // a robot's own file is held against the order of the robot file, which says more
+        let first = robot.actuators.iter_mut().find(|a| a.joint == joint);
+        if let Some(first) = first.filter(|_| !context.remarks.strict) {
+            if let (Some((_, kd)), "velocity") = (&mut first.gains, e.tag.as_str()) {
+                *kd += e.number("kv", context.remarks).unwrap_or(1.0) * gear * gear;
+                let message =
+                    "a velocity actuator beside one of position: its kv is added to the kd";
+                context.remarks.note_once(&e, message);
+            } else {
+                let message = format!("`{joint}` has an actuator already; this one is not kept");
+                context.remarks.note_of(&e, message);
+            }
+            continue;
+        }
         let limit = |context: &mut Context<'_>, key: &str| {
             let range = e.array::<2>(key, context.remarks)?;
             Some(range[0].abs().max(range[1].abs()) * gear).filter(|x| *x > 0.0)
@@ -109,6 +116,9 @@ fn gains(context: &mut Context<'_>, e: &Element) -> Option<(f64, f64, f64)> {
             let kp = e.number("kp", context.remarks).unwrap_or(1.0);
             let kv = e.number("kv", context.remarks).unwrap_or(0.0);
             let ratio = e.not_negative("dampratio", context.remarks).unwrap_or(0.0);
+            if e.number("timeconst", context.remarks).is_some_and(|t| t > 0.0) {
+                context.remarks.note_once(e, "timeconst: the filter of the command is not kept");
+            }
             if ratio > 0.0 {
                 let message = "dampratio: gains follow from what hangs on each joint, the trunk held; MuJoCo, whose trunk \
                                gives way, makes up to a third less of it (actuator_biasprm)";

@@ -13,6 +13,8 @@ use crate::types::{Geom, Shape};
 
 /// A tree with at most this part of the robot's drives is not another robot.
 const LEFT_OVER: usize = 4;
+/// A medium as dense is water and no air.
+const WATER_LEAST_KG_PER_M3: f64 = 100.0;
 
 /// Sections that say nothing of how the robot moves, or nothing that is kept.
 const PASSED_OVER: &[(&str, &str)] = &[
@@ -47,6 +49,12 @@ pub(crate) fn read(root: &Element, file: &Path, remarks: &mut Remarks) -> Option
                 robot.gravity_mps2 = gravity.unwrap_or(robot.gravity_mps2);
                 if !context.remarks.strict {
                     context.remarks.note(section, "<option>: only gravity is kept");
+                    let density = section.number("density", context.remarks);
+                    if density.is_some_and(|d| d >= WATER_LEAST_KG_PER_M3) {
+                        let message =
+                            "its water goes into [water] of the robot file, and terrain.kind";
+                        context.remarks.note_of(section, message);
+                    }
                 }
             }
             "contact" => {

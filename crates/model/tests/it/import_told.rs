@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use caudata_model::import::{ImportError, ImportOptions, Imported, import};
-use caudata_model::{Pose, RobotModel};
+use caudata_model::{Pose, RobotModel, Shape};
 
 use crate::import::{model, read};
 
@@ -119,7 +119,8 @@ fn wheels_are_no_feet_and_a_damping_ratio_becomes_a_gain() {
         "<mujoco><worldbody><body name=\"base\"><freejoint/><geom size=\"0.05\"/>{}{}\
          <body name=\"arm\"><joint name=\"arm\" axis=\"0 1 0\" range=\"-40 40\" armature=\"0.05\"/>\
          <inertial pos=\"0 0 -0.5\" mass=\"1\" diaginertia=\"0.01 0.01 0.01\"/></body></body></worldbody><actuator>\
-         <position joint=\"arm\" kp=\"30\" dampratio=\"0.5\" gear=\"3\"/><motor joint=\"l\"/><motor joint=\"r\"/></actuator></mujoco>",
+         <position joint=\"arm\" kp=\"30\" dampratio=\"0.5\" gear=\"3\"/>\
+         <velocity joint=\"arm\" kv=\"0.1\" gear=\"3\"/><motor joint=\"l\"/><motor joint=\"r\"/></actuator></mujoco>",
         wheel("l", 0.1),
         wheel("r", -0.1)
     );
@@ -128,9 +129,9 @@ fn wheels_are_no_feet_and_a_damping_ratio_becomes_a_gain() {
     let m = model(&made);
     assert!(m.feet().is_empty());
     let gains = m.gains()[0];
-    // 0.25 + 0.01 + 0.05 kg·m² at 270 N·m/rad
+    // 0.25 + 0.01 + 0.05 kg·m² at 270 N·m/rad, and 9 × 0.1 N·m·s/rad
     assert!((gains.kp_nm_per_rad - 270.0).abs() < 1e-9);
-    assert!((gains.kd_nm_s_per_rad - (270.0_f64 * 0.31).sqrt()).abs() < 1e-9, "{gains:?}");
+    assert!((gains.kd_nm_s_per_rad - (270.0_f64 * 0.31).sqrt() - 0.9).abs() < 1e-9, "{gains:?}");
 }
 
 #[test]
@@ -153,6 +154,47 @@ fn legs_that_the_file_stretches_out_stand_spread() {
     let feet = feet(&m);
     assert_eq!(feet.len(), 4, "{feet:?}");
     assert!(feet.iter().all(|f| f[2] < -0.1 && f[1].abs() > 0.12), "{feet:?}");
+}
+
+/// Four legs around a trunk, two of them in its middle plane; a trunk that is an ellipsoid, thighs without a shape.
+#[test]
+fn legs_around_a_trunk_are_spread_and_what_has_no_shape_is_drawn() {
+    let joint = |name: &str, k: i32, axis: &str, range: &str| {
+        format!("<joint name=\"{name}{k}\" axis=\"{axis}\" range=\"{range}\"/>")
+    };
+    let leg = |k: i32| {
+        let (y, x) = f64::from(90 * k).to_radians().sin_cos();
+        format!(
+            "<body name=\"hip{k}\" pos=\"{} {} 0\" euler=\"0 0 {}\">{}{}\
+             <inertial pos=\"0.04 0 0\" mass=\"0.06\" diaginertia=\"1e-5 4e-5 4e-5\"/>\
+             <body name=\"shank{k}\" pos=\"0.08 0 0\">{}<geom type=\"capsule\" fromto=\"0 0 0 0.12 0 0\" size=\"0.01\"/></body></body>",
+            0.08 * x,
+            0.08 * y,
+            90 * k,
+            joint("yaw", k, "0 0 1", "-45 45"),
+            joint("lift", k, "0 -1 0", "-70 70"),
+            joint("knee", k, "0 -1 0", "-137 0")
+        )
+    };
+    let text = format!(
+        "<mujoco><worldbody><body name=\"trunk\"><freejoint/><geom type=\"ellipsoid\" size=\"0.06 0.09 0.03\"/>{}</body>\
+         </worldbody></mujoco>",
+        (0..4).map(leg).collect::<String>()
+    );
+    let made = read("star.xml", &text).unwrap();
+    assert!(
+        told(&made, "the capsules inside them") && told(&made, "the box of its inertia"),
+        "{:?}",
+        made.notes
+    );
+    let m = model(&made);
+    let trunk = m.links()[0].geoms[0].shape;
+    assert_eq!(trunk, Shape::Capsule { radius_m: 0.03, half_length_m: 0.06 });
+    let feet = feet(&m);
+    assert!(feet.iter().all(|f| f[2] < -0.06 && f[0].hypot(f[1]) > 0.12), "{feet:?}");
+    // 0.06 kg, 1e-5 and 4e-5 kg·m²: a rod of 3.2 by 3.2 by 8.4 cm
+    let Shape::Box { half_size_m } = m.links()[1].geoms[0].shape else { panic!() };
+    assert!((half_size_m.iter().sum::<f64>() - 0.0158 * 2.0 - 0.0418).abs() < 1e-3);
 }
 
 #[test]
