@@ -130,8 +130,8 @@ fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
         )
         .collect();
     let t = together(&error, &smooth(cur, run.grid.points(SLOW_S)), 0);
-    let asked: Vec<f64> = cmd.iter().zip(pos).map(|(u, q)| u - q).collect();
-    if let Some((kind, detail)) = one_sided(run, joint, cur, &asked) {
+    let asked = cmd.iter().zip(pos).zip(&speed).map(|((u, q), v)| (u - q, *v));
+    if let Some((kind, detail)) = one_sided(run, joint, cur, asked) {
         let at = format!("cur.{}", joint.name);
         return out.push(Finding::fatal(kind, at, detail));
     }
@@ -147,21 +147,27 @@ fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
 }
 
 /// What is wrong with a current that is never negative, or always the same, although what is left of the
-/// command (rad) asks the servo for much torque one way and, as long, the other.
+/// command (rad), with the damping of the speed (rad/s) and without it, asks the servo for much torque one way and,
+/// as long, the other. (What hangs on a joint holds its torque to one way while the error goes both.)
 fn one_sided(
     run: &Run<'_>,
     joint: &Channels,
     cur: &[f64],
-    left_rad: &[f64],
+    asked: impl Iterator<Item = (f64, f64)>,
 ) -> Option<(&'static str, String)> {
     let servo = run.robot.servo(joint.index);
-    let kp = (run.log.meta.gains(&joint.name).0).unwrap_or(run.robot.kp_nm_per_rad(joint.index));
+    let (kp, kd) = run.log.meta.gains(&joint.name);
+    let kp = kp.unwrap_or(run.robot.kp_nm_per_rad(joint.index));
+    let kd = kd.unwrap_or(run.robot.kd_nm_s_per_rad(joint.index));
     let idle_nm = servo.current_dead_band_a * servo.torque_per_current_nm_per_a;
     let most_nm = (PULLS * servo.tau_max_nm).max(2.0 * idle_nm);
     let much = |x: f64| kp * x > most_nm && x > 3.0 * servo.encoder_lsb_rad();
-    let long = run.grid.points(LONG_ENOUGH_S);
-    let ways = [1.0, -1.0].map(|way| left_rad.iter().filter(|x| much(way * **x)).count());
-    if ways.iter().any(|n| *n < long) {
+    let ways = asked.fold([0; 2], |[up, down], (x, v)| {
+        let damped = x - kd / kp * v;
+        let most = |way: f64| usize::from(much(way * x) && much(way * damped));
+        [up + most(1.0), down + most(-1.0)]
+    });
+    if ways.iter().any(|n| *n < run.grid.points(LONG_ENOUGH_S)) {
         return None;
     }
     let known = || cur.iter().filter(|i| i.is_finite());

@@ -267,6 +267,7 @@ mod tests {
                 low: 0.0,
                 interval,
                 beyond_doubt: false,
+                rest: false,
                 passed: true,
                 why: "",
             },

@@ -33,6 +33,9 @@ const BEYOND_DOUBT: f64 = 0.9;
 /// prove it by themselves once more.
 const BEYOND_DOUBT_SHARE: f64 = 0.25;
 
+/// What takes this share of what other causes leave beyond white noise belongs to them, however little it is.
+const MOST_OF_REST: f64 = 0.5;
+
 /// What a model must leave of the misfit of held-out runs to be nearer to them than the robot as given, over all …
 const HELD_OUT: f64 = 0.98;
 /// … or at one joint.
@@ -55,6 +58,8 @@ pub struct Worth {
     pub interval: (f64, f64),
     /// Whether the runs it was fitted to leave no doubt.
     pub beyond_doubt: bool,
+    /// Whether it takes most of what other causes leave.
+    pub rest: bool,
     /// Whether all gates are passed.
     pub passed: bool,
     /// Which gate failed first; empty if none.
@@ -84,11 +89,11 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
     // what is asked for in one second only is no incident if it is foretold there nearly to the end
     let fitted_blocks = || blocks(&falls(&context.fit, &own, &from.fit, &to.fit));
     let again = beyond_doubt && (cross > NEARLY_ALL * of || fitted_blocks() >= SEVERAL_BLOCKS);
-    let (sure, absolute) = if beyond_doubt {
-        (at(0.025) > 0.0, 0.5 * ABSOLUTE_GAIN)
-    } else {
-        (low > 0.0, ABSOLUTE_GAIN)
-    };
+    let white = (mask.iter().enumerate()).filter(|(_, m)| **m).map(|(k, _)| white(judge, k));
+    let beyond = of - white.sum::<f64>() / samples as f64;
+    let rest = !from.terms.is_empty() && cross > MOST_OF_REST * beyond;
+    let sure = if beyond_doubt { at(0.025) } else { low } > 0.0;
+    let absolute = if beyond_doubt || rest { 0.5 } else { 1.0 } * ABSOLUTE_GAIN;
     let why = if fit <= 0.0 {
         "no gain on the runs it was fitted to"
     } else if cross <= 0.0 {
@@ -114,6 +119,7 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
         low,
         interval: (at(0.025), at(0.975)),
         beyond_doubt,
+        rest,
         passed: why.is_empty(),
         why,
     }
@@ -158,6 +164,15 @@ fn from_one_block(gains: &[f64]) -> bool {
 /// Misfit from which on there is something to explain. Of many joints one is always a little off.
 pub fn quiet(context: &Context) -> f64 {
     if context.replayer.model().actuated().len() < MANY_JOINTS { CAREFUL_LAB } else { NOTHING_LEFT }
+}
+
+/// Misfit below which no further effect can pass.
+pub fn least(context: &Context) -> f64 {
+    if context.replayer.model().actuated().len() < MANY_JOINTS {
+        ABSOLUTE_GAIN
+    } else {
+        NOTHING_LEFT
+    }
 }
 
 /// The greatest misfit of the joints, and of the body, that have a sample in `mask`.
@@ -215,14 +230,18 @@ fn groups(joints: usize, parts: &[(&Judge, &On)]) -> Vec<(f64, f64)> {
         for piece in judge.data.pieces() {
             let group = group(joints, piece);
             let part = &on.residual[piece.range.clone()];
-            let noise = &judge.noise;
-            let white = |k| f64::from(noise.left[k] / noise.sigma[k]).powi(2);
-            let beyond = dot(part, part) - piece.range.clone().map(white).sum::<f64>();
+            let white = piece.range.clone().map(|k| white(judge, k));
+            let beyond = dot(part, part) - white.sum::<f64>();
             sums[group].0 += beyond.max(0.0);
             sums[group].1 += part.len() as f64;
         }
     }
     sums
+}
+
+/// What white noise adds to the square of sample `k`, floors.
+fn white(judge: &Judge, k: usize) -> f64 {
+    f64::from(judge.noise.left[k] / judge.noise.sigma[k]).powi(2)
 }
 
 /// Misfit in cross-validation. Of a robot with many joints, each joint counts as [`CAREFUL_LAB`] at

@@ -416,6 +416,7 @@ mod tests {
             low: 0.0,
             interval: (0.0, 0.0),
             beyond_doubt: false,
+            rest: false,
             passed: true,
             why: "",
         }

@@ -23,6 +23,9 @@ fn relative(kind: Kind) -> f64 {
     }
 }
 
+/// Share of what a servo does that no simulation is expected to hit: of how far a held joint is from its command, rms,
+/// if that is finer than the share of its motion.
+const OF_ERROR: f64 = 0.05;
 /// A servo that gives next to no torque reads its idle current, one way or the other: up to so many times
 /// that, a reading tells no more than that.
 const IDLE: f64 = 1.3;
@@ -133,7 +136,11 @@ impl Noise {
             BaseHold::Fixed => spread(&in_all_stretches(data, trial, piece)),
             _ => spread(values),
         };
-        let sigma = (floor.max(repeat).powi(2) + (relative(piece.kind) * size).powi(2)).sqrt();
+        let mut share = relative(piece.kind) * size;
+        if let (Kind::Position, BaseHold::Fixed) = (piece.kind, own.base) {
+            share = share.min(OF_ERROR * behind(own, piece.index, time_s, values));
+        }
+        let sigma = floor.max(repeat).hypot(share);
         let sigma = sigma.max(smallest(piece.kind));
         let idle_a = match piece.kind {
             Kind::Current => model.servo(piece.index).current_dead_band_a,
@@ -160,6 +167,14 @@ fn in_all_stretches(data: &Data, trial: usize, piece: &Piece) -> Vec<f64> {
     let stretches = data.segments.iter().filter(|s| s.trial == trial);
     let same = stretches.flat_map(|s| &s.pieces).filter(|p| p.channel == piece.channel);
     same.flat_map(|p| &data.value[p.range.clone()]).copied().collect()
+}
+
+/// How far joint `index`, which is at `values` at `time_s`, is from its command, rms.
+fn behind(trial: &Trial, index: usize, time_s: &[f64], values: &[f64]) -> f64 {
+    let Some(command) = trial.commands.get(index) else { return f64::INFINITY };
+    let off = |(t, y): (&f64, &f64)| (command.at(*t) - y).powi(2);
+    let square: f64 = time_s.iter().zip(values).map(off).sum();
+    (square / values.len().max(1) as f64).sqrt()
 }
 
 /// Noise of a reading, SI: where it may be idle current (A; 0: the servo shows none), all of that.

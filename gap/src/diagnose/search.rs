@@ -82,7 +82,7 @@ pub fn search(
 ) -> Result<(), GapError> {
     for depth in 1..=MOST_TERMS {
         if depth > 1 {
-            if gates::worst(context, &found.best) < gates::quiet(context) {
+            if gates::worst(context, &found.best) < gates::least(context) {
                 break;
             }
             take_anew(context, found)?;
@@ -223,6 +223,7 @@ fn last_place(state: &State) -> Option<&Place> {
 fn enough(context: &Context, worth: &Worth, base: &State, place: Option<&Place>) -> bool {
     let all = gates::part(&context.fit, &base.cross, place);
     worth.cross > OF_ALL * all
+        || worth.rest
         || (worth.beyond_doubt && worth.fit > OF_ALL * all)
         || worth.of > gates::FAR
         || (worth.of > MUCH && worth.cross > OF_REST * worth.of)

@@ -259,6 +259,30 @@ fn a_current_without_its_sign_or_that_nobody_reads_is_found() {
 }
 
 #[test]
+fn a_current_that_holds_a_weight_all_the_time_has_its_sign() {
+    // 0.5 N·m one way; the error that gives it goes both ways with the damping: e = (0.5 + kd·q̇)/kp
+    let robot = robot("polymander");
+    let held = |kd: f64| {
+        let mut log = logs(&robot, "chirp_medium", &[3]).remove(0);
+        (log.meta.kp, log.meta.kd) = (Some(20.0), Some(kd));
+        let [cmd, pos, cur]: [Signal; 3] =
+            ["cmd", "pos", "cur"].map(|kind| format!("{kind}.FL_hip").parse().unwrap());
+        let changed = changed(&log, |s, _, t, v| match s {
+            s if *s == cmd => {
+                Some(0.3 * (2.0 * t).sin() + (0.5 + 2.0 * 0.6 * (2.0 * t).cos()) / 20.0)
+            }
+            s if *s == pos => Some(0.3 * (2.0 * t).sin()),
+            s if *s == cur => Some(0.3 + 0.02 * (9.0 * t).sin()),
+            _ => v,
+        });
+        let faults = one(&robot, &changed).faults;
+        faults.iter().any(|f| f.kind == "sign" && f.location.ends_with("cur.FL_hip"))
+    };
+    assert!(held(0.0));
+    assert!(!held(2.0));
+}
+
+#[test]
 fn a_misspelt_key_is_found_and_one_that_nobody_reads_is_named() {
     let robot = robot("xl330_pendulum");
     for (key, fault) in [("Kp", true), ("suply_v", true), ("kp_register", false)] {
