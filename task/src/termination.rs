@@ -21,7 +21,7 @@ settings! {
         pub max_tilt_rad: f32 = 1.0,
         /// Allowed height of the whole-body centre of mass above the ground under the feet, m, [min, max].
         /// Default −0.1 to 1.0, which catches falling through the ground and flying off; lying on the belly
-        /// (about 0.04) is allowed, because the robot can crawl and swim that way.
+        /// (about 0.04) is allowed, because the robot can crawl and swim that way. In water only the first counts.
         pub com_height_m: [f32; 2] = [-0.1, 1.0],
         /// Further states that end an episode. Default none.
         pub when: Vec<OwnCondition>,
@@ -112,6 +112,8 @@ pub struct TerminationInput {
     pub gravity: [f32; 3],
     /// Height of the whole-body centre of mass above the ground under the feet, m.
     pub com_height_m: f32,
+    /// Whether that is below the surface of water, which may be deep.
+    pub submerged: bool,
 }
 
 /// The first reason to end the episode, if any. A value that is not a number counts as failed, never as
@@ -125,7 +127,7 @@ pub fn check(config: &TerminationConfig, input: &TerminationInput) -> Option<Ter
         Some(if upright < 0.0 { TerminationReason::UpsideDown } else { TerminationReason::Tilted })
     } else if height < config.com_height_m[0] {
         Some(TerminationReason::TooLow)
-    } else if height > config.com_height_m[1] {
+    } else if height > config.com_height_m[1] && !input.submerged {
         Some(TerminationReason::TooHigh)
     } else {
         None
@@ -136,8 +138,12 @@ pub fn check(config: &TerminationConfig, input: &TerminationInput) -> Option<Ter
 mod tests {
     use super::*;
 
-    const STANDING: TerminationInput =
-        TerminationInput { diverged: false, gravity: [0.0, 0.0, -1.0], com_height_m: 0.12 };
+    const STANDING: TerminationInput = TerminationInput {
+        diverged: false,
+        gravity: [0.0, 0.0, -1.0],
+        com_height_m: 0.12,
+        submerged: false,
+    };
 
     /// Gravity seen by a body rolled by `roll`: (0, −sin, −cos).
     fn rolled(roll: f32) -> TerminationInput {
@@ -165,6 +171,8 @@ mod tests {
             check(TerminationInput { com_height_m: 1.5, ..STANDING }),
             Some(TerminationReason::TooHigh)
         );
+        let in_deep_water = TerminationInput { com_height_m: 1.9, submerged: true, ..STANDING };
+        assert_eq!(check(in_deep_water), None);
         assert_eq!(
             check(TerminationInput { diverged: true, ..STANDING }),
             Some(TerminationReason::Diverged)

@@ -364,8 +364,12 @@ impl VecEnv {
         }
         self.buffers.output.rewards[lane] = reward;
 
-        let input =
-            TerminationInput { diverged, gravity: truth.gravity, com_height_m: truth.com_height_m };
+        let input = TerminationInput {
+            diverged,
+            gravity: truth.gravity,
+            com_height_m: truth.com_height_m,
+            submerged: truth.submerged > 0.0,
+        };
         let reason = termination::check(&self.task.termination, &input)
             .or(own_end.then_some(TerminationReason::Condition));
         let ended = reason.is_some() || now.step >= now.step_limit;

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::error::ModelError;
-use crate::params::{BacklashParams, WaterParams};
+use crate::params::{AddedShare, BacklashParams, DragScale, WaterParams};
 use crate::parts::Robot;
 use crate::robot_file::{BaseWord, Checker, RobotFile};
 use crate::servos::Presets;
@@ -305,7 +305,7 @@ fn foot(c: &Checker<'_>, at: String, names: &[String], links: &[Link]) -> Result
     Ok(out)
 }
 
-/// Water parameters with one drag scale per link: each link belongs to exactly one group.
+/// Water parameters with one drag scale per link: each link belongs to exactly one group, where there are any.
 pub(crate) fn water(
     c: &Checker<'_>,
     file: &RobotFile,
@@ -324,7 +324,11 @@ pub(crate) fn water(
     }
     let mut drag = Vec::with_capacity(links.len());
     let mut added = Vec::with_capacity(links.len());
-    for link in links {
+    if w.drag.is_empty() {
+        drag.resize(links.len(), DragScale::default());
+        added.resize(links.len(), AddedShare::default());
+    }
+    for link in links.iter().filter(|_| !w.drag.is_empty()) {
         let mut groups = w.drag.values().filter(|g| g.links.contains(&link.name));
         let (Some(one), None) = (groups.next(), groups.next()) else {
             return c.refuse(

@@ -187,6 +187,14 @@ pub struct AddedShare {
     pub inertia: [f64; 3],
 }
 
+impl Default for DragScale {
+    /// The box as it is.
+    fn default() -> Self {
+        let [linear_force, quadratic_force, linear_torque, quadratic_torque] = [[1.0; 3]; 4];
+        Self { linear_force, quadratic_force, linear_torque, quadratic_torque }
+    }
+}
+
 /// Factors on the box drag of a link, along (or about) the link's x, y and z axes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

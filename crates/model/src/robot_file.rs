@@ -193,6 +193,8 @@ pub(crate) struct WaterTable {
     pub viscosity_pa_s: f64,
     pub buoyancy_ratio: f64,
     pub heave_damping_ns_per_m: f64,
+    /// By group; without any, every link has the drag of its box.
+    #[serde(default)]
     pub drag: BTreeMap<String, DragGroup>,
 }
 

@@ -14,7 +14,7 @@ use caudata_evaluation::{
 };
 use caudata_model::RobotModel;
 use caudata_policy::PolicyFile;
-use caudata_sim::EngineKind;
+use caudata_sim::{EngineKind, TerrainKind};
 use caudata_studies::failures::refused;
 use caudata_studies::{files, flags};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process, StopFlag};
@@ -259,7 +259,7 @@ fn warn_of_differences(
     Ok(())
 }
 
-/// What a run is told about its policy when it ends: forward at its speed on flat ground. The page goes into
+/// What a run is told about its policy when it ends: forward at its speed, on flat ground or afloat. The page goes into
 /// the file `page`.
 pub fn evaluate(
     config: &Config,
@@ -275,12 +275,19 @@ pub fn evaluate(
         ..Settings::default()
     };
     let speed_mps = config.evaluation.command_mps as f32;
-    let scenario = Scenario::walk(&flat_name(speed_mps), [speed_mps, 0.0, 0.0]);
+    // what was trained where there is no land is judged there
+    let swims = config.terrain.kind == TerrainKind::DeepWater;
+    let name = if swims { format!("swim {speed_mps} m/s") } else { flat_name(speed_mps) };
+    let mut scenario = Scenario::walk(&name, [speed_mps, 0.0, 0.0]);
+    if swims {
+        scenario.terrain = config.terrain.clone();
+        scenario.judged = false;
+    }
     let go_on = || stop.reason().is_none();
     let outcome = run_scenario(config, model, policy, &scenario, &settings, &go_on)
         .map_err(|error| refused(error, stop))?;
     let result = SuiteResult {
-        suite: Suite::Flat,
+        suite: if swims { Suite::Swim } else { Suite::Flat },
         engine: config.engine.kind.name().into(),
         policy_version: policy.metadata().version,
         policy_sha256: policy.sha256_hex(),
