@@ -122,7 +122,8 @@ pub fn records<T: Serialize>(records: &[T], keys: &str) {
         let record = serde_json::to_value(record).unwrap_or_default();
         keys.iter().map(|key| cell(key, &record[*key])).collect()
     };
-    table(&keys, records.iter().map(row));
+    let head: Vec<&str> = keys.iter().map(|key| title(key)).collect();
+    table(&head, records.iter().map(row));
 }
 
 /// One record on a line: the fields that `keys` names.
@@ -137,8 +138,16 @@ pub fn fields(record: &impl Serialize, keys: &str) {
 
 fn named(record: &impl Serialize, keys: &str) -> impl Iterator<Item = String> {
     let record = serde_json::to_value(record).unwrap_or_default();
-    let field = move |key: &str| format!("{key} {}", cell(key, &record[key]));
+    let field = move |key: &str| format!("{} {}", title(key), cell(key, &record[key]));
     keys.split_whitespace().map(field)
+}
+
+/// What a person calls a field: a time is no number there.
+fn title(key: &str) -> &str {
+    match key.trim_end_matches("unix_ms") {
+        "" => "time",
+        what => what.trim_end_matches('_'),
+    }
 }
 
 /// A field of a record, short: a hash by its beginning, a time in words, a dash where there is nothing.

@@ -39,7 +39,14 @@ class Policy:
 
     def __call__(self, observations: Array) -> Array:
         """Actions ``[N, A]`` for observations ``[N, D]``, without exploration noise."""
-        feed = {"obs": np.ascontiguousarray(observations, np.float32)}
+        obs = np.ascontiguousarray(observations, np.float32)
+        width = self._session.get_inputs()[0].shape[1]
+        if obs.ndim != 2 or obs.shape[1] != width:
+            raise ValueError(
+                "%s takes observations [N, %s], not %s; check(envs) says whether these environments are those of its task"
+                % (self.path.name, width, list(obs.shape))
+            )
+        feed = {"obs": obs}
         return np.asarray(self._session.run(["actions"], feed)[0])
 
     def check(self, envs: VecEnv) -> None:

@@ -73,6 +73,8 @@ class Package(unittest.TestCase):
         envs = caudata.make_vec("polymander", "flat", 16, seed=2, signals=True)
         policy = caudata.Policy("flat")
         policy.check(envs)
+        with self.assertRaisesRegex(ValueError, "takes observations .*, not .3, 5."):
+            policy(np.zeros((3, 5)))
         observations, _ = envs.reset(options={"command": (0.3, 0.0, 0.0)})
         speeds = []
         for _ in range(250):

@@ -9,6 +9,7 @@ use crate::commands::train::Programs;
 use crate::say::{self, WithJson, short};
 
 const NONE: &str = "none of these: with every suspect put right it does not walk either";
+const CLEAN: &str = "none of the mistakes it knows is in its task or robot: train longer, or look at gains and pose";
 /// Suspects that are shown besides what is named.
 const OTHERS: usize = 3;
 
@@ -27,7 +28,7 @@ pub fn run(args: &WithJson<Plan>, process: &Process) -> Result<(), Failure> {
             Err(Failure::outcome(ExitCode::PartlyExplained, "no time to show what it is")
                 .hint("give it more time with --budget"))
         }
-        Verdict::Unexplained => Err(Failure::outcome(ExitCode::Unexplained, NONE)),
+        Verdict::Unexplained => Err(Failure::outcome(ExitCode::Unexplained, none(&report))),
     }
 }
 
@@ -59,7 +60,7 @@ fn tell(report: &Report) {
             "nothing was shown in this time (--budget); suspects:"
         }
         Verdict::Suspected => "nothing was shown in this time (--budget); most suspect:",
-        Verdict::Unexplained => NONE,
+        Verdict::Unexplained => none(report),
     });
     report.causes.iter().for_each(show);
     if !report.causes.is_empty() {
@@ -74,6 +75,10 @@ fn tell(report: &Report) {
     if report.verdict != Verdict::Walks {
         say::line(format_args!("{} trainings, {:.0} s", report.trials.len(), report.seconds));
     }
+}
+
+fn none(report: &Report) -> &'static str {
+    if report.causes.is_empty() && report.others.is_empty() { CLEAN } else { NONE }
 }
 
 fn show(cause: &Cause) {

@@ -48,9 +48,18 @@ pub fn robot(path: &Path) -> Result<RobotModel, Failure> {
             _ => ExitCode::BadInput,
         };
         let failure = Failure::new(code, error).context(format!("robot file {}", path.display()));
-        meant(failure, path, "robots", |file| ends_with(file, ".robot.toml"))
+        let failure = meant(failure, path, "robots", |file| ends_with(file, ".robot.toml"));
+        if path.exists() || !path.is_absolute() {
+            return failure;
+        }
+        let near = failure.hint_text().map(|hint| format!("{hint} ")).unwrap_or_default();
+        failure.hint(near + MOVED)
     })
 }
+
+/// A run names its robot by its whole path.
+const MOVED: &str =
+    "if a run's robot has moved: `robot` in config.toml of its folder says where it is";
 
 /// The robot file of a log: that of the training whose folder it lies in, or the one that it names; a robot's name
 /// stands for its file in `robots/`.
@@ -214,6 +223,7 @@ mod tests {
             missed.contains("did you mean") && missed.contains("robots/polymander.robot.toml?"),
             "{missed}"
         );
+        assert!(missed.ends_with(MOVED), "{missed}");
         let missed = told(policy(&root.join("policies/flt.onnx")).unwrap_err());
         assert!(
             missed.contains("did you mean") && missed.contains("policies/flat.onnx?"),

@@ -165,5 +165,10 @@ pub fn failure(error: PkiError) -> Failure {
         PkiError::Content { .. } => ExitCode::BadInput,
         PkiError::Make(_) => ExitCode::Internal,
     };
-    Failure::new(code, error)
+    let failure = Failure::new(code, error);
+    match code {
+        ExitCode::NoInput => failure
+            .hint("certificates come from `caudata pki init --dir DIR`, then `caudata pki issue`"),
+        _ => failure,
+    }
 }
