@@ -17,7 +17,7 @@ pub mod series;
 mod stamps;
 mod usable;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use caudata_model::RobotModel;
@@ -206,23 +206,41 @@ pub(crate) const ASSUMED: &str = "assumed";
 /// Nearly as fast (speeds are means over 60 ms) as an assumed figure, as a share of it.
 const NEARLY: f64 = 0.75;
 
-/// Joints that turn about as fast as an assumed figure lets them have their torque, or faster.
+/// Joints that turn about as fast as an assumed figure lets them have their torque, or faster, and currents whose
+/// torque is assumed, a joint for each type of servo.
 fn assumed(robot: &RobotModel, runs: &[RunExcitation]) -> Vec<DataFault> {
+    let note = |location: String, detail: String| DataFault {
+        kind: ASSUMED.to_owned(),
+        location,
+        detail,
+        fatal: false,
+    };
     let of = |(a, name): (usize, &&str)| {
         let own = runs.iter().flat_map(|r| r.joints.iter().filter(|j| j.joint == **name));
         let fastest = own.map(|j| j.speed_max_radps).fold(0.0, f64::max);
         let full = robot.servo(a).qd_tau_max_radps;
         let path = robot.assumed_of_servo(a, "qd_tau_max_radps")?;
-        (fastest > NEARLY * full).then(|| DataFault {
-            kind: ASSUMED.to_owned(),
-            location: (*name).to_owned(),
-            detail: format!(
-                "turns at {fastest:.0} rad/s, and that its torque falls from {full:.0} rad/s on is assumed: look up {path} and what follows it in the data sheet first"
-            ),
-            fatal: false,
-        })
+        let detail = format!(
+            "turns at {fastest:.0} rad/s, and that its torque falls from {full:.0} rad/s on is assumed: look up {path} and what follows it in the data sheet first"
+        );
+        (fastest > NEARLY * full).then(|| note((*name).to_owned(), detail))
     };
-    robot.actuated_names().iter().enumerate().filter_map(of).collect()
+    let names = robot.actuated_names();
+    let mut notes: Vec<DataFault> = names.iter().enumerate().filter_map(of).collect();
+    let mut told = BTreeSet::new();
+    for (a, name) in
+        names.iter().enumerate().filter(|_| runs.iter().any(|r| r.channels.contains_key("cur")))
+    {
+        if let Some(path) = robot.assumed_of_servo(a, "torque_per_current_nm_per_a")
+            && told.insert(path)
+        {
+            let detail = format!(
+                "is logged, and which torque a current stands for is assumed: look up {path} first, or leave currents out of the map"
+            );
+            notes.push(note(format!("cur.{name}"), detail));
+        }
+    }
+    notes
 }
 
 fn fault(run: &str, f: Finding) -> DataFault {

@@ -207,7 +207,12 @@ fn clock(recording: &Recording) -> Result<Clock, ImportError> {
     }
     Err(ImportError::Format {
         file: recording.file.clone(),
-        message: format!("no column is called time; it has {}", header.join(", ")),
+        message: match header.iter().all(|name| name.parse::<f64>().is_ok()) {
+            true => {
+                "its first line is numbers: put one with the columns' names above it".to_owned()
+            }
+            false => format!("no column is called time; it has {}", header.join(", ")),
+        },
     })
 }
 
@@ -306,6 +311,14 @@ impl Draft<'_> {
                     (joint, name.starts_with("cmd.") || name.starts_with("pos."))
                 {
                     self.place(joint, unit_name, &values);
+                }
+                let figure = "torque_per_current_nm_per_a";
+                let assumed = joint.and_then(|j| self.robot.assumed_of_servo(j, figure));
+                if let (true, Some(path)) = (name.starts_with("cur."), assumed) {
+                    let _ = writeln!(
+                        self.out,
+                        "# leave it out until the robot file's {path} is that of your motor"
+                    );
                 }
                 if name.starts_with("base.") {
                     self.out.push_str("# odometry is an estimate: leave it out unless it was measured from outside\n");
