@@ -21,7 +21,7 @@ settings! {
         pub max_tilt_rad: f32 = 1.0,
         /// Allowed height of the whole-body centre of mass above the ground under the feet, m, [min, max].
         /// Default −0.1 to 1.0, which catches falling through the ground and flying off; lying on the belly
-        /// (about 0.04) is allowed, because the robot can crawl and swim that way. In water only the first counts.
+        /// (about 0.04) is allowed, because the robot can crawl and swim that way. Over water the second counts from the surface.
         pub com_height_m: [f32; 2] = [-0.1, 1.0],
         /// Further states that end an episode. Default none.
         pub when: Vec<OwnCondition>,
@@ -112,8 +112,8 @@ pub struct TerminationInput {
     pub gravity: [f32; 3],
     /// Height of the whole-body centre of mass above the ground under the feet, m.
     pub com_height_m: f32,
-    /// Whether that is below the surface of water, which may be deep.
-    pub submerged: bool,
+    /// Its height above the water's surface, m; infinite where there is no water.
+    pub com_above_water_m: f32,
 }
 
 /// The first reason to end the episode, if any. A value that is not a number counts as failed, never as
@@ -127,7 +127,7 @@ pub fn check(config: &TerminationConfig, input: &TerminationInput) -> Option<Ter
         Some(if upright < 0.0 { TerminationReason::UpsideDown } else { TerminationReason::Tilted })
     } else if height < config.com_height_m[0] {
         Some(TerminationReason::TooLow)
-    } else if height > config.com_height_m[1] && !input.submerged {
+    } else if height.min(input.com_above_water_m) > config.com_height_m[1] {
         Some(TerminationReason::TooHigh)
     } else {
         None
@@ -142,7 +142,7 @@ mod tests {
         diverged: false,
         gravity: [0.0, 0.0, -1.0],
         com_height_m: 0.12,
-        submerged: false,
+        com_above_water_m: f32::INFINITY,
     };
 
     /// Gravity seen by a body rolled by `roll`: (0, −sin, −cos).
@@ -171,8 +171,13 @@ mod tests {
             check(TerminationInput { com_height_m: 1.5, ..STANDING }),
             Some(TerminationReason::TooHigh)
         );
-        let in_deep_water = TerminationInput { com_height_m: 1.9, submerged: true, ..STANDING };
-        assert_eq!(check(in_deep_water), None);
+        // below the surface of deep water, and above it: the surface is nearer than the ground
+        for com_above_water_m in [-0.1, 0.2] {
+            let swimming = TerminationInput { com_height_m: 1.9, com_above_water_m, ..STANDING };
+            assert_eq!(check(swimming), None);
+        }
+        let thrown = TerminationInput { com_height_m: 3.0, com_above_water_m: 1.1, ..STANDING };
+        assert_eq!(check(thrown), Some(TerminationReason::TooHigh));
         assert_eq!(
             check(TerminationInput { diverged: true, ..STANDING }),
             Some(TerminationReason::Diverged)

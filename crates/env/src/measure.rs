@@ -38,7 +38,9 @@ pub struct Truth {
     pub foot_force_n: PerFoot<[f32; 3]>,
     /// Contact force on trunk and legs but not the feet, mean over the control period.
     pub trunk_force_n: f32,
-    /// 1 while the whole body's centre of mass is below the water's surface, 0 otherwise.
+    /// Height of the whole body's centre of mass above the water's surface; infinite where there is no water.
+    pub com_above_water_m: f32,
+    /// 1 while that is below 0, 0 otherwise.
     pub submerged: f32,
     /// 1 while it is that and farther above the highest ground under a foot or a girdle than
     /// `afloat_above_m`, 0 otherwise.
@@ -176,7 +178,8 @@ impl Reader {
             0 => body_ground_m,
             feet => ground_m.iter().sum::<f32>() / feet as f32,
         };
-        let submerged = water.is_some_and(|water| com[2] < water.surface_m);
+        let com_above_water_m = water.map_or(f32::INFINITY, |water| com[2] - water.surface_m);
+        let submerged = com_above_water_m < 0.0;
         // The girdles, too: legs that are folded back have their feet over deeper ground than they would
         // stand on.
         let highest_ground_m = water
@@ -214,6 +217,7 @@ impl Reader {
         let foot_force_n = vectors(&state.foot_force_n, lane, feet);
         truth.foot_force_n.set(foot_force_n);
         truth.trunk_force_n = state.trunk_force_n[lane];
+        truth.com_above_water_m = com_above_water_m;
         truth.submerged = f32::from(submerged);
         truth.afloat = f32::from(afloat);
         truth.on_ground.refill(feet, on_ground);

@@ -368,7 +368,7 @@ impl VecEnv {
             diverged,
             gravity: truth.gravity,
             com_height_m: truth.com_height_m,
-            submerged: truth.submerged > 0.0,
+            com_above_water_m: truth.com_above_water_m,
         };
         let reason = termination::check(&self.task.termination, &input)
             .or(own_end.then_some(TerminationReason::Condition));

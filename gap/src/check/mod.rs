@@ -207,7 +207,7 @@ pub(crate) const ASSUMED: &str = "assumed";
 const NEARLY: f64 = 0.75;
 
 /// Joints that turn about as fast as an assumed figure lets them have their torque, or faster, and currents whose
-/// torque is assumed, a joint for each type of servo.
+/// torque is assumed, once for each type of servo.
 fn assumed(robot: &RobotModel, runs: &[RunExcitation]) -> Vec<DataFault> {
     let note = |location: String, detail: String| DataFault {
         kind: ASSUMED.to_owned(),
@@ -228,16 +228,14 @@ fn assumed(robot: &RobotModel, runs: &[RunExcitation]) -> Vec<DataFault> {
     let names = robot.actuated_names();
     let mut notes: Vec<DataFault> = names.iter().enumerate().filter_map(of).collect();
     let mut told = BTreeSet::new();
-    for (a, name) in
-        names.iter().enumerate().filter(|_| runs.iter().any(|r| r.channels.contains_key("cur")))
-    {
+    for a in (0..names.len()).filter(|_| runs.iter().any(|r| r.channels.contains_key("cur"))) {
         if let Some(path) = robot.assumed_of_servo(a, "torque_per_current_nm_per_a")
             && told.insert(path)
         {
             let detail = format!(
-                "is logged, and which torque a current stands for is assumed: look up {path} first, or leave currents out of the map"
+                "is logged, and which torque a current stands for is assumed: look up {path} first, or leave currents out"
             );
-            notes.push(note(format!("cur.{name}"), detail));
+            notes.push(note("cur".to_owned(), detail));
         }
     }
     notes

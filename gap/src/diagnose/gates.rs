@@ -91,7 +91,7 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
     let again = beyond_doubt && (cross > NEARLY_ALL * of || fitted_blocks() >= SEVERAL_BLOCKS);
     let white = (mask.iter().enumerate()).filter(|(_, m)| **m).map(|(k, _)| white(judge, k));
     let beyond = of - white.sum::<f64>() / samples as f64;
-    let rest = !from.terms.is_empty() && cross > MOST_OF_REST * beyond;
+    let rest = !from.terms.is_empty() && beyond > 0.0 && cross > MOST_OF_REST * beyond;
     let sure = if beyond_doubt { at(0.025) } else { low } > 0.0;
     let absolute = if beyond_doubt || rest { 0.5 } else { 1.0 } * ABSOLUTE_GAIN;
     let why = if fit <= 0.0 {

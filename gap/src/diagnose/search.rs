@@ -144,7 +144,12 @@ fn rich(context: &Context, best: &State, built: &Joints) -> Variant {
     let own = gates::worst_joint(context, best).and_then(|a| built.own.get(a));
     // what was asked for beyond a standard model comes last there
     let asked = own.into_iter().flatten().rev().chain(&built.shared);
-    for term in asked.filter(|t| gates::matters(context, t)) {
+    // standard models hold effects that are left out, or that these runs cannot show
+    let open = |t: &&Term| {
+        context.effects.iter().any(|e| e.id == t.effect.id)
+            && (t.effect.unseen)(&context.excitation, &t.place).is_none()
+    };
+    for term in asked.filter(open).filter(|t| gates::matters(context, t)) {
         if terms.len() < MOST_TERMS && !terms.iter().any(|t| t.same(term)) {
             terms.push(term.clone());
         }

@@ -226,15 +226,15 @@ fn strengthen(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
 /// A lighter body without a shape is not drawn, share of the robot's mass.
 const DRAWN_LEAST: f64 = 0.002;
 
-/// Ellipsoids that touch become the capsules inside them; what has no shape is drawn as the box of its inertia.
+/// Ellipsoids that touch become capsules of their length and their least width; what has no shape is drawn as the box of its inertia.
 fn shape(robot: &mut Robot, remarks: &mut Remarks) {
     let least_kg = DRAWN_LEAST * weight_n(robot) / GRAVITY_MPS2;
     for body in &mut robot.bodies {
         let touching = body.geoms.iter_mut().map(|g| &mut g.geom).filter(|g| g.collides());
         for geom in touching {
             if let Shape::Ellipsoid { semi_axes_m } = geom.shape {
-                (geom.shape, geom.link_from_geom) = inside(semi_axes_m, &geom.link_from_geom);
-                let message = "ellipsoids touch the ground as the capsules inside them";
+                (geom.shape, geom.link_from_geom) = capsule(semi_axes_m, &geom.link_from_geom);
+                let message = "ellipsoids touch the ground as capsules, as long and as wide as their least width";
                 remarks.note_once(&body.element, message);
             }
         }
@@ -248,8 +248,8 @@ fn shape(robot: &mut Robot, remarks: &mut Remarks) {
     }
 }
 
-/// The capsule along an ellipsoid's longest axis that lies inside it; a ball where it is one.
-fn inside(semi_axes_m: [f64; 3], link_from_geom: &Pose) -> (Shape, Pose) {
+/// A capsule along an ellipsoid's longest axis, as long as that and as wide as the shortest; a ball where it is one.
+fn capsule(semi_axes_m: [f64; 3], link_from_geom: &Pose) -> (Shape, Pose) {
     let radius_m = semi_axes_m.into_iter().fold(f64::INFINITY, f64::min);
     let longest_m = semi_axes_m.into_iter().fold(0.0, f64::max);
     let half_length_m = longest_m - radius_m;

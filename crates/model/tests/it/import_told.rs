@@ -183,7 +183,7 @@ fn legs_around_a_trunk_are_spread_and_what_has_no_shape_is_drawn() {
     );
     let made = read("star.xml", &text).unwrap();
     assert!(
-        told(&made, "the capsules inside them") && told(&made, "the box of its inertia"),
+        told(&made, "as long and as wide") && told(&made, "the box of its inertia"),
         "{:?}",
         made.notes
     );
