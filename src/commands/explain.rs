@@ -9,7 +9,7 @@ use crate::commands::train::Programs;
 use crate::say::{self, WithJson, short};
 
 const NONE: &str = "none of these: with every suspect put right it does not walk either";
-const CLEAN: &str = "none of the mistakes it knows is in its task or robot: train longer, or look at gains and pose";
+const CLEAN: &str = "task and robot file hold no mistake that this command knows: train longer, or look at gains and pose";
 /// Suspects that are shown besides what is named.
 const OTHERS: usize = 3;
 

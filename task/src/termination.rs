@@ -21,7 +21,8 @@ settings! {
         pub max_tilt_rad: f32 = 1.0,
         /// Allowed height of the whole-body centre of mass above the ground under the feet, m, [min, max].
         /// Default −0.1 to 1.0, which catches falling through the ground and flying off; lying on the belly
-        /// (about 0.04) is allowed, because the robot can crawl and swim that way. Over water the second counts from the surface.
+        /// (about 0.04) is allowed, because the robot can crawl and swim that way. Over water the second counts
+        /// from the surface.
         pub com_height_m: [f32; 2] = [-0.1, 1.0],
         /// Further states that end an episode. Default none.
         pub when: Vec<OwnCondition>,

@@ -58,8 +58,7 @@ pub fn robot(path: &Path) -> Result<RobotModel, Failure> {
 }
 
 /// A run names its robot by its whole path.
-const MOVED: &str =
-    "if a run's robot has moved: `robot` in config.toml of its folder says where it is";
+const MOVED: &str = "if the robot file of a run has moved: `robot` in config.toml of the run folder is its old path; write the new one";
 
 /// The robot file of a log: that of the training whose folder it lies in, or the one that it names; a robot's name
 /// stands for its file in `robots/`.

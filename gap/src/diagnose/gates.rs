@@ -163,16 +163,16 @@ fn from_one_block(gains: &[f64]) -> bool {
 
 /// Misfit from which on there is something to explain. Of many joints one is always a little off.
 pub fn quiet(context: &Context) -> f64 {
-    if context.replayer.model().actuated().len() < MANY_JOINTS { CAREFUL_LAB } else { NOTHING_LEFT }
+    unless_many_joints(context, CAREFUL_LAB)
 }
 
-/// Misfit below which no further effect can pass.
+/// Misfit below which the search ends: no further effect can pass, or, of many joints, matters.
 pub fn least(context: &Context) -> f64 {
-    if context.replayer.model().actuated().len() < MANY_JOINTS {
-        ABSOLUTE_GAIN
-    } else {
-        NOTHING_LEFT
-    }
+    unless_many_joints(context, ABSOLUTE_GAIN)
+}
+
+fn unless_many_joints(context: &Context, few: f64) -> f64 {
+    if context.replayer.model().actuated().len() < MANY_JOINTS { few } else { NOTHING_LEFT }
 }
 
 /// The greatest misfit of the joints, and of the body, that have a sample in `mask`.

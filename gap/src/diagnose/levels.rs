@@ -1,7 +1,7 @@
 //! Misfits that mean something everywhere, in units of the floor (1 is what the tolerances allow).
 
-/// Misfit below which the search ends. Tolerances are wide: careful labs stay at 0.1 to 0.3 (nulls of the
-/// benchmark).
+/// Misfit from which on there is something to explain. Tolerances are wide: careful labs stay at 0.1 to 0.3 (nulls
+/// of the benchmark).
 pub const CAREFUL_LAB: f64 = 0.4;
 /// A robot with so many joints is judged joint by joint, and first looked at on a scout.
 pub const MANY_JOINTS: usize = 5;

@@ -1,7 +1,7 @@
 //! The search for causes, from both ends.
 //!
 //! From nothing: add the best, refit all, try to delete. What is added second leans on what was added first. So
-//! where much is left the search begins at the other end too: with what each joint's angles ask for
+//! where much is left the search begins at the other end too: with what the angles of the worst joint ask for
 //! ([`super::tracking`]), all of it fitted at once, from which is deleted what it can do without.
 
 use super::fits::{Before, LAST_STEPS, best_fits, fitted, penalised, polished, single};
@@ -134,6 +134,10 @@ fn from_built(context: &mut Context, found: &mut Found, built: &Joints) -> Resul
     let worth = gates::worth(context, &found.best, &shorter, None);
     if worth.passed && penalised(context, &shorter) < penalised(context, &found.best) {
         found.best = shorter;
+        // what was refused beside the older best may be a cause now
+        let Found { best, refused, .. } = &mut *found;
+        let new = |t: &Term| !best.terms.iter().any(|b| b.same(t));
+        refused.retain(|(s, _)| s.terms.last().is_none_or(new));
     }
     take_anew(context, found)
 }

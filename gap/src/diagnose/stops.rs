@@ -105,7 +105,7 @@ pub fn find(replayer: &Replayer, data: &Data) -> Result<Vec<Passed>, GapError> {
         // farther without a stop than it was ever measured: there is one
         let held = |s: usize| free.at(a, s, SAMPLES) > over(s) + gives_way(a);
         let sides = [0, 1].map(|s| passed(a, s));
-        let ends = [0, 1].iter().any(|&s| sides[s] && held(s));
+        let ends = [0, 1].map(|s| sides[s] && held(s));
         let term = term(a, &|s| if held(s) { over(s) } else { FARTHER });
         Passed { note: note(&term.place.names[0], unit, first[a], sides, ends, over), term }
     };
@@ -117,7 +117,7 @@ fn note(
     unit: &str,
     (low, high): (f64, f64),
     sides: [bool; 2],
-    ends: bool,
+    ends: [bool; 2],
     over: impl Fn(usize) -> f64,
 ) -> DataFault {
     let reached = match sides {
@@ -125,12 +125,17 @@ fn note(
         [false, true] => format!("{:.2} {unit}", high + over(1)),
         _ => format!("{:.2} and {:.2} {unit}", low - over(0), high + over(1)),
     };
+    let simulated = match ends {
+        [false, false] => "without this stop",
+        _ if ends == sides => "with the stop where it was measured to stop",
+        [true, _] => "with the lower stop where it was measured to stop, and without the upper one",
+        _ => "with the upper stop where it was measured to stop, and without the lower one",
+    };
     DataFault {
         kind: "range".to_owned(),
         location: joint.to_owned(),
         detail: format!(
-            "reaches {reached}, past the end stop of the robot file ({low:.2} to {high:.2} {unit}), which the simulated robot does not: range or zero of the file, or the encoder, are wrong. It is simulated {}, and so is the extended robot",
-            if ends { "with the stop where it was measured to stop" } else { "without this stop" }
+            "reaches {reached}, past the end stop of the robot file ({low:.2} to {high:.2} {unit}), which the simulated robot does not: range or zero of the file, or the encoder, are wrong. It is simulated {simulated}, and so is the extended robot"
         ),
         fatal: false,
     }

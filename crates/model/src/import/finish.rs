@@ -226,7 +226,8 @@ fn strengthen(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
 /// A lighter body without a shape is not drawn, share of the robot's mass.
 const DRAWN_LEAST: f64 = 0.002;
 
-/// Ellipsoids that touch become capsules of their length and their least width; what has no shape is drawn as the box of its inertia.
+/// Ellipsoids that touch become capsules of their length and their least width; what has no shape is drawn as
+/// the box of its inertia.
 fn shape(robot: &mut Robot, remarks: &mut Remarks) {
     let least_kg = DRAWN_LEAST * weight_n(robot) / GRAVITY_MPS2;
     for body in &mut robot.bodies {
@@ -248,7 +249,8 @@ fn shape(robot: &mut Robot, remarks: &mut Remarks) {
     }
 }
 
-/// A capsule along an ellipsoid's longest axis, as long as that and as wide as the shortest; a ball where it is one.
+/// A capsule along an ellipsoid's longest axis, as long as that and as wide as the shortest; a ball where both
+/// are alike.
 fn capsule(semi_axes_m: [f64; 3], link_from_geom: &Pose) -> (Shape, Pose) {
     let radius_m = semi_axes_m.into_iter().fold(f64::INFINITY, f64::min);
     let longest_m = semi_axes_m.into_iter().fold(0.0, f64::max);

@@ -50,8 +50,7 @@ pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot)
         let first = robot.actuators.iter_mut().find(|a| a.joint == joint);
         if let Some(first) = first.filter(|_| !context.remarks.strict) {
             if let (Some((_, kd)), "velocity") = (&mut first.gains, e.tag.as_str()) {
-                e.not_negative("kv", context.remarks);
-                *kd += e.number("kv", context.remarks).unwrap_or(1.0) * gear * gear;
+                *kd += e.not_negative("kv", context.remarks).unwrap_or(1.0) * gear * gear;
                 let message =
                     "a velocity actuator beside one of position: its kv is added to the kd";
                 context.remarks.note_once(&e, message);
