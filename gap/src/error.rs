@@ -21,6 +21,9 @@ pub enum GapError {
     /// The extension of a robot file.
     #[error("extension: {0}")]
     Extension(String),
+    /// An effect that is asked for or left out.
+    #[error("there is no effect `{0}`; docs/reference/effects.md has them all")]
+    UnknownEffect(String),
     /// The map from evidence to confidence.
     #[error("calibration: {0}; make one with caudata bench calibrate")]
     Calibration(String),

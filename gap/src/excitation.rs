@@ -11,7 +11,7 @@ use crate::trial::{Kind, Trial};
 /// One joint's part in the runs.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct JointExcitation {
-    /// 99th percentile of its speed, rad/s.
+    /// 99th percentile of its speed, rad/s, of a slide what counts as a radian.
     pub fastest_radps: f64,
     /// Lowest and highest position, rad.
     pub range_rad: (f64, f64),
@@ -26,7 +26,7 @@ pub struct Excitation {
     pub joints: Vec<JointExcitation>,
     /// Kinds of channels that at least one run has.
     pub kinds: BTreeSet<Kind>,
-    /// Fastest mean change of a command over 0.1 s, rad/s.
+    /// Fastest mean change of a command over 0.1 s, likewise.
     pub fastest_command_radps: f64,
     /// Longest run, s.
     pub longest_s: f64,
@@ -51,10 +51,11 @@ impl Excitation {
             all.on_ground |= trial.base == BaseHold::Free;
             all.in_water |= trial.base == BaseHold::Water;
             all.kinds.extend(trial.channels.iter().map(|c| c.kind));
-            for command in &trial.commands {
+            for (a, command) in trial.commands.iter().enumerate() {
                 let (mut t, span) = (trial.span_s.0, 0.1);
                 while t + span <= trial.span_s.1 {
-                    let rate = (command.at(t + span) - command.at(t)).abs() / span;
+                    let far = (command.at(t + span) - command.at(t)).abs();
+                    let rate = far / (span * model.per_radian(a));
                     all.fastest_command_radps = all.fastest_command_radps.max(rate);
                     t += span;
                 }
@@ -79,7 +80,8 @@ impl Excitation {
                 }
                 speeds.sort_by(f64::total_cmp);
                 let high = speeds.get(speeds.len() * 99 / 100).copied().unwrap_or(0.0);
-                joint.fastest_radps = joint.fastest_radps.max(high);
+                joint.fastest_radps =
+                    joint.fastest_radps.max(high / model.per_radian(channel.index));
             }
         }
         all

@@ -26,7 +26,7 @@ use crate::error::GapError;
 use crate::excite::{self, DEFAULT_RATE_HZ};
 use crate::go_on::GoOn;
 use crate::place::Place;
-use crate::replay::{Data, Replayer, SegmentOptions, Term, Variant};
+use crate::replay::{Data, Piece, Replayer, SegmentOptions, Term, Variant};
 use crate::trial::{Channel, Kind, Steps, Trial};
 
 /// Root mean square over a trial that is one tolerance, in the channel's unit: what careful repeats, and two
@@ -298,10 +298,11 @@ fn add(total: &mut Gram, more: &Gram) {
     }
 }
 
-/// One tolerance of a channel, in its unit.
-pub(crate) fn tolerance(kind: Kind) -> Option<f64> {
-    let of = ONE_TOLERANCE.iter().find(|t| t.0 == kind);
-    of.map(|t| t.1)
+/// One tolerance of the channel that `piece` is of, in its unit.
+pub(crate) fn tolerance(model: &RobotModel, piece: &Piece) -> Option<f64> {
+    let of = ONE_TOLERANCE.iter().find(|t| t.0 == piece.kind);
+    let moves = matches!(piece.kind, Kind::Position | Kind::Velocity);
+    of.map(|t| if moves { t.1 * model.per_radian(piece.index) } else { t.1 })
 }
 
 /// Kinds of channels that a lab records in `trial`.
@@ -343,7 +344,7 @@ fn gram(
     let (joints, count) = (model.actuated().len(), terms.len());
     let mut gram = vec![vec![0.0; count * count]; joints + 1];
     for piece in data.pieces() {
-        let Some(tolerance) = tolerance(piece.kind) else { continue };
+        let Some(tolerance) = tolerance(model, piece) else { continue };
         let group = if piece.kind.of_joint() { piece.index } else { joints };
         let scale = (1.0 / (tolerance * (piece.range.len().max(1) as f64).sqrt())) as f32;
         let own = &predictions[0][piece.range.clone()];

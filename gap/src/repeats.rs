@@ -1,15 +1,18 @@
 //! Runs that repeat each other: who belongs together, and their mean.
 
+use caudata_model::RobotModel;
+use caudata_runlog::{JointConditions, LogMeta};
+
 use crate::trial::{Channel, Kind, Trial, YAW, nearest_turn};
 
 /// Commands that differ by less than this are the same, rad (half a count of a 4096-count encoder).
 const SAME_COMMAND_RAD: f64 = 0.0008;
 
 /// Gives trials with the same commands the same group number.
-pub fn group(trials: &mut [Trial]) {
+pub fn group(model: &RobotModel, trials: &mut [Trial]) {
     let mut next = 0;
     for i in 0..trials.len() {
-        let before = trials[..i].iter().find(|t| repeats(t, &trials[i]));
+        let before = trials[..i].iter().find(|t| repeats(model, t, &trials[i]));
         trials[i].group = before.map_or_else(
             || {
                 next += 1;
@@ -77,20 +80,39 @@ fn mean(first: &Trial, members: Vec<Trial>) -> Trial {
     trial
 }
 
-/// Whether `other` was commanded the same under the same conditions, times counted from each one's start.
-fn repeats(own: &Trial, other: &Trial) -> bool {
-    (own.duration_s() - other.duration_s()).abs() <= 0.1
-        && own.meta.same_conditions(&other.meta)
-        && same_commands(own, other, 10.0 * SAME_COMMAND_RAD)
+/// Whether two runs of `model` were recorded under the same conditions; gains that are not noted are those of its file.
+pub(crate) fn same_conditions(model: &RobotModel, one: &LogMeta, other: &LogMeta) -> bool {
+    let told = |meta: &LogMeta| {
+        let gains = |(a, name): (usize, &str)| {
+            let (kp, kd) = meta.gains(name);
+            let kp = kp.or(Some(model.kp_nm_per_rad(a)));
+            let kd = kd.or(Some(model.kd_nm_s_per_rad(a)));
+            (
+                name.to_owned(),
+                JointConditions { kp, kd, ..meta.joint.get(name).copied().unwrap_or_default() },
+            )
+        };
+        let joint = model.actuated_names().into_iter().enumerate().map(gains).collect();
+        LogMeta { kp: None, kd: None, joint, ..meta.clone() }
+    };
+    told(one).same_conditions(&told(other))
 }
 
-/// Whether two runs were sent the same, within `within_rad`, for as long as the shorter one lasts; times counted
+/// Whether `other` was commanded the same under the same conditions, times counted from each one's start.
+fn repeats(model: &RobotModel, own: &Trial, other: &Trial) -> bool {
+    (own.duration_s() - other.duration_s()).abs() <= 0.1
+        && same_conditions(model, &own.meta, &other.meta)
+        && same_commands(own, other, |a| 10.0 * SAME_COMMAND_RAD * model.per_radian(a))
+}
+
+/// Whether two runs were sent the same, within so many rad or m of each joint, for as long as the shorter one lasts; times counted
 /// from each one's start.
-pub(crate) fn same_commands(own: &Trial, other: &Trial, within_rad: f64) -> bool {
+pub(crate) fn same_commands(own: &Trial, other: &Trial, within: impl Fn(usize) -> f64) -> bool {
     let duration = own.duration_s().min(other.duration_s());
     // both middle of holds and ramps: a stamp's jitter moves a step by a row, so allow some to disagree
     let (mut wrong, mut all) = (0, 0);
-    for (a, b) in own.commands.iter().zip(&other.commands) {
+    for (joint, (a, b)) in own.commands.iter().zip(&other.commands).enumerate() {
+        let within = within(joint);
         for k in 0..400 {
             let s = duration * (k as f64 + 0.5) / 400.0;
             let there = b.at(other.span_s.0 + s);
@@ -98,7 +120,7 @@ pub(crate) fn same_commands(own: &Trial, other: &Trial, within_rad: f64) -> bool
                 .map(|d| (a.at(own.span_s.0 + s + d) - there).abs())
                 .into_iter()
                 .fold(f64::INFINITY, f64::min);
-            wrong += usize::from(near > within_rad);
+            wrong += usize::from(near > within);
             all += 1;
         }
     }
@@ -131,8 +153,15 @@ mod tests {
             mass_kg: 1.0,
             at_m: [0.0; 3],
         });
-        group(&mut runs);
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/xl330_pendulum.robot.toml");
+        let model = RobotModel::load(file.as_ref()).unwrap();
+        // gains that are noted and those of the file are the same
+        runs[2].meta.kp = Some(model.kp_nm_per_rad(0));
+        group(&model, &mut runs);
         assert_eq!([0, 1, 2].map(|k| runs[k].group), [0, 1, 0]);
+        runs[2].meta.kp = Some(0.5);
+        group(&model, &mut runs);
+        assert_eq!([0, 1, 2].map(|k| runs[k].group), [0, 1, 2]);
     }
 
     #[test]

@@ -8,7 +8,7 @@ use caudata_model::{Joint, ServoParams, WaterParams};
 use serde::{Deserialize, Serialize};
 
 use crate::drive::command::MAX_COMMAND_DELAY_S;
-use crate::drive::friction::PRESLIDING_RAD;
+use crate::drive::friction;
 use crate::drive::gear::TOOTH_DAMPING_RATIO;
 use crate::drive::loop_delay::MAX_LOOP_DELAY_S;
 
@@ -145,8 +145,8 @@ effects! {
         torque_saturation_per_nm: 0.0, 100.0 => 0.0;
         /// Friction more in the positive and less in the negative direction, N·m. Nominal 0.
         friction_asymmetry_nm: -100.0, 100.0 => 0.0;
-        /// Deflection at which friction starts to slide, rad. Nominal 0.002.
-        presliding_rad: 1e-5, 1.0 => PRESLIDING_RAD;
+        /// Deflection at which friction starts to slide, rad. Nominal 0.002; of a slide, m, 0.00003.
+        presliding_rad: 1e-7, 1.0 => friction::presliding_rad(joint);
         /// Amplitude of torque ripple A·sin(n·q + φ), N·m. Nominal 0.
         ripple_nm: 0.0, 100.0 => 0.0;
         /// n: periods of the ripple per turn of the joint. Nominal 1.

@@ -137,6 +137,12 @@ impl RobotModel {
         &self.servo_presets[preset].1
     }
 
+    /// What counts as a radian at an actuated joint, rad or m ([`Joint::per_radian`]; indices as in
+    /// [`Self::servo`]).
+    pub fn per_radian(&self, actuated_index: usize) -> f64 {
+        self.joints[self.actuated[actuated_index]].per_radian()
+    }
+
     /// The name of an actuated joint's servo type (indices as in [`Self::servo`]).
     pub fn servo_name(&self, actuated_index: usize) -> &str {
         let preset = self.servo_of[actuated_index.min(self.servo_of.len() - 1)];

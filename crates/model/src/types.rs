@@ -97,6 +97,24 @@ pub struct Joint {
     pub locked: bool,
 }
 
+impl Joint {
+    /// Unit of its positions: rad or m.
+    pub fn unit(&self) -> &'static str {
+        match self.motion {
+            JointMotion::Hinge => "rad",
+            JointMotion::Slide => "m",
+        }
+    }
+
+    /// What counts on this joint as a radian does on a hinge: of a slide the way at the end of a lever of 0.1 m.
+    pub fn per_radian(&self) -> f64 {
+        match self.motion {
+            JointMotion::Hinge => 1.0,
+            JointMotion::Slide => 0.1,
+        }
+    }
+}
+
 /// How a limit or a contact gives way, as MJCF writes it (`solref`, `solimp`; MuJoCo's documentation,
 /// "Computation", "Solver parameters").
 ///

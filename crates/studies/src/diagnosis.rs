@@ -194,9 +194,11 @@ fn write(
 
 fn refused(error: GapError, stop: &StopFlag) -> Failure {
     let code = match &error {
-        GapError::NoRuns | GapError::Run { .. } | GapError::Model(_) | GapError::Extension(_) => {
-            ExitCode::BadInput
-        }
+        GapError::NoRuns
+        | GapError::Run { .. }
+        | GapError::UnknownEffect(_)
+        | GapError::Model(_)
+        | GapError::Extension(_) => ExitCode::BadInput,
         GapError::Sim(_) | GapError::Worker | GapError::Calibration(_) => ExitCode::Internal,
         GapError::Stopped => {
             return stopped(stop).hint("nothing was known yet, and nothing was written");

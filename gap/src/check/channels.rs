@@ -14,6 +14,8 @@ const FINE_S: f64 = 0.1;
 pub(super) struct Channels {
     pub name: String,
     pub index: usize,
+    /// What counts as a radian, rad or m.
+    pub per_radian: f64,
     /// Command, rad; NaN where none is in force.
     pub cmd: Option<Vec<f64>>,
     pub pos: Option<Vec<f64>>,
@@ -58,6 +60,7 @@ impl Channels {
                 Self {
                     name: (*name).to_owned(),
                     index,
+                    per_radian: run.robot.per_radian(index),
                     slow_cmd: cmd.as_deref().map(|x| smooth(x, slow)),
                     slow_pos: pos.as_deref().map(|x| smooth(x, slow)),
                     fine_cmd: cmd.as_deref().map(|x| smooth(x, fine)),

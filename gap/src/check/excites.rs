@@ -110,10 +110,15 @@ fn joint(run: &Run<'_>, c: &Channels) -> JointExcitation {
     let grid = &run.grid;
     let step_s = grid.step_s;
     let mut out = JointExcitation { joint: c.name.clone(), ..JointExcitation::default() };
+    // limits are angles: of a slide everything is looked at in what counts as a radian
+    let in_radians = |x: &Option<Vec<f64>>| -> Option<Vec<f64>> {
+        Some(x.as_ref()?.iter().map(|v| v / c.per_radian).collect())
+    };
+    let (cmd, pos) = (in_radians(&c.cmd), in_radians(&c.pos));
     if let Some(on) = &c.on {
         out.off_s = on.iter().filter(|x| **x == 0.0).count() as f64 * step_s;
     }
-    if let Some(pos) = &c.pos {
+    if let Some(pos) = &pos {
         let half = (grid.points(0.06) / 2).max(1);
         let speed = slope(&smooth(pos, 2 * half), half, step_s);
         // one count of an encoder in 0.25 s is 6 mrad/s: rest is told from slow motion
@@ -135,11 +140,11 @@ fn joint(run: &Run<'_>, c: &Channels) -> JointExcitation {
         out.slow_s = calm.iter().filter(slow).count() as f64 * step_s;
         out.fast_s = time(FAST_RADPS, f64::INFINITY);
         holds(pos, &calm, grid.points(HOLD_S), step_s, &mut out);
-        if c.cmd.is_none() {
+        if cmd.is_none() {
             reversals(&smooth(pos, 2 * half), &mut out);
         }
     }
-    if let Some(cmd) = &c.cmd {
+    if let Some(cmd) = &cmd {
         let jump = |w: &[f64]| (w[1] - w[0]).abs();
         for size in cmd.windows(2).map(jump).filter(|x| *x > 0.02) {
             // a chirp's or ramp's change per point is smaller than this unless it is faster than any servo
@@ -150,7 +155,7 @@ fn joint(run: &Run<'_>, c: &Channels) -> JointExcitation {
         out.band_hz = band(cmd, step_s);
         // of the command: a reading reverses with every count
         reversals(cmd, &mut out);
-        if let Some(pos) = &c.pos {
+        if let Some(pos) = &pos {
             let squares: Vec<f64> = cmd
                 .iter()
                 .zip(pos)
@@ -158,11 +163,14 @@ fn joint(run: &Run<'_>, c: &Channels) -> JointExcitation {
                 .filter(|x| x.is_finite())
                 .collect();
             let mean = squares.iter().sum::<f64>() / squares.len().max(1) as f64;
-            out.error_rms_rad = mean.sqrt();
+            out.error_rms_rad = mean.sqrt() * c.per_radian;
             let kp = (run.log.meta.gains(&c.name).0).unwrap_or(run.robot.kp_nm_per_rad(c.index));
-            out.effort = kp * mean.sqrt() / run.robot.servo(c.index).tau_max_nm;
+            out.effort = kp * out.error_rms_rad / run.robot.servo(c.index).tau_max_nm;
         }
     }
+    out.range_rad = out.range_rad.map(|x| x * c.per_radian);
+    out.speed_max_radps *= c.per_radian;
+    out.speed_rms_radps *= c.per_radian;
     out
 }
 

@@ -53,13 +53,14 @@ pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
 /// The slow parts of command and position, where there is enough of both.
 fn follows(run: &Run<'_>, cmd: &Channels, pos: &Channels) -> Option<Together> {
     let t = together(cmd.slow_cmd.as_ref()?, pos.slow_pos.as_ref()?, 0);
-    let enough = t.points >= run.grid.points(LONG_ENOUGH_S) && t.first_sd > MOVES_RAD;
+    let enough =
+        t.points >= run.grid.points(LONG_ENOUGH_S) && t.first_sd > MOVES_RAD * cmd.per_radian;
     enough.then_some(t)
 }
 
 fn units(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     let (low, high) = run.robot.joint_limits_rad()[joint.index];
-    let widest = BEYOND.0 * low.abs().max(high.abs()) + BEYOND.1;
+    let widest = BEYOND.0 * low.abs().max(high.abs()) + BEYOND.1 * joint.per_radian;
     let beyond = |x: &Option<Vec<f64>>| {
         let x = x.as_ref()?;
         let known = x.iter().filter(|v| v.is_finite()).count();
@@ -82,7 +83,9 @@ fn units(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     let past = |v: &f64| (low - v).max(v - high);
     let positions = joint.pos.iter().flatten().copied();
     let farthest = positions.max_by(|a, b| past(a).total_cmp(&past(b)));
-    if let Some(at_rad) = farthest.filter(|v| past(v) > PAST_RAD && beyond(&joint.pos).is_none()) {
+    if let Some(at_rad) =
+        farthest.filter(|v| past(v) > PAST_RAD * joint.per_radian && beyond(&joint.pos).is_none())
+    {
         let detail = format!(
             "reaches {at_rad:.2} rad, past the joint's range of {low:.2} to {high:.2} rad, where the simulated \
              robot has an end stop: are range and zero right?"
@@ -122,14 +125,20 @@ fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     let half = run.grid.points(0.5 * SLOW_S);
     let speed = slope(pos, half, run.grid.step_s);
     let moves = slope(cmd, half, run.grid.step_s);
-    let error: Vec<f64> = (cmd.iter().zip(pos).zip(speed.iter().zip(&moves)))
-        .map(
-            |((u, q), (v, w))| {
-                if v.abs() < RESTS_RADPS && w.abs() < RESTS_RADPS { u - q } else { f64::NAN }
-            },
-        )
-        .collect();
-    let t = together(&error, &smooth(cur, run.grid.points(SLOW_S)), 0);
+    let rests = RESTS_RADPS * joint.per_radian;
+    let at_rest = |damping_s: f64| -> Vec<f64> {
+        (cmd.iter().zip(pos).zip(speed.iter().zip(&moves)))
+            .map(|((u, q), (v, w))| match v.abs() < rests && w.abs() < rests {
+                true => u - q - damping_s * v,
+                false => f64::NAN,
+            })
+            .collect()
+    };
+    let slow_cur = smooth(cur, run.grid.points(SLOW_S));
+    let t = together(&at_rest(0.0), &slow_cur, 0);
+    // a slow joint that is damped much leaves an error without a current
+    let (kp, kd) = gains(run, joint);
+    let damped = together(&at_rest(kd / kp), &slow_cur, 0);
     let asked = cmd.iter().zip(pos).zip(&speed).map(|((u, q), v)| (u - q, *v));
     if let Some((kind, detail)) = one_sided(run, joint, cur, asked) {
         let at = format!("cur.{}", joint.name);
@@ -137,13 +146,20 @@ fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     }
     // an error that hardly leaves its count, and a current that wanders meanwhile, tell nothing
     let told = t.first_sd > run.robot.servo(joint.index).encoder_lsb_rad();
-    if told && t.r < -0.7 && t.points >= run.grid.points(LONG_ENOUGH_S) {
+    if told && t.r.max(damped.r) < -0.7 && t.points >= run.grid.points(LONG_ENOUGH_S) {
         let detail = format!(
             "pulls away from the command (correlation with cmd − pos {:.2}); turn its sign",
             t.r
         );
         out.push(joint.fatal("sign", "cur", detail));
     }
+}
+
+/// Gains in force: N·m/rad, N·m·s/rad.
+fn gains(run: &Run<'_>, joint: &Channels) -> (f64, f64) {
+    let (kp, kd) = run.log.meta.gains(&joint.name);
+    let (of, robot) = (joint.index, run.robot);
+    (kp.unwrap_or(robot.kp_nm_per_rad(of)), kd.unwrap_or(robot.kd_nm_s_per_rad(of)))
 }
 
 /// What is wrong with a current that is never negative, or always the same, although what is left of the
@@ -156,9 +172,7 @@ fn one_sided(
     asked: impl Iterator<Item = (f64, f64)>,
 ) -> Option<(&'static str, String)> {
     let servo = run.robot.servo(joint.index);
-    let (kp, kd) = run.log.meta.gains(&joint.name);
-    let kp = kp.unwrap_or(run.robot.kp_nm_per_rad(joint.index));
-    let kd = kd.unwrap_or(run.robot.kd_nm_s_per_rad(joint.index));
+    let (kp, kd) = gains(run, joint);
     let idle_nm = servo.current_dead_band_a * servo.torque_per_current_nm_per_a;
     let most_nm = (PULLS * servo.tau_max_nm).max(2.0 * idle_nm);
     let much = |x: f64| kp * x > most_nm && x > 3.0 * servo.encoder_lsb_rad();
@@ -366,7 +380,7 @@ fn missed(run: &Run<'_>, cmd: &Channels, pos: &Channels) -> Option<Missed> {
     let resolved = t.second_sd > 0.2 * t.first_sd && (0.1..3.0).contains(&t.slope);
     let left = if resolved && t.r > 0.0 { 1.0 - t.r * t.r } else { 1.0 };
     // counts, friction and droop leave something of the best
-    let noise = (RESOLVED_RAD / t.second_sd.max(1e-9)).powi(2).min(1.0);
+    let noise = (RESOLVED_RAD * pos.per_radian / t.second_sd.max(1e-9)).powi(2).min(1.0);
     Some(Missed { left: left.max(noise), slope: t.slope })
 }
 
@@ -385,11 +399,11 @@ fn doubled(joints: &[Channels], out: &mut Vec<Finding>) {
             let known = || x.iter().zip(y).filter(|(p, q)| p.is_finite() && q.is_finite());
             let all = known().count();
             let same = known().filter(|(p, q)| p == q).count();
-            let moved = together(x, y, 0).first_sd > MOVES_RAD;
+            let moved = together(x, y, 0).first_sd > MOVES_RAD * first.per_radian;
             let asked_alike = match (&first.cmd, &second.cmd) {
                 (Some(u), Some(v)) => {
                     let off = u.iter().zip(v).map(|(u, v)| (u - v).abs());
-                    off.fold(0.0, |m: f64, d| if d > m { d } else { m }) < 1e-3
+                    off.fold(0.0, |m: f64, d| if d > m { d } else { m }) < 1e-3 * first.per_radian
                 }
                 _ => false,
             };

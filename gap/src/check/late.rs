@@ -53,7 +53,7 @@ struct Lag<'a> {
 pub(super) fn asks_much_rad(run: &Run<'_>, joint: &Channels) -> f64 {
     let kp = (run.log.meta.gains(&joint.name).0).unwrap_or(run.robot.kp_nm_per_rad(joint.index));
     let servo = run.robot.servo(joint.index);
-    ASKS_RAD.max(ASKS_SHARE * servo.tau_max_nm / kp.max(1e-6))
+    (ASKS_RAD * joint.per_radian).max(ASKS_SHARE * servo.tau_max_nm / kp.max(1e-6))
 }
 
 /// A joint at rest that does not stir for longer than any servo and any delay takes.

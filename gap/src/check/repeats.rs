@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::channels::Channels;
 use super::finding::{Finding, Run};
 use super::series::{Grid, median, smooth};
+use crate::repeats::same_conditions;
 
 /// Commands of repeats may differ by this much, rad.
 const SAME_RAD: f64 = 2e-3;
@@ -60,7 +61,7 @@ fn alike(runs: &[Run<'_>], channels: &[Vec<Channels>], a: usize, b: usize) -> bo
     if ca.len() != cb.len() || ca.is_empty() || (la / lb - 1.0).abs() > 0.03 {
         return false;
     }
-    if !runs[a].log.meta.same_conditions(&runs[b].log.meta) {
+    if !same_conditions(runs[a].robot, &runs[a].log.meta, &runs[b].log.meta) {
         return false;
     }
     ca.iter().zip(cb).all(|(x, y)| {
@@ -79,7 +80,8 @@ fn alike(runs: &[Run<'_>], channels: &[Vec<Channels>], a: usize, b: usize) -> bo
             let (low, high) = near
                 .iter()
                 .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
-            let close = (low - SAME_RAD..=high + SAME_RAD).contains(&u)
+            let same = SAME_RAD * x.per_radian;
+            let close = (low - same..=high + same).contains(&u)
                 || (u.is_nan() && near.iter().any(|v| v.is_nan()));
             if !close && !near.is_empty() {
                 off += 1;

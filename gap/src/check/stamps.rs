@@ -125,11 +125,12 @@ fn lost(time_s: &[f64], median_s: f64, out: &mut Vec<Finding>) {
 /// shows that time did pass.
 fn clock_jumped(run: &Run<'_>, joints: &[Channels], at_s: f64, step_s: f64) -> usize {
     let table = &run.log.table;
-    let signals = joints
-        .iter()
-        .flat_map(|j| [Signal::Command(j.name.clone()), Signal::Position(j.name.clone())]);
+    let signals = joints.iter().flat_map(|j| {
+        let both = [Signal::Command(j.name.clone()), Signal::Position(j.name.clone())];
+        both.map(|signal| (signal, j.per_radian))
+    });
     let mut jumped = 0;
-    for signal in signals {
+    for (signal, per_radian) in signals {
         let Some(column) = table.column(&signal) else { continue };
         let known = || table.time_s().iter().zip(column).filter_map(|(&t, x)| Some((t, (*x)?)));
         let before: Vec<(f64, f64)> =
@@ -140,7 +141,7 @@ fn clock_jumped(run: &Run<'_>, joints: &[Channels], at_s: f64, step_s: f64) -> u
         let (Some(v0), Some(v1)) = (speed(&before), speed(&after)) else { continue };
         // a steady motion on both sides, far enough to tell
         let mean = 0.5 * (v0 + v1);
-        if (v0 - v1).abs() > 0.5 * mean.abs() || mean.abs() * step_s < TELLING_RAD {
+        if (v0 - v1).abs() > 0.5 * mean.abs() || mean.abs() * step_s < TELLING_RAD * per_radian {
             continue;
         }
         let share = (after[0].1 - before[before.len() - 1].1) / (mean * step_s);

@@ -114,7 +114,8 @@ pub(super) fn watched<'a>(replayer: &Replayer, trials: &'a [Trial]) -> Vec<Group
     let most = |runs: &'a [Trial]| {
         let each = (0..joints).filter_map(|joint| {
             let together = Together::of(replayer, runs, joint)?;
-            let least_rad = LEAST_STEP_RAD.max(TIMES_NOISE * together.noise_rad(1));
+            let least_rad = LEAST_STEP_RAD * replayer.model().per_radian(joint);
+            let least_rad = least_rad.max(TIMES_NOISE * together.noise_rad(1));
             let large =
                 (0..together.time_s.len()).filter(|k| together.step(*k, 1).abs() > least_rad);
             Some((large.count(), Group { runs, joint, least_rad }))

@@ -139,10 +139,11 @@ impl<'a> Angles<'a> {
         self.of[a].count > 0
     }
 
-    /// Mean over all joints that have an angle.
+    /// Mean over all joints that have an angle, of slides in what counts as a radian.
     pub fn mean(&self, of: impl Fn(usize) -> f64) -> f64 {
         let own = (0..self.of.len()).filter(|&a| self.measured(a));
-        let (sum, n) = own.fold((0.0, 0.0), |(sum, n), a| (sum + of(a), n + 1.0));
+        let (sum, n) =
+            own.fold((0.0, 0.0), |(sum, n), a| (sum + of(a) / self.per_radian(a), n + 1.0));
         sum / f64::max(n, 1.0)
     }
 
@@ -264,7 +265,9 @@ impl<'a> Angles<'a> {
         let joints = self.of.len();
         let mut damping = vec![0.1_f64; joints];
         let mut linear = self.linear(model, known)?;
-        let scales: Vec<f64> = linear.residual.iter().map(|r| scale(r)).collect();
+        let scales: Vec<f64> = (linear.residual.iter().enumerate())
+            .map(|(a, r)| scale(r, self.per_radian(a)))
+            .collect();
         let mut were = losses(&linear.residual, &scales);
         let (mut kept, mut best) = (model.clone(), linear.clone());
         for _ in 0..rounds {
@@ -392,6 +395,11 @@ impl<'a> Angles<'a> {
         out
     }
 
+    /// What counts as a radian at joint `a`.
+    pub fn per_radian(&self, a: usize) -> f64 {
+        self.context.replayer.model().per_radian(a)
+    }
+
     /// Mean absolute error of each joint in cross-validation, rad, and the standard deviation of each of its
     /// parameters by the jackknife over the folds, SI. `[A]`, `[A][P]`
     pub fn cross(&self, model: &Joints, linear: &Linear) -> (Vec<f64>, Vec<Vec<f64>>) {
@@ -399,7 +407,7 @@ impl<'a> Angles<'a> {
         for (a, of) in self.of.iter().enumerate() {
             let free = frees(&self.context.replayer, &model.own[a], &linear.steps[a]);
             // in units of about the noise, so that the prior weighs what it should
-            let noise = scale(&linear.residual[a]) as f32;
+            let noise = scale(&linear.residual[a], self.per_radian(a)) as f32;
             let scaled = |x: &[f32]| -> Vec<f32> { x.iter().map(|v| v / noise).collect() };
             let columns: Vec<Vec<f32>> = linear.columns[a].iter().map(|c| scaled(c)).collect();
             let (left, shifts) =
@@ -416,10 +424,10 @@ pub fn mean_abs(x: &[f32]) -> f64 {
     x.iter().map(|v| f64::from(v.abs())).sum::<f64>() / x.len().max(1) as f64
 }
 
-/// From which residual on the loss is linear, rad.
-pub fn scale(residual: &[f32]) -> f64 {
+/// From which residual on the loss is linear, rad; or m, so many for a radian.
+pub fn scale(residual: &[f32], per_radian: f64) -> f64 {
     let sizes = residual.iter().map(|r| f64::from(r.abs())).collect();
-    (LINEAR_FROM * median(sizes).unwrap_or(0.0)).max(COUNT_RAD)
+    (LINEAR_FROM * median(sizes).unwrap_or(0.0)).max(COUNT_RAD * per_radian)
 }
 
 /// Σ 2·s²·(√(1 + (r/s)²) − 1) of each joint: r² for small r, 2·s·|r| for large ones. `[A]`

@@ -193,8 +193,8 @@ impl Judge {
                         let d = (trace[k] - zero[k]) * n.share / self.noise.sigma[k];
                         if d.is_finite() { d } else { 0.0 }
                     };
-                    if n.per_joint {
-                        for joint in 0..joints {
+                    if !n.joints.is_empty() {
+                        for &joint in &n.joints {
                             let own = pieces(&self.data, &range)
                                 .filter(|p| p.kind.of_joint() && p.index == joint);
                             let at = |p: &Piece| p.range.start - range.start;

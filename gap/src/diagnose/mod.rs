@@ -74,6 +74,10 @@ pub fn diagnose(
     progress: &mut dyn FnMut(Progress),
 ) -> Result<Diagnosis, GapError> {
     progress(Progress::new(Stage::Reading, 0, ""));
+    let asked = request.options.only.iter().chain(&request.options.without);
+    if let Some(id) = asked.into_iter().find(|id| effects::find(id).is_none()) {
+        return Err(GapError::UnknownEffect(id.clone()));
+    }
     let model =
         Arc::new(RobotModel::from_bytes(&request.label, &request.robot_toml, &request.mjcf)?);
     if request.runs.is_empty() {
@@ -88,7 +92,7 @@ pub fn diagnose(
         .iter()
         .map(|run| reading::trial(&model, run))
         .collect::<Result<Vec<_>, _>>()?;
-    repeats::group(&mut trials);
+    repeats::group(&model, &mut trials);
     let split = hold_out(&mut trials);
     for (run, trial) in runs.iter_mut().zip(&trials) {
         run.role = role_name(trial.role).to_owned();

@@ -123,14 +123,13 @@ fn between_names(
     let bare = most_telling(context, &pair, |_| true, None)?;
     let mut separates = vec![open.effect.clone()];
     separates.extend(open.alternatives.iter().cloned());
-    let told = |(trial, apart_rad): (String, f64), with: &str, payload| NextExperiment {
+    let told = |(trial, apart): (String, String), with: &str, payload| NextExperiment {
         trial,
         joints: open.location.clone(),
         reason: format!(
-            "{} and {} explain these runs alike; {with}in this trial they would differ by {:.1} mrad",
+            "{} and {} explain these runs alike; {with}in this trial they would differ by {apart}",
             open.effect,
-            open.alternatives.join(", "),
-            1e3 * apart_rad
+            open.alternatives.join(", ")
         ),
         separates: separates.clone(),
         payload,
@@ -213,14 +212,13 @@ fn in_the_dark<'a>(
             let seen = || (effect.unseen)(&excited, &place).is_none();
             trial.excites.iter().any(|e| e == effect.id) && seen()
         };
-        if let Some((trial, apart_rad)) = most_telling(context, &pair, made_for, None)? {
+        if let Some((trial, apart)) = most_telling(context, &pair, made_for, None)? {
             return Ok(Some(NextExperiment {
                 trial,
                 joints: Vec::new(),
                 reason: format!(
-                    "{} could not be seen: {why}; in this trial one of middling size would change angles by {:.1} mrad",
-                    effect.id,
-                    1e3 * apart_rad
+                    "{} could not be seen: {why}; in this trial one of middling size would change angles by {apart}",
+                    effect.id
                 ),
                 separates: vec![effect.id.to_owned()],
                 payload: None,
@@ -254,32 +252,32 @@ fn apart(
 ) -> Result<Option<NextExperiment>, GapError> {
     let pair = [found.best.terms.clone(), terms.clone()];
     let best = most_telling(context, &pair, |_| true, None)?;
-    Ok(best.map(|(trial, apart_rad)| NextExperiment {
+    Ok(best.map(|(trial, apart)| NextExperiment {
         trial,
         joints: term.place.names.clone(),
-        reason: format!("{why} they would differ by {:.1} mrad", 1e3 * apart_rad),
+        reason: format!("{why} they would differ by {apart}"),
         separates: vec![term.effect.id.to_owned()],
         payload: None,
     }))
 }
 
 /// The trial that is not in the logs in which a joint's angle differs most between two models, and by how
-/// much, rad. None where it does not in any.
+/// much. None where it does not in any.
 fn most_telling(
     context: &Context,
     pair: &[Variant; 2],
     among: impl Fn(&excite::Trial) -> bool,
     weight: Option<&Payload>,
-) -> Result<Option<(String, f64)>, GapError> {
+) -> Result<Option<(String, String)>, GapError> {
     let model = context.replayer.model();
     let Ok(battery) = excite::battery(model, None, DEFAULT_RATE_HZ) else {
         return Ok(None);
     };
-    let mut best: Option<(String, f64)> = None;
+    let mut best: Option<(String, String, f64)> = None;
     for trial in battery.iter().filter(|t| t.duration_s <= LONGEST_S && among(t)) {
         let run = asked_for(context, trial, weight);
         let runs = context.fit.data.trials.iter().chain(&context.holdout.data.trials);
-        if is_recorded(runs, trial, &run, weight.is_some()) {
+        if is_recorded(model, runs, trial, &run, weight.is_some()) {
             continue;
         }
         let data = Data::new(model, vec![run], SegmentOptions::default());
@@ -287,19 +285,24 @@ fn most_telling(
         for piece in data.pieces() {
             let off = |k: usize| f64::from(predictions[0][k] - predictions[1][k]).powi(2);
             let square: f64 = piece.range.clone().map(off).sum();
-            let apart_rad = (square / piece.range.len().max(1) as f64).sqrt();
-            if apart_rad > best.as_ref().map_or(TELLS_RAD, |b| b.1) {
-                best = Some((trial.name.clone(), apart_rad));
+            let apart = (square / piece.range.len().max(1) as f64).sqrt();
+            let per_radian = model.per_radian(piece.index);
+            if apart / per_radian > best.as_ref().map_or(TELLS_RAD, |b| b.2) {
+                let unit = model.joints()[model.actuated()[piece.index]].unit();
+                let apart_told = format!("{:.1} m{unit}", 1e3 * apart);
+                best = Some((trial.name.clone(), apart_told, apart / per_radian));
             }
         }
     }
-    Ok(best)
+    Ok(best.map(|(trial, apart, _)| (trial, apart)))
 }
 
-/// `trial` under the conditions of the first run that was held as it is, with this weight.
+/// `trial` under the conditions of the first run that was held as it is, of those without a weight if there are any,
+/// with this weight.
 fn asked_for(context: &Context, trial: &excite::Trial, weight: Option<&Payload>) -> Trial {
     let mut own = as_run(trial, &[Kind::Position]);
-    if let Some(first) = context.fit.data.trials.iter().find(|r| r.base == own.base) {
+    let held = || context.fit.data.trials.iter().filter(|r| r.base == own.base);
+    if let Some(first) = held().find(|r| r.meta.payload.is_empty()).or_else(|| held().next()) {
         (own.meta, own.supply_v) = (first.meta.clone(), first.supply_v);
     }
     if let Some(weight) = weight {
@@ -311,6 +314,7 @@ fn asked_for(context: &Context, trial: &excite::Trial, weight: Option<&Payload>)
 /// Whether one of `runs` is `trial` by its name, or by the commands that it was sent, under the conditions of
 /// `own`; of a known weight (`weighted`) any will do.
 fn is_recorded<'a>(
+    model: &RobotModel,
     runs: impl Iterator<Item = &'a Trial>,
     trial: &excite::Trial,
     own: &Trial,
@@ -327,8 +331,8 @@ fn is_recorded<'a>(
             of == Some(trial.name.as_str())
         };
         let longer = r.duration_s() > own.duration_s() - 0.1;
-        meta.same_conditions(&own.meta)
-            && (named() || longer && repeats::same_commands(own, r, small(trial)))
+        repeats::same_conditions(model, &meta, &own.meta)
+            && (named() || longer && repeats::same_commands(own, r, |_| small(trial)))
     })
 }
 
@@ -361,7 +365,7 @@ mod tests {
             let known = |run: &Trial, weighted| {
                 let is = |t: &&excite::Trial| {
                     let own = &as_run(t, &[]);
-                    is_recorded(std::iter::once(run), t, own, weighted)
+                    is_recorded(&model, std::iter::once(run), t, own, weighted)
                 };
                 battery.iter().filter(is).map(|t| t.name.clone()).collect::<Vec<_>>()
             };

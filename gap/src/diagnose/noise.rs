@@ -124,7 +124,7 @@ impl Noise {
         let shown = |t: &Trial| t.members.len() > 1 && t.channel(piece.kind, piece.index).is_some();
         let repeat = match members.len() > 1 || data.trials.iter().any(shown) {
             true => apart,
-            false => unexplained(own, piece.kind, piece.index, time_s, values),
+            false => unexplained(model, own, (piece.kind, piece.index), time_s, values),
         };
         if members.len() > 1 && !values.is_empty() {
             let all = repeats.entry((trial, piece.kind, piece.index)).or_default();
@@ -141,7 +141,7 @@ impl Noise {
             share = share.min(OF_ERROR * behind(own, piece.index, time_s, values));
         }
         let sigma = floor.max(repeat).hypot(share);
-        let sigma = sigma.max(smallest(piece.kind));
+        let sigma = sigma.max(smallest(model, piece.kind, piece.index));
         let idle_a = match piece.kind {
             Kind::Current => model.servo(piece.index).current_dead_band_a,
             _ => 0.0,
@@ -197,10 +197,10 @@ fn quantum(model: &RobotModel, channel: &Channel) -> f64 {
 }
 
 /// Noise finer than this is not believed, SI.
-fn smallest(kind: Kind) -> f64 {
+fn smallest(model: &RobotModel, kind: Kind, index: usize) -> f64 {
     match kind {
-        Kind::Position => 5e-4,
-        Kind::Velocity => 0.01,
+        Kind::Position => 5e-4 * model.per_radian(index),
+        Kind::Velocity => 0.01 * model.per_radian(index),
         Kind::Current => 0.005,
         Kind::Torque => 0.005,
         Kind::Voltage => 0.05,

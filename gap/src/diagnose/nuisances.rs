@@ -1,6 +1,9 @@
 //! What differs from run to run in a careful lab, with its tolerances.
 
+use caudata_model::JointMotion;
+
 use crate::effects;
+use crate::place::{Domain, Place};
 use crate::plant::Plant;
 use crate::replay::{Replayer, Term, Variant};
 
@@ -37,74 +40,88 @@ pub struct Nuisance {
     pub variant: Variant,
     /// Share of its trace that is one tolerance.
     pub share: f32,
-    /// Independent from joint to joint.
-    pub per_joint: bool,
+    /// Joints that have it, each its own; none: it is one of all.
+    pub joints: Vec<usize>,
 }
 
-/// Effect, parameter, value, tolerances that this is, whether each joint has its own.
-type Row = (&'static str, usize, f64, f64, bool);
+/// Effect, parameter, value, tolerances that this is.
+type Row = (&'static str, usize, f64, f64);
 
 /// What differs from run to run in a careful lab, and in its pool (`wet`), as candidates on top of `base`.
 pub fn nuisances(replayer: &Replayer, base: &[Term], wet: bool) -> Vec<Nuisance> {
     let model = replayer.model();
-    let mut rows: Vec<Row> = Vec::new();
+    let mut rows: Vec<(Row, Vec<usize>)> = Vec::new();
     if wet {
-        rows.extend(IN_WATER);
+        rows.extend(IN_WATER.map(|row| (row, Vec::new())));
     }
-    rows.extend(of_joints(replayer, base));
-    rows.extend([
-        ("command_delay", 0, 3.0 * TIME_TOLERANCE_S, 3.0, false),
-        ("supply_level", 0, 1.0 + 3.0 * SUPPLY_TOLERANCE, 3.0, false),
-    ]);
+    // hinges, and slides: what one has on average is in another unit than the other
+    let is = |motion| move |a: &usize| model.joints()[model.actuated()[*a]].motion == motion;
+    for motion in [JointMotion::Hinge, JointMotion::Slide] {
+        let joints: Vec<usize> = (0..model.actuated().len()).filter(is(motion)).collect();
+        if !joints.is_empty() {
+            rows.extend(
+                of_joints(replayer, base, &joints).into_iter().map(|r| (r, joints.clone())),
+            );
+        }
+    }
+    let of_all = [
+        ("command_delay", 0, 3.0 * TIME_TOLERANCE_S, 3.0),
+        ("supply_level", 0, 1.0 + 3.0 * SUPPLY_TOLERANCE, 3.0),
+    ];
+    rows.extend(of_all.map(|row| (row, Vec::new())));
     if !model.feet().is_empty() {
-        rows.push(("contact_friction", 0, 1.0 + GROUND_TOLERANCE, 1.0, false));
+        rows.push((("contact_friction", 0, 1.0 + GROUND_TOLERANCE, 1.0), Vec::new()));
     }
-    let nuisance = |(id, parameter, value, tolerances, per_joint): Row| {
+    let nuisance = |((id, parameter, value, tolerances), joints): (Row, Vec<usize>)| {
         let effect = effects::find(id)?;
-        let place = effect.places(model).into_iter().next()?;
+        let place = match joints.is_empty() {
+            true => effect.places(model).into_iter().next()?,
+            false => Place { domain: Domain::Joints, items: joints.clone(), names: Vec::new() },
+        };
         let mut term = Term::nothing(model, effect, place);
         term.values[parameter] = value;
         let variant = [base, &[term]].concat();
-        Some(Nuisance { variant, share: (1.0 / tolerances) as f32, per_joint })
+        Some(Nuisance { variant, share: (1.0 / tolerances) as f32, joints })
     };
     rows.into_iter().filter_map(nuisance).collect()
 }
 
 /// A few times the tolerance each, scaled back: the trace of a tiny change drowns in rounding.
 const IN_WATER: [Row; 4] = [
-    ("water_current", 0, 4.0 * STIR_TOLERANCE_MPS, 4.0, false),
-    ("water_current", 1, 4.0 * STIR_TOLERANCE_MPS, 4.0, false),
-    ("quadratic_drag", 1, 1.0 + 3.0 * DRAG_TOLERANCE, 3.0, false),
-    ("buoyancy", 0, 1.0 + 4.0 * BUOYANCY_TOLERANCE, 4.0, false),
+    ("water_current", 0, 4.0 * STIR_TOLERANCE_MPS, 4.0),
+    ("water_current", 1, 4.0 * STIR_TOLERANCE_MPS, 4.0),
+    ("quadratic_drag", 1, 1.0 + 3.0 * DRAG_TOLERANCE, 3.0),
+    ("buoyancy", 0, 1.0 + 4.0 * BUOYANCY_TOLERANCE, 4.0),
 ];
 
-/// Those of servos and joints, in proportion to what they have on average.
-fn of_joints(replayer: &Replayer, base: &[Term]) -> Vec<Row> {
+/// Those of the servos at `joints` and of these, in proportion to what they have on average.
+fn of_joints(replayer: &Replayer, base: &[Term], joints: &[usize]) -> Vec<Row> {
     let model = replayer.model();
     let mut plant = Plant::nominal(model);
-    let servos = plant.lane.torque_scale.len();
     plant.session = 0.5;
     for term in base {
         (term.effect.apply)(&mut plant, &term.place, &term.values);
     }
-    let mean = |x: &[f32]| x.iter().map(|v| f64::from(*v)).sum::<f64>() / x.len().max(1) as f64;
-    let most_nm =
-        (0..servos).map(|a| model.servo(a).tau_max_nm).sum::<f64>() / servos.max(1) as f64;
-    let friction_nm = mean(&plant.lane.joint_friction_nm).max(0.003 * most_nm);
-    let damping = mean(&plant.lane.joint_damping_nms_per_rad);
-    let ways: Vec<f32> = plant.lane.joints.iter().map(|j| j.presliding_rad).collect();
-    let rotor_kgm2 = mean(&plant.lane.joint_armature_kgm2).max(1e-4);
-    let mut rows = vec![("coulomb_friction", 0, 3.0 * FRICTION_TOLERANCE * friction_nm, 3.0, true)];
+    let mean = |of: &dyn Fn(usize) -> f64| {
+        joints.iter().map(|a| of(*a)).sum::<f64>() / joints.len() as f64
+    };
+    let lane = &plant.lane;
+    let most_nm = mean(&|a| model.servo(a).tau_max_nm);
+    let friction_nm = mean(&|a| lane.joint_friction_nm[a].into()).max(0.003 * most_nm);
+    let damping = mean(&|a| lane.joint_damping_nms_per_rad[a].into());
+    let way = mean(&|a| lane.joints[a].presliding_rad.into());
+    let rotor_kgm2 = mean(&|a| lane.joint_armature_kgm2[a].into()).max(1e-4);
+    let mut rows = vec![("coulomb_friction", 0, 3.0 * FRICTION_TOLERANCE * friction_nm, 3.0)];
     if damping > 0.0 {
-        rows.push(("viscous_friction", 0, 3.0 * FRICTION_TOLERANCE * damping, 3.0, true));
+        rows.push(("viscous_friction", 0, 3.0 * FRICTION_TOLERANCE * damping, 3.0));
     }
     rows.extend([
-        ("pre_sliding", 0, mean(&ways) * (1.0 + PRESLIDING_TOLERANCE), 1.0, true),
-        ("kp_error", 0, 1.0 + 3.0 * GAINS_TOLERANCE, 3.0, true),
-        ("servo_loop_delay", 0, 6.0 * LOOP_TOLERANCE_S, 6.0, true),
-        ("armature", 0, ROTOR_TOLERANCE * rotor_kgm2, 1.0, true),
-        ("current_lag", 0, READING_TOLERANCE_S, 1.0, true),
-        ("velocity_lag", 0, READING_TOLERANCE_S, 1.0, true),
+        ("pre_sliding", 0, way * (1.0 + PRESLIDING_TOLERANCE), 1.0),
+        ("kp_error", 0, 1.0 + 3.0 * GAINS_TOLERANCE, 3.0),
+        ("servo_loop_delay", 0, 6.0 * LOOP_TOLERANCE_S, 6.0),
+        ("armature", 0, ROTOR_TOLERANCE * rotor_kgm2, 1.0),
+        ("current_lag", 0, READING_TOLERANCE_S, 1.0),
+        ("velocity_lag", 0, READING_TOLERANCE_S, 1.0),
     ]);
     rows
 }

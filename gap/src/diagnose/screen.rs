@@ -118,11 +118,16 @@ pub fn screen(
 /// What to simulate: all joints at once, and links of different branches.
 fn plan(context: &Context, around: &State) -> Vec<Tried> {
     let model = context.replayer.model();
+    let joints = model.actuated().len();
     let mut plan = Vec::new();
     for &effect in &context.effects {
         let all = effect.places(model);
         let wanted = |p: &Place| open(context, around, effect, p);
         let together: Vec<Vec<Place>> = match effect.domain {
+            // of hinges and slides each has sizes of its own
+            Domain::Joints if all.first().is_some_and(|p| p.items.len() < joints) => {
+                vec![all.iter().filter(|p| p.items.len() == 1).cloned().collect()]
+            }
             Domain::Joints => vec![all.iter().take(1).cloned().collect()],
             Domain::Links => side_by_side(context, all.iter().filter(|p| wanted(p))),
             _ => all.iter().map(|p| vec![p.clone()]).collect(),

@@ -2,8 +2,6 @@
 //! to make up for it: such a stop is simulated nowhere, or, where a joint without it would go on and the measured
 //! one does not, where that one stops.
 
-use caudata_model::JointMotion;
-
 use crate::effects::{Domain, PASSED_STOP, Place};
 use crate::error::GapError;
 use crate::replay::{Data, Replayer, Term, Variant};
@@ -97,10 +95,7 @@ pub fn find(replayer: &Replayer, data: &Data) -> Result<Vec<Passed>, GapError> {
     let joints: Vec<usize> = (0..first.len()).filter(|a| passed(*a, 0) || passed(*a, 1)).collect();
     let free = beyond(joints.iter().map(|&a| term(a, &|_| FARTHER)).collect())?;
     let told = |&a: &usize| {
-        let unit = match model.joints()[model.actuated()[a]].motion {
-            JointMotion::Hinge => "rad",
-            JointMotion::Slide => "m",
-        };
+        let unit = model.joints()[model.actuated()[a]].unit();
         let over = |s: usize| measured.at(a, s, 0);
         // farther without a stop than it was ever measured: there is one
         let held = |s: usize| free.at(a, s, SAMPLES) > over(s) + gives_way(a);

@@ -41,7 +41,7 @@ fn one_robot(context: &Context, robots: &[Variant; 3]) -> Result<bool, GapError>
         let data = Data::new(model, vec![run], SegmentOptions::default());
         let predictions = context.replayer.predict(&data, robots)?;
         for piece in data.pieces() {
-            let Some(tolerance) = tolerance(piece.kind) else {
+            let Some(tolerance) = tolerance(model, piece) else {
                 continue;
             };
             let off = |a: usize, b: usize| {

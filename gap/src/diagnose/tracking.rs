@@ -338,7 +338,7 @@ fn ranked(
     let changes = angles.changes(model, &variants)?;
     Ok((0..joints)
         .map(|a| {
-            let rest = Rest::new(&linear.residual[a], &linear.columns[a]);
+            let rest = Rest::new(&linear.residual[a], &linear.columns[a], angles.per_radian(a));
             let mut best: BTreeMap<&str, (f64, Term)> = BTreeMap::new();
             for (&(effect, k), change) in plans[a].iter().zip(&changes) {
                 let mut term = at(effect, k, a);
@@ -383,8 +383,8 @@ struct Rest {
 }
 
 impl Rest {
-    fn new(residual: &[f32], columns: &[Vec<f32>]) -> Self {
-        let weight = weights(residual, scale(residual));
+    fn new(residual: &[f32], columns: &[Vec<f32>], per_radian: f64) -> Self {
+        let weight = weights(residual, scale(residual, per_radian));
         let weighted = |x: &[f32]| x.iter().zip(&weight).map(|(x, w)| x * w).collect::<Vec<f32>>();
         let mut basis = Vec::new();
         columns.iter().for_each(|c| widen(&mut basis, weighted(c), 0.0));
@@ -420,7 +420,7 @@ mod tests {
     #[test]
     fn what_parameters_can_do_already_promises_nothing() {
         let residual = [1.0_f32, 1.0, 1.0, -1.0];
-        let rest = Rest::new(&residual, &[vec![1.0, 1.0, 0.0, 0.0]]);
+        let rest = Rest::new(&residual, &[vec![1.0, 1.0, 0.0, 0.0]], 1.0);
         // the first two samples are explained: (0, 0, 1, −1) is left
         assert_eq!(rest.promises(&[2.0, 2.0, 0.0, 0.0], false).0, 0.0);
         // a trace in the other direction is as good, with the other sign

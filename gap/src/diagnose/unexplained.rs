@@ -9,6 +9,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use caudata_model::RobotModel;
+
 use crate::check::series::median;
 use crate::trial::{Kind, Trial};
 
@@ -21,9 +23,15 @@ const STICKS_RADPS: f64 = 0.05;
 /// Rounds of weighing.
 const WEIGHINGS: usize = 4;
 
-/// Standard deviation of what a law of joint `index` leaves of its `values` (SI) of `kind` at `time_s`; 0 where
+/// Standard deviation of what a law of a joint of `model` leaves of its `values` (SI) of a kind at `time_s`; 0 where
 /// that is not known.
-pub fn unexplained(trial: &Trial, kind: Kind, index: usize, time_s: &[f64], values: &[f64]) -> f64 {
+pub fn unexplained(
+    model: &RobotModel,
+    trial: &Trial,
+    (kind, index): (Kind, usize),
+    time_s: &[f64],
+    values: &[f64],
+) -> f64 {
     let (Some(angle), Some(command)) =
         (trial.channel(Kind::Position, index), trial.commands.get(index))
     else {
@@ -38,7 +46,8 @@ pub fn unexplained(trial: &Trial, kind: Kind, index: usize, time_s: &[f64], valu
                 _ => {
                     row.extend(LAGS_S.map(|lag| command.at(t - lag)));
                     let v = speed(t);
-                    row.extend([angle.at(t), v, (v / STICKS_RADPS).clamp(-1.0, 1.0)]);
+                    let sign = (v / (STICKS_RADPS * model.per_radian(index))).clamp(-1.0, 1.0);
+                    row.extend([angle.at(t), v, sign]);
                 }
             }
             row
@@ -105,9 +114,11 @@ mod tests {
             time_s: time_s.clone(),
             value,
         };
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/xl330_pendulum.robot.toml");
+        let model = RobotModel::load(file.as_ref()).unwrap();
         let trial = Trial::bare(BaseHold::Fixed, 20.0, vec![position]);
         let late: Vec<f64> = time_s.iter().map(|&t| 0.97 * speed(t - 0.03)).collect();
-        let of = |values: &[f64]| unexplained(&trial, Kind::Velocity, 0, &time_s, values);
+        let of = |values: &[f64]| unexplained(&model, &trial, (Kind::Velocity, 0), &time_s, values);
         assert!(of(&late) < 0.02, "{}", of(&late));
         // x ← 0.85·x + √(1 − 0.85²)·0.3·N(0, 1): 0.3, and next to no change from sample to sample
         let mut noise = Stream::new(Key::for_run(3), Purpose::Sensor);

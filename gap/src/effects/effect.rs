@@ -1,7 +1,7 @@
 //! What an effect is: a record with a hook, and what most records share.
 
 use caudata_declare::named;
-use caudata_model::RobotModel;
+use caudata_model::{JointMotion, RobotModel};
 
 use crate::excitation::Excitation;
 use crate::place::{Domain, Place, places};
@@ -35,6 +35,12 @@ named! {
 pub enum Reference {
     /// 1.
     One,
+    /// A radian; of slides what counts as one.
+    Angle,
+    /// The same of a compliance: its square.
+    AngleSquared,
+    /// A radian; of slides so many metres as friction springs before it slides for one that a hinge's does.
+    Presliding,
     /// The servo's largest torque, N·m.
     Torque,
     /// The servo's speed without load, rad/s.
@@ -115,7 +121,15 @@ impl PartialEq for Effect {
 impl Effect {
     /// Everywhere that it can act on a robot, widest first.
     pub fn places(&self, model: &RobotModel) -> Vec<Place> {
-        places(model, self.domain)
+        let mut all = places(model, self.domain);
+        // N and N·m, m and rad are no one size
+        let of_joint = |unit: &str| unit.contains("rad") || unit.contains('m');
+        if self.domain == Domain::Joints && self.parameters.iter().any(|p| of_joint(p.unit)) {
+            all.retain(|p| {
+                p.items.iter().all(|&a| model.per_radian(a) == model.per_radian(p.items[0]))
+            });
+        }
+        all
     }
 
     /// Ids of the effects that look like it.
@@ -219,17 +233,22 @@ fn reference(model: &RobotModel, place: &Place, reference: Reference) -> f64 {
     let mean = |f: &dyn Fn(usize) -> f64| {
         joints.iter().map(|&a| f(a)).sum::<f64>() / joints.len().max(1) as f64
     };
+    let joint = |a: usize| &model.joints()[model.actuated()[a]];
     let of_links = |f: &dyn Fn(usize) -> f64| {
         place.items.iter().map(|&l| f(l)).sum::<f64>() / place.items.len().max(1) as f64
     };
     match reference {
         Reference::One => 1.0,
+        Reference::Angle => mean(&|a| model.per_radian(a)),
+        Reference::AngleSquared => mean(&|a| model.per_radian(a).powi(2)),
+        Reference::Presliding => mean(&|a| match joint(a).motion {
+            JointMotion::Hinge => 1.0,
+            JointMotion::Slide => 0.015,
+        }),
         Reference::Torque => mean(&|a| model.servo(a).tau_max_nm),
         Reference::Speed => mean(&|a| model.servo(a).qd_max_radps),
         Reference::Damping => mean(&|a| model.servo(a).tau_max_nm / model.servo(a).qd_max_radps),
-        Reference::Armature => {
-            mean(&|a| model.joints()[model.actuated()[a]].armature_kgm2.max(1e-4))
-        }
+        Reference::Armature => mean(&|a| joint(a).armature_kgm2.max(1e-4)),
         Reference::Gain => mean(&|a| model.kp_nm_per_rad(a)).max(1e-6),
         Reference::Mass => of_links(&|l| model.links()[l].mass_kg),
         Reference::Lever => of_links(&|l| lever(model, l).1),

@@ -1,6 +1,6 @@
 //! Friction (X1 to X7, X11).
 
-use super::effect::Reference::{Damping, One, Speed, Torque};
+use super::effect::Reference::{Damping, One, Presliding, Speed, Torque};
 use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
 use crate::place::{Domain, Place};
 use crate::plant::Plant;
@@ -158,10 +158,10 @@ pub static DIRECTION_ASYMMETRY: Effect = Effect {
 
 pub static PRE_SLIDING: Effect = Effect {
     id: "pre_sliding",
-    parameters: &[parameter("way_rad", "rad", 0.002, (0.0002, 0.2), 0.002, One)],
+    parameters: &[parameter("way_rad", "rad", 0.002, (0.0002, 0.2), 0.002, Presliding)],
     grid: &one(&[0.0006, 0.006, 0.012, 0.025, 0.05, 0.1]),
     apply: |plant, place, v| {
-        place.each(|a| plant.lane.joints[a].presliding_rad = (v[0] as f32).clamp(1e-5, 1.0))
+        place.each(|a| plant.lane.joints[a].presliding_rad = (v[0] as f32).clamp(1e-7, 1.0))
     },
     look_alikes: "coulomb_friction stribeck_friction gear_compliance gear_backlash",
     trial: "micro",

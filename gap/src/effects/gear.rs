@@ -1,6 +1,6 @@
 //! Gears (X8 to X10).
 
-use super::effect::Reference::{One, Torque};
+use super::effect::Reference::{Angle, AngleSquared, One, Torque};
 use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter, rows};
 use crate::place::Domain;
 
@@ -9,7 +9,7 @@ const OF_GEARS: Effect =
 
 pub static GEAR_BACKLASH: Effect = Effect {
     id: "gear_backlash",
-    parameters: &[parameter("gap_rad", "rad", 0.0, (0.0, 0.3), 0.002, One)],
+    parameters: &[parameter("gap_rad", "rad", 0.0, (0.0, 0.3), 0.002, Angle)],
     grid: &one(&[0.003, 0.006, 0.01, 0.015, 0.022, 0.032, 0.045, 0.065, 0.1]),
     hinge: true,
     apply: |plant, place, v| {
@@ -29,7 +29,7 @@ pub static GEAR_BACKLASH: Effect = Effect {
 pub static GEAR_COMPLIANCE: Effect = Effect {
     id: "gear_compliance",
     parameters: &[
-        parameter("compliance_rad_per_nm", "rad/(N·m)", 0.0, (0.0005, 0.5), 0.002, One),
+        parameter("compliance_rad_per_nm", "rad/(N·m)", 0.0, (0.0005, 0.5), 0.002, AngleSquared),
         // of the rotor on that spring, of critical
         parameter("damping_ratio", "", 0.3, (0.0, 3.0), 0.05, One),
     ],

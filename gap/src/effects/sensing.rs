@@ -3,7 +3,7 @@
 //!
 //! The encoder is inside the position loop: an offset moves the joint, not the reading.
 
-use super::effect::Reference::One;
+use super::effect::Reference::{Angle, One};
 use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
 use crate::place::Domain;
 use crate::trial::Kind;
@@ -12,7 +12,7 @@ const OF_SENSORS: Effect = Effect { layer: Layer::Sensing, domain: Domain::Joint
 
 pub static ENCODER_OFFSET: Effect = Effect {
     id: "encoder_offset",
-    parameters: &[parameter("offset_rad", "rad", 0.0, (-0.6, 0.6), 0.005, One)],
+    parameters: &[parameter("offset_rad", "rad", 0.0, (-0.6, 0.6), 0.005, Angle)],
     grid: &one(&[-0.25, -0.05, -0.02, 0.02, 0.05, 0.25]),
     apply: |plant, place, v| place.each(|a| plant.sensing.encoders[a].offset_rad += v[0] as f32),
     look_alikes: "link_com parallel_spring floor_slope direction_asymmetry",

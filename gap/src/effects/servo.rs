@@ -1,6 +1,6 @@
 //! Position loop and motor (A1 to A7, A11 to A13).
 
-use super::effect::Reference::{Damping, Gain, One, Torque};
+use super::effect::Reference::{Angle, Damping, Gain, One, Torque};
 use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
 use crate::place::Domain;
 
@@ -188,7 +188,7 @@ pub static VOLTAGE_LIMIT: Effect = Effect {
 pub static CONTROLLER_DEAD_BAND: Effect = Effect {
     id: "controller_dead_band",
     parameters: &[
-        parameter("half_width_rad", "rad", 0.0, (0.0, 0.2), 0.001, One),
+        parameter("half_width_rad", "rad", 0.0, (0.0, 0.2), 0.001, Angle),
         // 0: outside the band the controller acts on what is over; 1: on the whole error
         parameter("jump", "", 0.0, (0.0, 1.0), 0.1, One),
     ],

@@ -1,6 +1,6 @@
 //! Play, springs, stops (R1, R3, R4).
 
-use super::effect::Reference::{Gain, One};
+use super::effect::Reference::{Angle, Gain, One};
 use super::effect::{Effect, Layer, PLAIN, one, parameter};
 use crate::place::Domain;
 use crate::trial::Kind;
@@ -32,7 +32,7 @@ pub static PARALLEL_SPRING: Effect = Effect {
     id: "parallel_spring",
     parameters: &[
         parameter("stiffness_nm_per_rad", "N·m/rad", 0.0, (0.0, 3.0), 0.006, Gain),
-        parameter("rest_rad", "rad", 0.0, (-2.0, 2.0), 0.03, One),
+        parameter("rest_rad", "rad", 0.0, (-2.0, 2.0), 0.03, Angle),
     ],
     grid: &[&[0.02, 0.0], &[0.02, 0.6], &[0.02, -0.6], &[0.08, 0.0], &[0.08, 0.6], &[0.08, -0.6]],
     apply: |plant, place, v| {
@@ -57,8 +57,8 @@ pub static PARALLEL_SPRING: Effect = Effect {
 pub static PASSED_STOP: Effect = Effect {
     id: "passed_stop",
     parameters: &[
-        parameter("below_rad", "rad", 0.0, (0.0, 20.0), 0.005, One),
-        parameter("above_rad", "rad", 0.0, (0.0, 20.0), 0.005, One),
+        parameter("below_rad", "rad", 0.0, (0.0, 20.0), 0.005, Angle),
+        parameter("above_rad", "rad", 0.0, (0.0, 20.0), 0.005, Angle),
     ],
     grid: &[&[0.3, 0.3]],
     hinge: true,
@@ -77,8 +77,8 @@ pub static PASSED_STOP: Effect = Effect {
 pub static HARD_STOP: Effect = Effect {
     id: "hard_stop",
     parameters: &[
-        parameter("low_rad", "rad", -4.0, (-4.0, 1.0), 0.005, One),
-        parameter("high_rad", "rad", 4.0, (-1.0, 4.0), 0.005, One),
+        parameter("low_rad", "rad", -4.0, (-4.0, 1.0), 0.005, Angle),
+        parameter("high_rad", "rad", 4.0, (-1.0, 4.0), 0.005, Angle),
     ],
     grid: &[
         &[-4.0, 0.2],

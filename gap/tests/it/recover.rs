@@ -212,7 +212,7 @@ fn a_soft_loop_is_named_and_its_score_comes_again_from_the_file() {
     let mut trials: Vec<Trial> = (request.runs.iter().filter(|r| r.role == Role::Holdout))
         .map(|r| caudata_gap::reading::trial(&plain, r).unwrap())
         .collect();
-    repeats::group(&mut trials);
+    repeats::group(&plain, &mut trials);
     let data = Data::new(&plain, repeats::collapse(&trials), SegmentOptions::default());
     let from_file =
         Replayer::new(Arc::clone(&extended), 2).unwrap().predict(&data, &[Vec::new()]).unwrap();

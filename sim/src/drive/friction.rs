@@ -11,12 +11,26 @@
 //! without creep, never gives more than its bound while sliding, and dissipates. Smoothed: a reversal takes
 //! two presliding ways instead of none.
 
+use caudata_model::{Joint, JointMotion};
+
 use super::{ImplicitTorque, ServoDrive};
 use crate::real::Real;
 
-/// Nominal deflection at which friction starts to slide, rad (0.11°; a gear train's presliding is of this
-/// size).
-pub const PRESLIDING_RAD: f64 = 0.002;
+/// Nominal deflection at which friction of a hinge starts to slide, rad (0.11°; a gear train's presliding is of
+/// this size).
+const PRESLIDING_RAD: f64 = 0.002;
+
+/// The same of a slide, m: a ball guide is a linear spring below 0.1 µm and rolls as ever from 100 µm on (Futami,
+/// Furutani, J. Japan Soc. Precision Engineering 57, 1991, 1808).
+const PRESLIDING_M: f64 = 30e-6;
+
+/// Nominal deflection at which friction of `joint` starts to slide, rad or m.
+pub fn presliding_rad(joint: &Joint) -> f64 {
+    match joint.motion {
+        JointMotion::Hinge => PRESLIDING_RAD,
+        JointMotion::Slide => PRESLIDING_M,
+    }
+}
 
 /// Damping of the bristle as a time: it feels where it would be that much later. Without it a joint that
 /// friction should hold rings on its bristle, the more the smaller the step, and creeps; with much more,

@@ -25,7 +25,10 @@ impl ServoDrive<f64> {
         let soft = e.gear_half_gap_rad > 0.0 || e.gear_stiffness_nm_per_rad > 0.0;
         let teeth = match wide(e.gear_stiffness_nm_per_rad) {
             given if given > 0.0 => given,
-            _ => TOOTH_STIFFNESS_NM_PER_RAD,
+            _ => {
+                let joint = &model.joints()[model.actuated()[a]];
+                TOOTH_STIFFNESS_NM_PER_RAD / joint.per_radian().powi(2)
+            }
         };
         let constant = wide(e.torque_constant_nm_per_a);
         let at_limit = |limit_a: f32| constant * wide(limit_a - e.current_dead_band_a).max(0.0);
@@ -96,7 +99,8 @@ impl JointPassive<f64> {
             .joints()
             .iter()
             .map(|j| {
-                let bare = Self { presliding_rad: friction::PRESLIDING_RAD, ..Self::default() };
+                let presliding_rad = friction::presliding_rad(j);
+                let bare = Self { presliding_rad, ..Self::default() };
                 match j.kind {
                     JointKind::Actuated { index } => {
                         let e = &params.joints[index];

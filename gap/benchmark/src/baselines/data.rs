@@ -114,7 +114,7 @@ impl CaseData {
         let model = Arc::new(model);
         let trials = runs.iter().map(|run| reading::trial(&model, run));
         let mut trials: Vec<Trial> = trials.collect::<Result<_, _>>()?;
-        repeats::group(&mut trials);
+        repeats::group(&model, &mut trials);
         let [fit, holdout] = [Role::Fit, Role::Holdout].map(|r| Part::of(&model, &trials, r));
         if fit.data.is_empty() || holdout.data.is_empty() {
             let (folder, what) = (folder.to_owned(), "fit or holdout runs");
