@@ -17,7 +17,7 @@ pub const RELATIVE_GAIN: f64 = 0.06;
 /// The same in units of the floor.
 pub const ABSOLUTE_GAIN: f64 = 0.12;
 /// Misfit from which on a model is far from its data: more is allowed, in smaller steps.
-pub const FAR: f64 = 6.0;
+const FAR: f64 = 6.0;
 /// See [`RELATIVE_GAIN`], far from the data.
 const FAR_GAIN: f64 = 0.03;
 /// A gain that comes from so few blocks is an incident, not an effect: the largest block's share.

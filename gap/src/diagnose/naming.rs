@@ -43,8 +43,6 @@ const GREAT_SHARE_OF_FIT: f64 = 0.6;
 /// Two look-alikes are both there if together they take this share off what the cause alone leaves, of the runs
 /// that are fitted and in cross-validation.
 const MORE_TOGETHER: f64 = 0.2;
-/// A rival that is so many times as probable takes a cause's place.
-const FAR_MORE: f64 = 2.0;
 /// After so many steps causes are dropped only.
 const MOST_STEPS: usize = 2 * MOST_TERMS;
 
@@ -112,8 +110,7 @@ pub fn name(context: &Context, found: &mut Found, out: &mut Vec<Named>) -> Resul
             let named = rivals_of(context, &found.best, index, without, &screened)?;
             let mut better = None;
             if steps < MOST_STEPS {
-                better = simpler(context, &found.best, &named, &seen)
-                    .or_else(|| more_probable(context, &found.best, &named, &seen));
+                better = simpler(context, &found.best, &named, &seen);
                 if better.is_none() && named.worth.cross > 0.0 {
                     let new = |s: &State| !seen.contains(&s.key());
                     better = both(context, &found.best, &named)?.filter(new);
@@ -212,30 +209,6 @@ fn without(context: &Context, best: &State, index: usize) -> Result<State, GapEr
 fn chances(state: &State) -> usize {
     let of_joints = state.terms.iter().filter(|t| t.place.domain == Domain::Joints);
     of_joints.map(|t| t.place.items.len().saturating_sub(1)).sum()
-}
-
-/// The model with the rival of the cause in `named` that is far more probable than it, says it with as little, and
-/// would be a cause in its place; none that was the best before (`seen`).
-fn more_probable(
-    context: &Context,
-    best: &State,
-    named: &Named,
-    seen: &BTreeSet<Vec<String>>,
-) -> Option<State> {
-    let model = context.replayer.model();
-    let takes_over = |r: &&Rival| {
-        let term = &r.state.terms[r.index];
-        let worth = || gates::worth(context, &named.without, &r.state, Some(&term.place));
-        let by_chance = || chances(&r.state) > chances(best) && indistinguishable(best, &r.state);
-        r.probability > FAR_MORE * named.probability
-            && !seen.contains(&r.state.key())
-            && r.state.parameters(model) <= best.parameters(model)
-            && gates::matters(context, term)
-            && !by_chance()
-            && worth().passed
-    };
-    let first = named.rivals.iter().find(takes_over)?;
-    Some(first.state.clone())
 }
 
 /// The model with a rival of the answer set beside the cause in `named`, if there is one with which it says

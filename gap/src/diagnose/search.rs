@@ -24,12 +24,8 @@ const FITTED_LATER: usize = 6;
 /// Places of one effect among them.
 const PLACES: usize = 2;
 /// A further effect must explain this share of what the robot as given fails to: what a model lacks in detail
-/// grows with what it has (unless the misfit is still far from the floor).
+/// grows with what it has.
 const OF_ALL: f64 = 0.035;
-/// … and where the misfit is above this many floors, which no detail of a law comes to, …
-const MUCH: f64 = 2.5;
-/// … this share of what is left.
-const OF_REST: f64 = 0.12;
 
 /// What the search found.
 pub struct Found {
@@ -231,11 +227,7 @@ fn last_place(state: &State) -> Option<&Place> {
 /// Whether a further effect at `place` explains enough to be one.
 fn enough(context: &Context, worth: &Worth, base: &State, place: Option<&Place>) -> bool {
     let all = gates::part(&context.fit, &base.cross, place);
-    worth.cross > OF_ALL * all
-        || worth.rest
-        || (worth.beyond_doubt && worth.fit > OF_ALL * all)
-        || worth.of > gates::FAR
-        || (worth.of > MUCH && worth.cross > OF_REST * worth.of)
+    worth.cross > OF_ALL * all || worth.rest || (worth.beyond_doubt && worth.fit > OF_ALL * all)
 }
 
 /// Takes the tolerances around `terms`, and judges `states` by them.
