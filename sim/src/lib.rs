@@ -55,7 +55,7 @@ pub use terrain::{HeightGrid, Terrain, TerrainConfig, TerrainKind};
 /// [`LaneParams::nominal`] in its nominal pose at the origin.
 ///
 /// # Errors
-/// [`SimError`] when a configuration value is out of range, or the model cannot be built.
+/// [`SimError`] when a configuration value is out of range, the model cannot be built, or is silent on the water there is.
 pub fn build(
     model: Arc<RobotModel>,
     lanes: usize,
@@ -65,6 +65,7 @@ pub fn build(
     threads: usize,
 ) -> Result<Box<dyn Engine>, SimError> {
     let terrain = Arc::new(Terrain::generate(terrain, seed)?);
+    terrain.suits(&model)?;
     macro_rules! engine {
         ($engine:ty) => {
             Ok(Box::new(<$engine>::new(model, lanes, config.clone(), terrain, threads)?))

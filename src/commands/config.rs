@@ -59,7 +59,9 @@ pub fn fits(config: &Config) -> Result<(), Failure> {
     if config.learner.network.symmetric {
         Mirror::new(&model, &contract.observation).or_exit(ExitCode::BadConfig)?;
     }
-    Terrain::generate(&config.terrain, config.run.seed).or_exit(ExitCode::BadConfig)?;
+    Terrain::generate(&config.terrain, config.run.seed)
+        .and_then(|terrain| terrain.suits(&model))
+        .or_exit(ExitCode::BadConfig)?;
     if config.engine.kind == EngineKind::Mujoco && config.transport.kind == TransportKind::Inproc {
         let message = "engine.kind = mujoco: it does not go on from a checkpoint";
         return Err(Failure::message(ExitCode::BadConfig, message)

@@ -183,8 +183,9 @@ fn physics(
         [] => SceneName::value_variants(),
         some => some,
     };
+    let unasked = |scene: SceneName| plan.scene.is_empty() && scene == SceneName::Water;
     let mut found = Vec::new();
-    for &scene in scenes {
+    for &scene in scenes.iter().filter(|s| model.water().is_some() || !unasked(**s)) {
         let mut theirs = match mujoco.get() {
             Ok(mujoco) => {
                 let mut there = Theirs { mujoco, scene };

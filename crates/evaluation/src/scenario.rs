@@ -46,6 +46,15 @@ impl Scenario {
         Self { name: name.to_owned(), commands: vec![command], ..Self::default() }
     }
 
+    /// As a training is judged: [`Self::walk`], or in its deep water, where no gate is asked for.
+    pub fn trained(name: &str, command: [f32; 3], terrain: &TerrainConfig) -> Self {
+        let walk = Self::walk(name, command);
+        match terrain.is_deep_water() {
+            true => Self { terrain: terrain.clone(), judged: false, ..walk },
+            false => walk,
+        }
+    }
+
     /// Whether the ground is flat, so that a trunk on it is a fault.
     pub fn is_flat(&self) -> bool {
         self.terrain.kind == TerrainKind::Flat

@@ -109,7 +109,7 @@ impl Behaviour {
         stop: &StopFlag,
     ) -> Result<Self, Failure> {
         let roll = |command: [f32; 3]| {
-            let scenario = Scenario::walk("explain", command);
+            let scenario = Scenario::trained("explain", command, &config.terrain);
             let go_on = || !stop.is_set();
             run_scenario(config, model, policy, &scenario, &SETTINGS, &go_on)
                 .map(|episodes| episodes.result)

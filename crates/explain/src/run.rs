@@ -64,9 +64,14 @@ impl Run {
         };
         let source = Source::preset(Preset::for_robot(wanted, model.name()));
         let source = source.set(assignment("robot", &text(&robot)));
+        let mut reference = Config::load(&source).or_exit(ExitCode::BadConfig)?;
+        if config.terrain.is_deep_water() {
+            // land is no cure for what is to swim
+            reference.terrain = config.terrain.clone();
+        }
         Ok(Self {
             folder: folder.to_owned(),
-            reference: Config::load(&source).or_exit(ExitCode::BadConfig)?,
+            reference,
             config,
             changed: changes.settings(),
             model,

@@ -177,6 +177,11 @@ impl TerrainConfig {
         }
     }
 
+    /// Whether there is no land.
+    pub fn is_deep_water(&self) -> bool {
+        self.kind == TerrainKind::DeepWater
+    }
+
     /// Height of the water's surface, m; `None`: dry.
     pub(super) fn surface_m(&self) -> Option<f64> {
         match self.kind {

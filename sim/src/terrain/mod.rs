@@ -9,6 +9,8 @@ mod generate;
 mod grid;
 mod map;
 
+use caudata_model::RobotModel;
+
 use crate::SimError;
 
 pub use config::{TerrainConfig, TerrainKind};
@@ -32,6 +34,19 @@ impl Terrain {
     /// The dry plane z = 0, without end.
     pub fn flat() -> Self {
         Self { grid: None, water_level_m: None }
+    }
+
+    /// Refuses a robot that would be in water without feeling it.
+    ///
+    /// # Errors
+    /// [`SimError::NoWater`].
+    pub fn suits(&self, robot: &RobotModel) -> Result<(), SimError> {
+        match self.water_level_m {
+            Some(_) if robot.water().is_none() => {
+                Err(SimError::NoWater { robot: robot.name().to_owned() })
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Draws the terrain of `config` from `seed`.

@@ -14,7 +14,7 @@ use caudata_evaluation::{
 };
 use caudata_model::RobotModel;
 use caudata_policy::PolicyFile;
-use caudata_sim::{EngineKind, TerrainKind};
+use caudata_sim::EngineKind;
 use caudata_studies::failures::refused;
 use caudata_studies::{files, flags};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process, StopFlag};
@@ -276,13 +276,9 @@ pub fn evaluate(
     };
     let speed_mps = config.evaluation.command_mps as f32;
     // what was trained where there is no land is judged there
-    let swims = config.terrain.kind == TerrainKind::DeepWater;
+    let swims = config.terrain.is_deep_water();
     let name = if swims { format!("swim {speed_mps} m/s") } else { flat_name(speed_mps) };
-    let mut scenario = Scenario::walk(&name, [speed_mps, 0.0, 0.0]);
-    if swims {
-        scenario.terrain = config.terrain.clone();
-        scenario.judged = false;
-    }
+    let scenario = Scenario::trained(&name, [speed_mps, 0.0, 0.0], &config.terrain);
     let go_on = || stop.reason().is_none();
     let outcome = run_scenario(config, model, policy, &scenario, &settings, &go_on)
         .map_err(|error| refused(error, stop))?;

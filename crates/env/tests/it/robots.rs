@@ -100,7 +100,9 @@ impl Body {
              [joints]\nactuated = [{}]\n[pose.nominal_rad]\n{pose}[control]\nkp_nm_per_rad = 15.0\nkd_nm_s_per_rad = 0.15\n\
              [servo]\ndefault = \"one\"\n[servo.preset.one]\n{SERVO}\
              [supply]\ndefault_v = 12.0\nbench_v = 12.0\nbattery_full_v = 12.6\nbattery_nominal_v = 11.1\n\
-             [contact]\nfoot_friction = 0.8\nbody_friction = 0.3\n{feet}",
+             [contact]\nfoot_friction = 0.8\nbody_friction = 0.3\n\
+             [water]\ndensity_kg_per_m3 = 1000.0\nviscosity_pa_s = 0.001\nbuoyancy_ratio = 1.0\n\
+             heave_damping_ns_per_m = 1.0\n{feet}",
             self.name,
             names.join(", "),
         );
