@@ -165,6 +165,7 @@ pub fn suspects(run: &Run, behaviour: &Behaviour) -> Result<Vec<Suspect>, Failur
     all.extend(observation::suspects(run, behaviour)?);
     all.extend(robot::suspects(&run.model));
     all.extend(stance::suspect(run));
+    all.extend(table::shuffles(run, behaviour));
     all.sort_by(|a, b| b.suspicion.total_cmp(&a.suspicion));
     Ok(all)
 }

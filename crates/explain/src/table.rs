@@ -50,7 +50,7 @@ const ROWS: &[Row] = &[
     ("yaw_pays_nothing", &["task.reward.weights.tracking_yaw_rate"], Smaller(5.0, 0.01), &[Turns], "following the yaw rate pays nothing, so it need not go straight"),
     ("yaw_width", &["task.reward.yaw_rate_sigma"], Off(8.0, 1e-6), &[Turns], "the reward for the yaw rate is too wide or too narrow to follow it"),
     ("phase_pays_most", &["task.reward.weights.phase"], Larger(5.0, 0.1), &[StandsStill, Slow], "lifting feet with the clock pays more than going anywhere"),
-    ("phase_pays_nothing", &["task.reward.weights.phase"], Smaller(4.0, 0.02), &[Vibrates, Belly, FewerLegs, StandsStill], "lifting feet pays nothing, so it shuffles or vibrates"),
+    ("phase_pays_nothing", &["task.reward.weights.phase"], Smaller(4.0, 0.02), &[Vibrates, Belly, FewerLegs, StandsStill], "lifting feet pays too little, so it shuffles or vibrates"),
     ("phase_too_narrow", &["task.reward.phase_sigma"], Smaller(6.0, 1e-7), &[StandsStill, FewerLegs], "the reward for lifting feet is too narrow to be found"),
     ("phase_too_wide", &["task.reward.phase_sigma"], Larger(8.0, 1e-5), &[Vibrates, FewerLegs], "the reward for lifting feet is earned without lifting them"),
     ("power_costs", &["task.reward.weights.power"], Larger(4.0, 1e-5), &[StandsStill, Slow], "motor power costs so much that moving does not pay"),
@@ -195,6 +195,22 @@ pub fn suspects(run: &Run, behaviour: &Behaviour) -> Vec<Suspect> {
         }
     }
     all
+}
+
+/// What no difference from the reference shows: a robot that vibrates on its feet, because a step earns it less
+/// than it costs.
+pub fn shuffles(run: &Run, behaviour: &Behaviour) -> Option<Suspect> {
+    let key = "task.reward.weights.phase";
+    let [weight, known] = [&run.config, &run.reference].map(|c| c.task.reward.weights.phase);
+    // where the reference pays more, that is suspect already
+    let paid = weight > 0.0 && weight >= known && !run.config.terrain.is_deep_water();
+    (paid && behaviour.signs.contains(&Vibrates)).then(|| Suspect {
+        id: "steps_do_not_pay",
+        keys: vec![key.to_owned()],
+        says: "lifting feet earns less than it costs, so it shuffles".to_owned(),
+        edit: Edit::Set(vec![assignment(key, &format!("{}", 3.0 * weight))]),
+        suspicion: 1.0,
+    })
 }
 
 #[cfg(test)]
