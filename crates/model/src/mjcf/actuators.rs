@@ -14,8 +14,18 @@ fn elements(root: &Element) -> impl Iterator<Item = &Element> {
 
 /// Joints that some actuator names.
 pub(super) fn joints(root: &Element) -> BTreeSet<String> {
-    let named = elements(root).filter_map(|e| e.get("joint").or(e.get("jointinparent")));
-    named.map(str::to_owned).collect()
+    elements(root).filter_map(driven).map(str::to_owned).collect()
+}
+
+/// The joint that an actuator names.
+fn driven(e: &Element) -> Option<&str> {
+    e.get("joint").or(e.get("jointinparent"))
+}
+
+/// Whether it damps a joint that another actuator drives: it is read after that.
+fn damps(root: &Element, e: &Element) -> bool {
+    let drives = |other: &Element| other.tag != "velocity" && driven(other) == driven(e);
+    e.tag == "velocity" && elements(root).any(drives)
 }
 
 /// Whether a joint of this name stands anywhere in the file.
@@ -27,9 +37,10 @@ fn named(e: &Element, joint: &str) -> bool {
 
 /// Reads the actuators of joints that the robot has.
 pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot) {
-    for element in elements(root) {
+    let (last, first): (Vec<_>, Vec<_>) = elements(root).partition(|e| damps(root, e));
+    for element in first.into_iter().chain(last) {
         let e = context.resolved(element, None);
-        let Some(joint) = e.get("joint").or(e.get("jointinparent")).map(str::to_owned) else {
+        let Some(joint) = driven(&e).map(str::to_owned) else {
             context.remarks.note_of(&e, "drives no joint and is not kept");
             continue;
         };

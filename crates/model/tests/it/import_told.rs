@@ -115,20 +115,24 @@ fn wheels_are_no_feet_and_a_damping_ratio_becomes_a_gain() {
              <geom type=\"cylinder\" size=\"0.1 0.02\" euler=\"90 0 0\"/></body>"
         )
     };
-    let text = format!(
-        "<mujoco><worldbody><body name=\"base\"><freejoint/><geom size=\"0.05\"/>{}{}\
+    let position = "<position joint=\"arm\" kp=\"30\" dampratio=\"0.5\" gear=\"3\"/>";
+    let velocity = "<velocity joint=\"arm\" kv=\"0.1\" gear=\"3\"/>";
+    let text = |first: &str, second: &str| {
+        format!(
+            "<mujoco><worldbody><body name=\"base\"><freejoint/><geom size=\"0.05\"/>{}{}\
          <body name=\"arm\"><joint name=\"arm\" axis=\"0 1 0\" range=\"-40 40\" armature=\"0.05\"/>\
          <inertial pos=\"0 0 -0.5\" mass=\"1\" diaginertia=\"0.01 0.01 0.01\"/></body></body></worldbody><actuator>\
-         <position joint=\"arm\" kp=\"30\" dampratio=\"0.5\" gear=\"3\"/>\
-         <velocity joint=\"arm\" kv=\"0.1\" gear=\"3\"/><motor joint=\"l\"/><motor joint=\"r\"/></actuator></mujoco>",
-        wheel("l", 0.1),
-        wheel("r", -0.1)
-    );
-    let made = read("cart.xml", &text).unwrap();
+         {first}{second}<motor joint=\"l\"/><motor joint=\"r\"/></actuator></mujoco>",
+            wheel("l", 0.1),
+            wheel("r", -0.1)
+        )
+    };
+    let made = read("cart.xml", &text(position, velocity)).unwrap();
     assert!(told(&made, "rolls on its joint") && told(&made, "dampratio"), "{:?}", made.notes);
     let m = model(&made);
     assert!(m.feet().is_empty());
     let gains = m.gains()[0];
+    assert_eq!(model(&read("cart.xml", &text(velocity, position)).unwrap()).gains(), m.gains());
     // 0.25 + 0.01 + 0.05 kg·m² at 270 N·m/rad, and 9 × 0.1 N·m·s/rad
     assert!((gains.kp_nm_per_rad - 270.0).abs() < 1e-9);
     assert!((gains.kd_nm_s_per_rad - (270.0_f64 * 0.31).sqrt() - 0.9).abs() < 1e-9, "{gains:?}");
