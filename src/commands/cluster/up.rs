@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use caudata_config::{Config, ConfigArgs, TransportKind};
+use caudata_config::{Config, ConfigArgs};
 use caudata_studies::flags;
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use clap::Args;
@@ -34,15 +34,10 @@ pub struct UpArgs {
 /// Starts what the run of this configuration needs, or goes on with it; ends when the run is complete or at
 /// Ctrl-C.
 pub fn run(args: &UpArgs, process: &Process) -> Result<(), Failure> {
-    let mut config = (flags::of_robot(&args.config).load()).or_exit(ExitCode::BadConfig)?;
-    if config.transport.kind != TransportKind::Zenoh {
-        let message = format!(
-            "transport.kind is \"{}\": only zenoh reaches other hosts",
-            config.transport.kind.name()
-        );
-        return Err(Failure::message(ExitCode::BadConfig, message)
-            .hint("set transport.kind=zenoh, or use `caudata train` for one host"));
-    }
+    let mut flags = flags::of_robot(&args.config);
+    // nothing else reaches other hosts
+    flags.overrides.push("transport.kind=zenoh".to_owned());
+    let mut config = flags.load().or_exit(ExitCode::BadConfig)?;
     robot::load(&config.robot_path())?;
     let run_id = config.cluster_run_id().to_owned();
     let view = View::new(args.json);
@@ -115,7 +110,7 @@ fn joining(address: &str) -> String {
         at if at.ends_with(":0") => {
             return format!(
                 "no other actors can join: transport.zenoh_listen is {address}, any free port; \
-                 quic/0.0.0.0:7447 with certificates in cluster.tls_dir lets other hosts in"
+                 [\"tcp/127.0.0.1:7447\"] lets this host's in, quic/0.0.0.0:7447 with certificates in cluster.tls_dir others"
             );
         }
         at if at.starts_with("127.") || at.starts_with("[::1]") || at.starts_with("localhost:") => {
