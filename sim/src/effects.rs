@@ -145,7 +145,7 @@ effects! {
         torque_saturation_per_nm: 0.0, 100.0 => 0.0;
         /// Friction more in the positive and less in the negative direction, N·m. Nominal 0.
         friction_asymmetry_nm: -100.0, 100.0 => 0.0;
-        /// Deflection at which friction starts to slide, rad. Nominal 0.002; of a slide, m, 0.00003.
+        /// Deflection at which friction starts to slide, rad. Nominal 0.002; of a slide, m, 0.0001.
         presliding_rad: 1e-7, 1.0 => friction::presliding_rad(joint);
         /// Amplitude of torque ripple A·sin(n·q + φ), N·m. Nominal 0.
         ripple_nm: 0.0, 100.0 => 0.0;

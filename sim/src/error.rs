@@ -12,9 +12,9 @@ pub enum SimError {
     /// A height map that is not one.
     #[error("terrain.map: {file} {reason}")]
     Map { file: String, reason: String },
-    /// The terrain has water, and the robot file does not say how that acts on the robot.
+    /// There is water, and the robot file does not say how that acts on the robot.
     #[error(
-        "terrain.kind has water, and robot '{robot}' does not say how water acts on it; give its file a table [water] (docs/guide/your-robot.md)"
+        "there is water here, and the file of robot '{robot}' does not say how it acts: give it a table [water] (docs/guide/your-robot.md)"
     )]
     NoWater { robot: String },
     /// The robot model has something this engine cannot simulate.

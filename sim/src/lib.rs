@@ -55,7 +55,8 @@ pub use terrain::{HeightGrid, Terrain, TerrainConfig, TerrainKind};
 /// [`LaneParams::nominal`] in its nominal pose at the origin.
 ///
 /// # Errors
-/// [`SimError`] when a configuration value is out of range, the model cannot be built, or is silent on the water there is.
+/// [`SimError`] when a configuration value is out of range, the model cannot be built, or there is water and
+/// the robot file does not say how it acts.
 pub fn build(
     model: Arc<RobotModel>,
     lanes: usize,
@@ -65,7 +66,7 @@ pub fn build(
     threads: usize,
 ) -> Result<Box<dyn Engine>, SimError> {
     let terrain = Arc::new(Terrain::generate(terrain, seed)?);
-    terrain.suits(&model)?;
+    terrain.check_robot(&model)?;
     macro_rules! engine {
         ($engine:ty) => {
             Ok(Box::new(<$engine>::new(model, lanes, config.clone(), terrain, threads)?))

@@ -60,7 +60,7 @@ pub fn fits(config: &Config) -> Result<(), Failure> {
         Mirror::new(&model, &contract.observation).or_exit(ExitCode::BadConfig)?;
     }
     Terrain::generate(&config.terrain, config.run.seed)
-        .and_then(|terrain| terrain.suits(&model))
+        .and_then(|terrain| terrain.check_robot(&model))
         .or_exit(ExitCode::BadConfig)?;
     if config.engine.kind == EngineKind::Mujoco && config.transport.kind == TransportKind::Inproc {
         let message = "engine.kind = mujoco: it does not go on from a checkpoint";

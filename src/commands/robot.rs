@@ -104,7 +104,7 @@ fn check(model: &RobotModel) -> Result<Option<String>, Failure> {
             if let Some(why) = &mut why
                 && stand(model, built(&finer)?.as_mut()).or_exit(ExitCode::BadInput)?.is_none()
             {
-                why.push_str(", but not with engine.dt_s=0.001 and engine.substeps=20: its legs end too light for its drives");
+                why.push_str("; it stands with --set engine.dt_s=0.001 --set engine.substeps=20, as feet so light need: train with these");
             }
         }
     }

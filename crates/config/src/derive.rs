@@ -27,7 +27,7 @@ struct Size {
     com_m: f64,
     /// Slowest servo's speed without load.
     servo_radps: f64,
-    /// Viscous damping of a driven joint, mean, N·m·s/rad.
+    /// Viscous damping of a driven joint, mean, N·m·s/rad; of a slide at a lever of 0.1 m.
     damping_nms: f64,
 }
 
@@ -54,7 +54,7 @@ impl Size {
         };
         let legs: f64 = (0..feet).map(|foot| hip_z(foot) - foot_z(foot)).sum();
         let count = model.actuated().len();
-        let servos = || (0..count).map(|i| model.servo(i));
+        let servos = (0..count).map(|i| model.servo(i));
         Ok(Self {
             feet,
             mass_kg: model.total_mass_kg(),
@@ -63,8 +63,10 @@ impl Size {
                 feet => (legs / feet as f64).max(0.02),
             },
             com_m: (com_z - lowest).max(0.01),
-            servo_radps: servos().map(|s| s.qd_max_radps).fold(f64::INFINITY, f64::min),
-            damping_nms: servos().map(|s| s.damping_nm_s_per_rad).sum::<f64>()
+            servo_radps: servos.map(|s| s.qd_max_radps).fold(f64::INFINITY, f64::min),
+            damping_nms: (0..count)
+                .map(|i| model.servo(i).damping_nm_s_per_rad * model.per_radian(i).powi(2))
+                .sum::<f64>()
                 / count.max(1) as f64,
         })
     }
@@ -99,13 +101,12 @@ impl Size {
         self.mass_kg * GRAVITY_MPS2 * round(self.speed_mps())
     }
 
-    /// How many times as much steps take where the damping of its joints, not its weight, is most of it; 1 and
-    /// more. A leg of two alike parts, bent by 70°, bends its knee by h/(0.28 leg) more to lift its foot by h,
+    /// How many times as much steps take where the damping of its joints, not its weight, is most of it: 1 to 3. A leg of two alike parts, bent by 70°, bends its knee by h/(0.28 leg) more to lift its foot by h,
     /// hip and ankle by half of that, up and down once a stride.
     fn effort(&self) -> f64 {
         let knee_radps = 2.0 * 1.1 * self.stride_hz() * self.swing_m() / (0.28 * self.leg_m);
         let steps_w = self.feet as f64 * 1.5 * self.damping_nms * knee_radps * knee_radps;
-        (steps_w / self.carrying_w()).max(1.0)
+        (steps_w / self.carrying_w()).clamp(1.0, 3.0)
     }
 
     /// Whether it tips over when it stands still on one foot of a stride.
@@ -209,7 +210,7 @@ fn write_layer(
         phase_sigma = round((0.4 * swing_m * swing_m * size.feet as f64).max(1e-4)),
         contact_n = round(0.04 * weight_n),
         trunk_n = round(0.2 * weight_n),
-        phase_weight = 1.75 * walks * round(size.effort().min(3.0)),
+        phase_weight = 1.75 * walks * round(size.effort()),
         power_weight = -round(2e-2 * (2.6 * GRAVITY_MPS2 * 0.3) / size.carrying_w()),
         slip_weight = -round(2.0 * slower) * walks,
         trunk_weight = -5.0 * walks,
@@ -223,8 +224,8 @@ fn write_layer(
 mod tests {
     use super::*;
 
-    /// Two legs of 0.18 m lifted by 36 mm 1.25 times a second: knees turn at 1.96 rad/s, which takes 9.0 W at
-    /// 0.78 N·m·s/rad, where 1.8 kg at 0.13 m/s are worth 2.3 W.
+    /// Two legs of 0.18 m lifted by 36 mm 1.25 times a second: knees turn at 1.96 rad/s, which takes 4.5 W at
+    /// 0.39 N·m·s/rad, where 1.8 kg at 0.13 m/s are worth 2.3 W; no damping counts for more than threefold.
     #[test]
     fn steps_against_the_joints_damping_are_an_effort() {
         let (mass_kg, leg_m, com_m, servo_radps) = (1.8, 0.18, 0.2, 30.0);
@@ -232,6 +233,7 @@ mod tests {
             Size { feet: 2, mass_kg, leg_m, com_m, servo_radps, damping_nms }.effort()
         };
         assert_eq!(of(0.05), 1.0);
-        assert!((of(0.78) - 9.0 / 2.3).abs() < 0.05, "{}", of(0.78));
+        assert!((of(0.39) - 4.5 / 2.3).abs() < 0.03, "{}", of(0.39));
+        assert_eq!(of(40.0), 3.0);
     }
 }

@@ -202,8 +202,9 @@ pub fn suspects(run: &Run, behaviour: &Behaviour) -> Vec<Suspect> {
 pub fn shuffles(run: &Run, behaviour: &Behaviour) -> Option<Suspect> {
     let key = "task.reward.weights.phase";
     let [weight, known] = [&run.config, &run.reference].map(|c| c.task.reward.weights.phase);
-    // where the reference pays more, that is suspect already
-    let paid = weight > 0.0 && weight >= known && !run.config.terrain.is_deep_water();
+    // where the reference pays more or far less, that is suspect already
+    let as_known = weight > 0.0 && (known..=2.0 * known).contains(&weight);
+    let paid = as_known && !run.config.terrain.is_deep_water();
     (paid && behaviour.signs.contains(&Vibrates)).then(|| Suspect {
         id: "steps_do_not_pay",
         keys: vec![key.to_owned()],

@@ -206,7 +206,7 @@ impl Stage {
     /// What a client must know first.
     pub(crate) fn robot(&self) -> impl Serialize + use<> {
         let owned = |names: Vec<&str>| names.into_iter().map(str::to_owned).collect();
-        let kinds = TerrainKind::ALL.into_iter();
+        let (kinds, swims) = (TerrainKind::ALL.into_iter(), self.model.water().is_some());
         Robot {
             robot: RobotScene::of(&self.model),
             name: self.model.name().to_owned(),
@@ -214,7 +214,7 @@ impl Stage {
             joint_names: owned(self.model.actuated_names()),
             foot_names: self.model.feet().iter().map(|f| f.name.clone()).collect(),
             terrains: kinds
-                .filter(|kind| *kind != TerrainKind::Map)
+                .filter(|kind| *kind != TerrainKind::Map && (swims || !kind.is_wet()))
                 .map(TerrainKind::name)
                 .collect(),
             ranges: self.ranges(),

@@ -16,6 +16,8 @@ pub(super) struct Channels {
     pub index: usize,
     /// What counts as a radian, rad or m.
     pub per_radian: f64,
+    /// Unit of its positions: rad or m.
+    pub unit: &'static str,
     /// Command, rad; NaN where none is in force.
     pub cmd: Option<Vec<f64>>,
     pub pos: Option<Vec<f64>>,
@@ -61,6 +63,7 @@ impl Channels {
                     name: (*name).to_owned(),
                     index,
                     per_radian: run.robot.per_radian(index),
+                    unit: run.robot.joints()[run.robot.actuated()[index]].unit(),
                     slow_cmd: cmd.as_deref().map(|x| smooth(x, slow)),
                     slow_pos: pos.as_deref().map(|x| smooth(x, slow)),
                     fine_cmd: cmd.as_deref().map(|x| smooth(x, fine)),

@@ -60,6 +60,7 @@ fn follows(run: &Run<'_>, cmd: &Channels, pos: &Channels) -> Option<Together> {
 
 fn units(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     let (low, high) = run.robot.joint_limits_rad()[joint.index];
+    let unit = joint.unit;
     let widest = BEYOND.0 * low.abs().max(high.abs()) + BEYOND.1 * joint.per_radian;
     let beyond = |x: &Option<Vec<f64>>| {
         let x = x.as_ref()?;
@@ -75,7 +76,7 @@ fn units(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
                 "is it in another unit, from another zero, or of another robot?"
             };
             let detail = format!(
-                "reaches {most:.2} where the joint's range is {low:.2} to {high:.2} rad; {why}"
+                "reaches {most:.2} where the joint's range is {low:.2} to {high:.2} {unit}; {why}"
             );
             out.push(joint.fatal("unit", what, detail));
         }
@@ -87,7 +88,7 @@ fn units(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
         farthest.filter(|v| past(v) > PAST_RAD * joint.per_radian && beyond(&joint.pos).is_none())
     {
         let detail = format!(
-            "reaches {at_rad:.2} rad, past the joint's range of {low:.2} to {high:.2} rad, where the simulated \
+            "reaches {at_rad:.2} {unit}, past the joint's range of {low:.2} to {high:.2} {unit}, where the simulated \
              robot has an end stop: are range and zero right?"
         );
         out.push(joint.note("range", "pos", detail));
@@ -138,7 +139,8 @@ fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     let t = together(&at_rest(0.0), &slow_cur, 0);
     // a slow joint that is damped much leaves an error without a current
     let (kp, kd) = gains(run, joint);
-    let damped = together(&at_rest(kd / kp), &slow_cur, 0);
+    let damping_s = if kp > 0.0 { kd / kp } else { 0.0 };
+    let damped = together(&at_rest(damping_s), &slow_cur, 0);
     let asked = cmd.iter().zip(pos).zip(&speed).map(|((u, q), v)| (u - q, *v));
     if let Some((kind, detail)) = one_sided(run, joint, cur, asked) {
         let at = format!("cur.{}", joint.name);
@@ -201,11 +203,11 @@ fn one_sided(
 /// A reading that stays the same to the last bit while the command asks for both sides of it.
 fn stuck(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     let (Some(cmd), Some(pos)) = (&joint.cmd, &joint.pos) else { return };
-    let far = asks_much_rad(run, joint);
+    let (far, unit) = (asks_much_rad(run, joint), joint.unit);
     let asked = cmd.iter().filter(|u| (*u - pos[0]).abs() > far).count();
     if pos.iter().all(|q| *q == pos[0]) && asked >= run.grid.points(LONG_ENOUGH_S) {
         let detail = format!(
-            "reads {:.4} rad in the whole run while the command moves {:.2} rad away: is the encoder read at all?",
+            "reads {:.4} {unit} in the whole run while the command moves {:.2} {unit} away: is the encoder read at all?",
             pos[0],
             cmd.iter().map(|u| (u - pos[0]).abs()).fold(0.0, f64::max)
         );
@@ -223,7 +225,7 @@ fn stuck(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
         let lasts = (i - from) as f64 * run.grid.step_s;
         if above && below && lasts > 0.3 {
             let detail = format!(
-                "reads {:.4} rad for {lasts:.1} s from t = {:.2} s while the command asks for both sides of it",
+                "reads {:.4} {unit} for {lasts:.1} s from t = {:.2} s while the command asks for both sides of it",
                 pos[from],
                 run.grid.start_s + from as f64 * run.grid.step_s
             );
@@ -236,7 +238,7 @@ fn stuck(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
 
 /// Positions that were rounded much more coarsely than the encoder counts.
 fn counts(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
-    let signal = Signal::Position(joint.name.clone());
+    let (signal, unit) = (Signal::Position(joint.name.clone()), joint.unit);
     let Some(column) = run.log.table.column(&signal) else { return };
     let mut known: Vec<f64> = column.iter().flatten().copied().collect();
     known.sort_unstable_by(f64::total_cmp);
@@ -248,14 +250,14 @@ fn counts(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     if known.len() >= 5 && span > 20.0 * lsb && step > 4.0 * lsb {
         let counts = "encoder_counts_per_turn";
         let todo = match run.robot.assumed_of_servo(joint.index, counts) {
-            None => format!("where the encoder counts {lsb:.4} rad; log it unrounded"),
+            None => format!("where the encoder counts {lsb:.4} {unit}; log it unrounded"),
             // nobody knows that the encoder is finer
             Some(path) => format!(
                 "as of an encoder of {:.0} counts; what the robot file has is assumed: look up {path}",
                 std::f64::consts::TAU / step
             ),
         };
-        let detail = format!("comes in steps of {step:.4} rad {todo}");
+        let detail = format!("comes in steps of {step:.4} {unit} {todo}");
         out.push(joint.note("quantisation", "pos", detail));
     }
 }

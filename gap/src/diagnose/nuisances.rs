@@ -11,7 +11,7 @@ use crate::replay::{Replayer, Term, Variant};
 const FRICTION_TOLERANCE: f64 = 0.07;
 /// Before friction slides, its law is a matter of taste: the way to it by this share.
 const PRESLIDING_TOLERANCE: f64 = 0.3;
-/// The same of slides, whose gears and belts no file has either: 0.06 mm a newton beside 0.03 mm are nothing rare.
+/// The same of slides: guides spring over ways of all sizes up to the nominal one, and no file has theirs.
 const SLIDES_PRESLIDING_TOLERANCE: f64 = 1.0;
 /// When in its tick a firmware acts, and its current loop, from joint to joint: s.
 const LOOP_TOLERANCE_S: f64 = 0.000_12;

@@ -243,7 +243,7 @@ fn reference(model: &RobotModel, place: &Place, reference: Reference) -> f64 {
         Reference::AngleSquared => mean(&|a| model.per_radian(a).powi(2)),
         Reference::Presliding => mean(&|a| match joint(a).motion {
             JointMotion::Hinge => 1.0,
-            JointMotion::Slide => 0.015,
+            JointMotion::Slide => 0.05,
         }),
         Reference::Torque => mean(&|a| model.servo(a).tau_max_nm),
         Reference::Speed => mean(&|a| model.servo(a).qd_max_radps),

@@ -57,8 +57,8 @@ pub static PARALLEL_SPRING: Effect = Effect {
 pub static PASSED_STOP: Effect = Effect {
     id: "passed_stop",
     parameters: &[
-        parameter("below_rad", "rad", 0.0, (0.0, 20.0), 0.005, Angle),
-        parameter("above_rad", "rad", 0.0, (0.0, 20.0), 0.005, Angle),
+        parameter("below_rad", "rad", 0.0, (0.0, 20.0), 0.005, One),
+        parameter("above_rad", "rad", 0.0, (0.0, 20.0), 0.005, One),
     ],
     grid: &[&[0.3, 0.3]],
     hinge: true,
@@ -77,8 +77,8 @@ pub static PASSED_STOP: Effect = Effect {
 pub static HARD_STOP: Effect = Effect {
     id: "hard_stop",
     parameters: &[
-        parameter("low_rad", "rad", -4.0, (-4.0, 1.0), 0.005, Angle),
-        parameter("high_rad", "rad", 4.0, (-1.0, 4.0), 0.005, Angle),
+        parameter("low_rad", "rad", -4.0, (-4.0, 1.0), 0.005, One),
+        parameter("high_rad", "rad", 4.0, (-1.0, 4.0), 0.005, One),
     ],
     grid: &[
         &[-4.0, 0.2],

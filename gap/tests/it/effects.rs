@@ -23,6 +23,37 @@ fn bench() -> Arc<RobotModel> {
     Arc::new(RobotModel::from_bytes("bench", text.as_bytes(), &mjcf).unwrap())
 }
 
+/// The same servo on a rail.
+fn rail() -> Arc<RobotModel> {
+    let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robots");
+    let toml = std::fs::read(dir.join("xl330_pendulum.robot.toml")).unwrap();
+    let mjcf = std::fs::read_to_string(dir.join("xl330_pendulum.xml")).unwrap();
+    let mjcf = mjcf.replacen("name=\"swing\"", "name=\"swing\" type=\"slide\"", 1);
+    Arc::new(RobotModel::from_bytes("rail", &toml, mjcf.as_bytes()).unwrap())
+}
+
+/// What is an angle on a hinge is a tenth of that in metres on a slide, friction springs over 0.1 mm where a
+/// hinge's does over 2 mrad, and a stop that is not there is farther than any rail.
+#[test]
+fn sizes_at_a_slide_are_lengths() {
+    let (hinge, slide) = (bench(), rail());
+    let at = |model: &RobotModel, id: &str| {
+        let effect = effects::find(id).unwrap();
+        let place = effect.places(model).swap_remove(0);
+        (effect.neutral(model, &place), effect.sizes(model, &place, 0))
+    };
+    let near = |got: &[f64], want: &[f64]| {
+        let off = got.iter().zip(want).any(|(g, w)| (g - w).abs() > 1e-12);
+        assert!(got.len() == want.len() && !off, "{got:?}, not {want:?}");
+    };
+    near(&at(&hinge, "gear_backlash").1, &[0.003]);
+    near(&at(&slide, "gear_backlash").1, &[0.0003]);
+    near(&at(&hinge, "pre_sliding").0, &[0.002]);
+    near(&at(&slide, "pre_sliding").0, &[0.0001]);
+    near(&at(&hinge, "hard_stop").0, &[-4.0, 4.0]);
+    near(&at(&slide, "hard_stop").0, &[-4.0, 4.0]);
+}
+
 /// A run of `joints`, in which every joint steps and swings; measured values are zeros, since only
 /// predictions are compared.
 fn run(model: &RobotModel, base: &str, body: bool, seconds: f64) -> Run {

@@ -495,3 +495,11 @@ fn bad_runs_are_refused_in_one_line() {
     let message = diagnose(&foreign, &mut |_| {}).unwrap_err().to_string();
     assert!(message.contains("no actuated joint `wing`"), "{message}");
 }
+
+#[test]
+fn an_effect_that_there_is_none_of_is_refused() {
+    let mut asked = request(0, &|_| ());
+    asked.options.without = vec!["nonsense".to_owned()];
+    let refused = diagnose(&asked, &mut |_| ());
+    assert!(matches!(refused, Err(GapError::UnknownEffect(id)) if id == "nonsense"));
+}

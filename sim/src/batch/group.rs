@@ -197,14 +197,14 @@ impl<R: Lanes> Group<R> {
                 to.set_lane(lane, &one);
             }
         }
-        let hinges = JointPassive::all(model, p);
         let servos: Vec<ServoDrive<f64>> =
             (0..program.actuated).map(|a| ServoDrive::new(model, p, a, config.dt_s)).collect();
+        let hinges = JointPassive::all(model, p);
         for (i, node) in program.nodes.iter().enumerate() {
-            to.hinges[i].set_lane(lane, &hinges[node.joint]);
-            let armature = node
-                .servo
-                .map_or(model.joints()[node.joint].armature_kgm2, |a| servos[a].armature_kgm2());
+            let joint = &model.joints()[node.joint];
+            let hinge = hinges[node.joint].stepped(joint, &node.stop, &servos, config.dt_s);
+            to.hinges[i].set_lane(lane, &hinge);
+            let armature = node.servo.map_or(joint.armature_kgm2, |a| servos[a].armature_kgm2());
             to.armature[i].set_lane(lane, &armature);
         }
         for (to, servo) in to.servos.iter_mut().zip(&servos) {

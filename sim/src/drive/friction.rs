@@ -22,7 +22,7 @@ const PRESLIDING_RAD: f64 = 0.002;
 
 /// The same of a slide, m: a ball guide is a linear spring below 0.1 µm and rolls as ever from 100 µm on (Futami,
 /// Furutani, J. Japan Soc. Precision Engineering 57, 1991, 1808).
-const PRESLIDING_M: f64 = 30e-6;
+const PRESLIDING_M: f64 = 100e-6;
 
 /// Nominal deflection at which friction of `joint` starts to slide, rad or m.
 pub fn presliding_rad(joint: &Joint) -> f64 {
@@ -30,6 +30,13 @@ pub fn presliding_rad(joint: &Joint) -> f64 {
         JointMotion::Hinge => PRESLIDING_RAD,
         JointMotion::Slide => PRESLIDING_M,
     }
+}
+
+/// The shortest way over which friction of bound `bound_nm` can spring in steps of `dt_s`, on a joint that
+/// accelerates by `per_inertia` per torque, rad or m. Over a shorter one the joint would not stick after a step
+/// that turned it round, and friction would push it.
+pub fn least_presliding_rad(bound_nm: f64, per_inertia: f64, dt_s: f64) -> f64 {
+    (dt_s + BRISTLE_DAMPING_S) * dt_s * bound_nm * per_inertia
 }
 
 /// Damping of the bristle as a time: it feels where it would be that much later. Without it a joint that

@@ -112,12 +112,13 @@ struct Started {
 }
 
 impl LaneDrive {
-    /// `servos`: one per actuated joint of this lane.
+    /// `servos`: one per actuated joint of this lane; `stops`: one per joint, model order.
     pub fn new(
         model: &RobotModel,
         config: &EngineConfig,
         params: &LaneParams,
         servos: &[ServoDrive<f64>],
+        stops: &[Stop],
     ) -> Self {
         let dt_s = config.dt_s;
         Self {
@@ -131,7 +132,11 @@ impl LaneDrive {
             step: Step::new(dt_s, false),
             supply: PerLane::splat(&Supply::new(params, dt_s)),
             servos: servos.iter().map(PerLane::splat).collect(),
-            passive: JointPassive::all(model, params).iter().map(PerLane::splat).collect(),
+            passive: (JointPassive::all(model, params).iter())
+                .zip(model.joints().iter().zip(stops))
+                .map(|(own, (joint, stop))| own.stepped(joint, stop, servos, dt_s))
+                .map(|own| PerLane::splat(&own))
+                .collect(),
             scheduled: Vec::new(),
             started: vec![Started::default(); model.joints().len()],
             torque_sum: Vec::new(),

@@ -1,6 +1,6 @@
 //! From a lane's [`LaneParams`] to what its drive-lines compute with.
 
-use caudata_model::{JointKind, RobotModel};
+use caudata_model::{Joint, JointKind, JointMotion, RobotModel};
 
 use super::command::MAX_COMMAND_DELAY_S;
 use super::gear::TOOTH_STIFFNESS_NM_PER_RAD;
@@ -9,6 +9,7 @@ use super::supply::Supply;
 use super::{filter, friction, loop_delay};
 use crate::LaneParams;
 use crate::params::backlash_joints;
+use crate::stop::Stop;
 
 impl ServoDrive<f64> {
     /// Servo `a` (policy order) of a lane with parameters `params`, for physics steps of `dt_s`.
@@ -83,6 +84,14 @@ impl ServoDrive<f64> {
         }
     }
 
+    /// Friction beside Coulomb's, at most, N·m.
+    fn extra_friction_nm(&self) -> f64 {
+        let per_load = self.load_friction_mean.abs()
+            + self.load_friction_half_difference.abs()
+            + self.load_stribeck;
+        self.stribeck_nm + self.friction_asymmetry_nm.abs() + per_load * self.tau_max_nm
+    }
+
     /// Rotor inertia that the engine adds to the joint, kg·m²: none where the rotor is a body of its own
     /// ([`super::gear`]).
     pub fn armature_kgm2(&self) -> f64 {
@@ -91,6 +100,27 @@ impl ServoDrive<f64> {
 }
 
 impl JointPassive<f64> {
+    /// This one, of `joint`, with friction that springs over no shorter way than steps of `dt_s` can follow;
+    /// `servos` are the lane's. Of slides: a hinge's 2 mrad are long enough for its friction and inertia.
+    pub fn stepped(
+        self,
+        joint: &Joint,
+        stop: &Stop,
+        servos: &[ServoDrive<f64>],
+        dt_s: f64,
+    ) -> Self {
+        if joint.motion == JointMotion::Hinge {
+            return self;
+        }
+        let extra_nm = match joint.kind {
+            JointKind::Actuated { index } => servos[index].extra_friction_nm(),
+            JointKind::Passive | JointKind::Backlash => 0.0,
+        };
+        let bound_nm = self.friction_nm + extra_nm;
+        let least_rad = friction::least_presliding_rad(bound_nm, stop.mobility(), dt_s);
+        Self { presliding_rad: self.presliding_rad.max(least_rad), ..self }
+    }
+
     /// All hinges of a lane with parameters `params`, model order. `[J]`
     pub fn all(model: &RobotModel, params: &LaneParams) -> Vec<Self> {
         let wide = |x: f32| f64::from(x);

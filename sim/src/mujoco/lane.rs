@@ -85,7 +85,7 @@ impl Lane {
         let servos: Vec<_> = (0..model.actuated().len())
             .map(|a| ServoDrive::new(model, &params, a, config.dt_s))
             .collect();
-        let drive = LaneDrive::new(model, config, &params, &servos);
+        let drive = LaneDrive::new(model, config, &params, &servos, &shared.stops);
         let water = Water::new(shared, &params);
         check(drive.features, water.as_ref())?;
         let mjcf = mjcf::Robot {

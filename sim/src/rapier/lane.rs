@@ -66,7 +66,7 @@ impl Lane {
                 out: State::of(model, 1),
             },
             robot: Robot::new(shared, &params, &servos, &seen.masses)?,
-            drive: LaneDrive::new(model, &shared.config, &params, &servos),
+            drive: LaneDrive::new(model, &shared.config, &params, &servos, &shared.stops),
             contacts: ContactImpulses::default(),
             water: Water::new(shared, &params, &seen.masses),
             params,

@@ -104,6 +104,13 @@ settings! {
     }
 }
 
+impl TerrainKind {
+    /// Whether there is water whatever the other keys say.
+    pub fn is_wet(self) -> bool {
+        matches!(self, Self::Shore | Self::DeepWater)
+    }
+}
+
 impl TerrainConfig {
     /// The defaults with another kind.
     pub fn of(kind: TerrainKind) -> Self {

@@ -36,11 +36,11 @@ impl Terrain {
         Self { grid: None, water_level_m: None }
     }
 
-    /// Refuses a robot that would be in water without feeling it.
+    /// Refuses a robot that would be in water and whose file does not say how that acts.
     ///
     /// # Errors
     /// [`SimError::NoWater`].
-    pub fn suits(&self, robot: &RobotModel) -> Result<(), SimError> {
+    pub fn check_robot(&self, robot: &RobotModel) -> Result<(), SimError> {
         match self.water_level_m {
             Some(_) if robot.water().is_none() => {
                 Err(SimError::NoWater { robot: robot.name().to_owned() })

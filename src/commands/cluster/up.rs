@@ -35,7 +35,10 @@ pub struct UpArgs {
 /// Ctrl-C.
 pub fn run(args: &UpArgs, process: &Process) -> Result<(), Failure> {
     let mut flags = flags::of_robot(&args.config);
-    // nothing else reaches other hosts
+    if flags.overrides.iter().any(|o| o.starts_with("transport.kind=") && !o.contains("zenoh")) {
+        let message = "transport.kind: `up` has zenoh, which reaches other hosts; leave it out";
+        return Err(Failure::message(ExitCode::BadConfig, message));
+    }
     flags.overrides.push("transport.kind=zenoh".to_owned());
     let mut config = flags.load().or_exit(ExitCode::BadConfig)?;
     robot::load(&config.robot_path())?;
@@ -109,8 +112,9 @@ fn joining(address: &str) -> String {
     let who = match address.split_once('/').map_or("", |(_, at)| at) {
         at if at.ends_with(":0") => {
             return format!(
-                "no other actors can join: transport.zenoh_listen is {address}, any free port; \
-                 [\"tcp/127.0.0.1:7447\"] lets this host's in, quic/0.0.0.0:7447 with certificates in cluster.tls_dir others"
+                "no other actors can join: transport.zenoh_listen is {address}, any free port; set it to \
+                 [\"tcp/127.0.0.1:7447\"] for actors of this host, to [\"quic/0.0.0.0:7447\"] (certificates in \
+                 cluster.tls_dir) for others"
             );
         }
         at if at.starts_with("127.") || at.starts_with("[::1]") || at.starts_with("localhost:") => {

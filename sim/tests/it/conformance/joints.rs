@@ -195,6 +195,35 @@ pub fn slide_falls_and_stops(config: &EngineConfig) {
     near("at rest", f64::from(e.state().joint_vel_radps[0]), 0.0, 0.01);
 }
 
+/// Friction of 5 N carries 0.4 kg (3.92 N). Thrown up by 0.5 m/s it brakes with 9.81 + 12.5 = 22.3 m/s², gets
+/// 0.5²/(2·22.3) = 5.6 mm up, less half a step's way, and hangs 1 + 3.92/5 = 1.78 ways of its bristle lower; the
+/// way that steps of dt can follow is (dt + 20 ms)·dt·5/0.4. There it stays. Friction of 50 N, which would turn it
+/// round in one step, does not push it about either.
+pub fn slide_with_friction_stops_and_stays(config: &EngineConfig) {
+    let model = robots::slider();
+    let mut e = engine(config, &model, 2);
+    let thrown = InitialState { joint_vel_radps: vec![0.5], ..at(&model, 0.0) };
+    for (lane, friction_n) in [(0, 5.0), (1, 50.0)] {
+        let nominal = LaneParams::nominal(&model);
+        let params = LaneParams { joint_friction_nm: vec![friction_n], ..nominal };
+        e.set_params(lane, &params).unwrap();
+        e.reset(lane, &thrown).unwrap();
+    }
+    let mut back_mps = 0.0_f32;
+    run(e.as_mut(), periods(config, 0.1), &[0.0; 2], |_, _| ());
+    let stood = e.state().joint_pos_rad.clone();
+    let way_m = (config.dt_s + 0.02) * config.dt_s * 5.0 / 0.4;
+    let want_m = 0.0056 - 0.5 * config.dt_s / 2.0 - 1.78 * way_m;
+    near("stands", f64::from(stood[0]), want_m, 2e-4);
+    run(e.as_mut(), periods(config, 2.0), &[0.0; 2], |_, e| {
+        back_mps = e.state().joint_vel_radps.iter().fold(back_mps, |most, v| most.max(v.abs()));
+    });
+    assert!(back_mps < 1e-3, "friction moves it by {back_mps} m/s");
+    for (now, then) in e.state().joint_pos_rad.iter().zip(&stood) {
+        near("stays", f64::from(*now), f64::from(*then), 3e-4);
+    }
+}
+
 /// A held robot does not fall, and its base reports no motion.
 pub fn held_robot_hangs(config: &EngineConfig) {
     let model = robots::polymander();

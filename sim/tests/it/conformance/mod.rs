@@ -19,7 +19,9 @@ mod water;
 use std::sync::Arc;
 
 use caudata_model::RobotModel;
-use caudata_sim::{Engine, EngineConfig, EngineKind, InitialState, TerrainConfig, build};
+use caudata_sim::{
+    Engine, EngineConfig, EngineKind, InitialState, SimError, TerrainConfig, TerrainKind, build,
+};
 
 /// One engine on flat ground, one thread.
 fn engine(config: &EngineConfig, model: &Arc<RobotModel>, lanes: usize) -> Box<dyn Engine> {
@@ -100,6 +102,7 @@ macro_rules! suite {
                 friction_holds_and_brakes,
                 stops_hold,
                 slide_falls_and_stops,
+                slide_with_friction_stops_and_stays,
                 held_robot_hangs,
             },
             servo_loop::{
@@ -262,3 +265,16 @@ conformance!(
         },
     ]
 );
+
+#[test]
+fn a_robot_whose_file_is_silent_on_water_is_refused_there() {
+    let model = robots::pendulum();
+    let ground = |kind| TerrainConfig { kind, ..TerrainConfig::default() };
+    let built = |kind| {
+        let config = EngineConfig::default();
+        build(Arc::clone(&model), 1, &config, &ground(kind), 0, 1).map(drop)
+    };
+    assert!(matches!(built(TerrainKind::DeepWater), Err(SimError::NoWater { .. })));
+    assert!(matches!(built(TerrainKind::Shore), Err(SimError::NoWater { .. })));
+    assert!(built(TerrainKind::Flat).is_ok());
+}
