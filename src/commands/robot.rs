@@ -120,7 +120,8 @@ fn shake(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, 
     let period_s = engine.config().control_period_s();
     for step in 0..(SHAKING_S / period_s).round() as u64 {
         let swing = SWING_RAD * (std::f64::consts::TAU * SWING_HZ * step as f64 * period_s).sin();
-        let targets: Vec<f32> = pose.iter().map(|&angle| (angle + swing) as f32).collect();
+        let own = |(a, angle): (usize, &f64)| (angle + swing * model.per_radian(a)) as f32;
+        let targets: Vec<f32> = pose.iter().enumerate().map(own).collect();
         engine.step(&targets, &[0.0; 6])?;
         let state = engine.state();
         if state.diverged[0] {
@@ -142,8 +143,10 @@ fn shake(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, 
             *span = (span.0.min(at), span.1.max(at));
         }
     }
-    let held = |(low, high): &(f32, f32)| f64::from(high - low) < STUCK_SHARE * SWING_RAD;
-    let stuck = span.iter().position(held).filter(|_| model.base() == BaseKind::Fixed);
+    let held = |a: &usize| {
+        f64::from(span[*a].1 - span[*a].0) < STUCK_SHARE * SWING_RAD * model.per_radian(*a)
+    };
+    let stuck = (0..span.len()).find(held).filter(|_| model.base() == BaseKind::Fixed);
     if let Some(a) = stuck {
         let name = model.actuated_names()[a];
         return Ok(Some(format!(
@@ -161,49 +164,57 @@ fn rings(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, 
     engine.reset(0, &start)?;
     let limits = model.joint_limits_rad().iter();
     let pose = model.nominal_pos_rad().iter().zip(limits);
-    let inwards = |(angle, (low, high)): (&f64, &(f64, f64))| {
+    let step = |a: usize| SWING_RAD * model.per_radian(a);
+    let inwards = |(a, (angle, (low, high))): (usize, (&f64, &(f64, f64)))| {
         let back = *angle > 0.5 * (low + high);
-        (angle + if back { -SWING_RAD } else { SWING_RAD }) as f32
+        (angle + if back { -step(a) } else { step(a) }) as f32
     };
-    let targets: Vec<f32> = pose.map(inwards).collect();
+    let targets: Vec<f32> = pose.enumerate().map(inwards).collect();
     let steps = (RINGING_S / engine.config().control_period_s()).round() as usize;
     let mut seen = Vec::new();
     for _ in 0..steps {
         engine.step(&targets, &[0.0; 6])?;
         seen.push(engine.state().joint_pos_rad.to_vec());
     }
-    let step_deg = SWING_RAD.to_degrees();
-    let moved = |joint: usize| {
-        let off = seen.iter().map(|angles| (angles[joint] - seen[0][joint]).abs());
-        f64::from(off.fold(0.0, f32::max)) >= STUCK_SHARE * SWING_RAD
+    let moved = |a: &usize| {
+        let (joint, began) = (model.actuated()[*a], model.nominal_pos_rad()[*a]);
+        let off = seen.iter().map(|at| (f64::from(at[joint]) - began).abs());
+        off.fold(0.0, f64::max) >= STUCK_SHARE * step(*a)
     };
-    let joints = model.actuated().iter().zip(model.actuated_names());
-    if let Some((&joint, name)) = joints.into_iter().find(|(joint, _)| !moved(**joint)) {
-        let link = &model.links()[model.joints()[joint].child_link];
+    if let Some(a) = (0..model.actuated().len()).find(|a| !moved(a)) {
+        let (name, told) = (model.actuated_names()[a], told(model, a, step(a)));
+        let link = &model.links()[model.joints()[model.actuated()[a]].child_link];
         return Ok(Some(format!(
-            "`{name}` does not move when its target takes a step of {step_deg:.1}°, held in the air: is `{}` of {:.2e} kg \
+            "`{name}` does not move when its target takes a step of {told}, held in the air: is `{}` of {:.2e} kg \
              too heavy, its inertia in another unit, its friction above what its gain gives?",
             link.name, link.mass_kg
         )));
     }
     // what hangs from a held trunk sways as well, but slowly
-    Ok(swinging(model, &seen[steps / 3..]).map(|(name, deg)| {
+    Ok(swinging(model, &seen[steps / 3..]).map(|(a, swing)| {
+        let (name, by, of) = (model.actuated_names()[a], told(model, a, swing), told(model, a, step(a)));
         format!(
-            "`{name}` still swings by {deg:.1}° half a second and more after its target took a step of {step_deg:.1}°, \
+            "`{name}` still swings by {by} half a second and more after its target took a step of {of}, \
              held in the air: its drive hardly damps it (kd_nm_s_per_rad)"
         )
     }))
 }
 
-/// The joint that swings on most in angles over time, if one does, and by how much, degrees.
-fn swinging<'a>(model: &'a RobotModel, seen: &[Vec<f32>]) -> Option<(&'a str, f64)> {
-    let swings = model
-        .actuated()
-        .iter()
-        .map(|&joint| smallest_swing(seen.iter().map(|angles| f64::from(angles[joint])), SWINGS));
-    let named = model.actuated_names().into_iter().zip(swings);
-    let (name, swing_rad) = named.max_by(|a, b| a.1.total_cmp(&b.1))?;
-    (swing_rad > RINGING_SHARE * SWING_RAD).then(|| (name, swing_rad.to_degrees()))
+/// The joint (policy order) that swings on most in positions over time, if one does, and by how much, rad or m.
+fn swinging(model: &RobotModel, seen: &[Vec<f32>]) -> Option<(usize, f64)> {
+    let of = |joint: usize| smallest_swing(seen.iter().map(|at| f64::from(at[joint])), SWINGS);
+    let swings = model.actuated().iter().map(|&joint| of(joint)).enumerate();
+    let in_angles = |(a, swing): &(usize, f64)| swing / model.per_radian(*a);
+    let most = swings.max_by(|x, y| in_angles(x).total_cmp(&in_angles(y)))?;
+    (in_angles(&most) > RINGING_SHARE * SWING_RAD).then_some(most)
+}
+
+/// A distance that joint `a` (policy order) goes, in degrees or millimetres.
+fn told(model: &RobotModel, a: usize, distance: f64) -> String {
+    match model.joints()[model.actuated()[a]].motion {
+        JointMotion::Hinge => format!("{:.1}°", distance.to_degrees()),
+        JointMotion::Slide => format!("{:.1} mm", 1e3 * distance),
+    }
 }
 
 /// The smallest of the `count` largest swings to and fro of a joint, rad; 0 where it has fewer.
@@ -254,31 +265,33 @@ fn stand(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, 
     }
     let state = engine.state();
     let stops = model.joint_limits_rad().iter().zip(pose);
-    let at_stop = stops
-        .zip(model.actuated_names())
-        .find(|(((low, high), angle), _)| (*angle - low).min(high - *angle) < AT_STOP_RAD);
+    let at_stop = (stops.enumerate()).find(|(a, ((low, high), angle))| {
+        (*angle - low).min(high - *angle) < AT_STOP_RAD * model.per_radian(*a)
+    });
     let weight_n = model.total_mass_kg() * STANDARD_GRAVITY_MPS2;
     let lies = f64::from(state.trunk_force_n[0]) / weight_n;
     let angles = model.actuated().iter().map(|&joint| state.joint_pos_rad[joint]);
-    let off_rad = (pose.iter().zip(angles)).map(|(&wanted, is)| (wanted - f64::from(is)).abs());
-    let worst = (model.actuated_names().into_iter().zip(off_rad))
-        .max_by(|a, b| a.1.total_cmp(&b.1))
-        .filter(|(_, off_rad)| *off_rad > SAG_MAX_RAD);
+    let off = (pose.iter().zip(angles)).map(|(&wanted, is)| (wanted - f64::from(is)).abs());
+    let in_angles = |(a, off): &(usize, f64)| off / model.per_radian(*a);
+    let worst = (off.enumerate())
+        .max_by(|x, y| in_angles(x).total_cmp(&in_angles(y)))
+        .filter(|one| in_angles(one) > SAG_MAX_RAD);
+    let names = model.actuated_names();
     let [w, x, y, z] = std::array::from_fn(|i| f64::from(state.base_quat_wxyz[i]));
     let up = w * w - x * x - y * y + z * z;
     Ok(if up < 0.5 {
         Some("it falls over".to_owned())
-    } else if let Some((joint, off_rad)) = worst {
-        let off_deg = off_rad.to_degrees();
-        Some(format!("`{joint}` ends {off_deg:.0}° off its nominal pose"))
-    } else if let Some((_, joint)) = at_stop {
-        Some(format!("`{joint}` is at its end stop"))
+    } else if let Some((a, off)) = worst {
+        Some(format!("`{}` ends {} off its nominal pose", names[a], told(model, a, off)))
+    } else if let Some((a, _)) = at_stop {
+        Some(format!("`{}` is at its end stop", names[a]))
     } else if lies > LYING_MAX {
         let percent = 100.0 * lies;
         Some(format!("{percent:.0} % of its weight lies on trunk or legs"))
     } else {
-        swinging(model, &seen[seen.len() / 2..]).map(|(joint, deg)| {
-            format!("`{joint}` swings on by {deg:.1}° as it stands: its drive hardly damps it (kd_nm_s_per_rad)")
+        swinging(model, &seen[seen.len() / 2..]).map(|(a, swing)| {
+            let (joint, by) = (names[a], told(model, a, swing));
+            format!("`{joint}` swings on by {by} as it stands: its drive hardly damps it (kd_nm_s_per_rad)")
         })
     })
 }
