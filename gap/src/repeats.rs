@@ -80,7 +80,8 @@ fn mean(first: &Trial, members: Vec<Trial>) -> Trial {
     trial
 }
 
-/// Whether two runs of `model` were recorded under the same conditions; gains that are not noted are those of its file.
+/// Whether two runs of `model` were recorded under the same conditions; gains that are not noted are those of its
+/// file.
 pub(crate) fn same_conditions(model: &RobotModel, one: &LogMeta, other: &LogMeta) -> bool {
     let told = |meta: &LogMeta| {
         let gains = |(a, name): (usize, &str)| {
@@ -105,8 +106,8 @@ fn repeats(model: &RobotModel, own: &Trial, other: &Trial) -> bool {
         && same_commands(own, other, |a| 10.0 * SAME_COMMAND_RAD * model.per_radian(a))
 }
 
-/// Whether two runs were sent the same, within so many rad or m of each joint, for as long as the shorter one lasts; times counted
-/// from each one's start.
+/// Whether two runs were sent the same, within so many rad or m of each joint, for as long as the shorter one
+/// lasts; times counted from each one's start.
 pub(crate) fn same_commands(own: &Trial, other: &Trial, within: impl Fn(usize) -> f64) -> bool {
     let duration = own.duration_s().min(other.duration_s());
     // both middle of holds and ramps: a stamp's jitter moves a step by a row, so allow some to disagree

@@ -485,6 +485,44 @@ mod tests {
         assert_eq!(check(&model).unwrap(), None);
     }
 
+    /// A trunk on four legs of a hip and a slide of ± `range_m`, with so stiff a slide.
+    fn hopper(range_m: f64, kp_n_per_m: f64) -> RobotModel {
+        let (mut legs, mut motors) = (String::new(), String::new());
+        for (i, (x, y)) in
+            [(0.1, 0.07), (0.1, -0.07), (-0.1, 0.07), (-0.1, -0.07)].iter().enumerate()
+        {
+            legs += &format!(
+                r#"<body name="l{i}" pos="{x} {y} 0"><joint name="h{i}" axis="0 1 0" range="-1 1" armature="0.002"/>
+                <geom type="capsule" fromto="0 0 0 0 0 -0.06" size="0.01" mass="0.08"/><body name="f{i}" pos="0 0 -0.06">
+                <joint name="s{i}" type="slide" axis="0 0 -1" range="-{range_m} {range_m}" armature="0.02" damping="5"/>
+                <geom type="sphere" pos="0 0 -0.06" size="0.012" mass="0.05"/></body></body>"#
+            );
+            motors += &format!(
+                r#"<position joint="h{i}" kp="12" kv="0.3" forcerange="-3 3"/>
+                <position joint="s{i}" kp="{kp_n_per_m}" kv="20" forcerange="-40 40"/>"#
+            );
+        }
+        let xml = format!(
+            r#"<mujoco model="hop"><compiler angle="radian"/><worldbody><body name="trunk" pos="0 0 0.2"><freejoint/>
+            <geom type="box" size="0.12 0.08 0.02" mass="1.5"/>{legs}</body></worldbody>
+            <actuator>{motors}</actuator></mujoco>"#
+        );
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("hop.xml");
+        std::fs::write(&file, xml).unwrap();
+        let made = import::import(&file, &ImportOptions { name: None, free_base: None }).unwrap();
+        RobotModel::from_bytes("hop", made.robot_toml.as_bytes(), made.mjcf.as_bytes()).unwrap()
+    }
+
+    /// In the middle of ± 12 mm a slide is at no stop, and follows within a period. 2 kg on four slides of 100 N/m
+    /// sink by 2.02·9.81/4/100 = 50 mm, less what lies below the slides.
+    #[test]
+    fn slides_are_measured_in_metres() {
+        assert_eq!(check(&hopper(0.012, 4000.0)).unwrap(), None);
+        let why = check(&hopper(0.08, 100.0)).unwrap().unwrap();
+        assert!(why.contains("mm off its nominal pose"), "{why}");
+    }
+
     /// 40 N·m/rad that nothing damps: the legs go on swinging.
     #[test]
     fn a_drive_without_damping_rings() {

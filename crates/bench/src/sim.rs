@@ -183,9 +183,12 @@ fn physics(
         [] => SceneName::value_variants(),
         some => some,
     };
-    let unasked = |scene: SceneName| plan.scene.is_empty() && scene == SceneName::Water;
     let mut found = Vec::new();
-    for &scene in scenes.iter().filter(|s| model.water().is_some() || !unasked(**s)) {
+    for &scene in scenes {
+        if plan.scene.is_empty() && scene == SceneName::Water && model.water().is_none() {
+            tracing::warn!("the scene water is left out: the robot file has no [water]");
+            continue;
+        }
         let mut theirs = match mujoco.get() {
             Ok(mujoco) => {
                 let mut there = Theirs { mujoco, scene };

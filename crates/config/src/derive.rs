@@ -101,8 +101,9 @@ impl Size {
         self.mass_kg * GRAVITY_MPS2 * round(self.speed_mps())
     }
 
-    /// How many times as much steps take where the damping of its joints, not its weight, is most of it: 1 to 3. A leg of two alike parts, bent by 70°, bends its knee by h/(0.28 leg) more to lift its foot by h,
-    /// hip and ankle by half of that, up and down once a stride.
+    /// How many times as much steps take where the damping of its joints, not its weight, is most of it: 1 to 3.
+    /// A leg of two alike parts, bent by 70°, bends its knee by h/(0.28 leg) more to lift its foot by h, hip and
+    /// ankle by half of that, up and down once a stride.
     fn effort(&self) -> f64 {
         let knee_radps = 2.0 * 1.1 * self.stride_hz() * self.swing_m() / (0.28 * self.leg_m);
         let steps_w = self.feet as f64 * 1.5 * self.damping_nms * knee_radps * knee_radps;

@@ -101,7 +101,8 @@ impl ServoDrive<f64> {
 
 impl JointPassive<f64> {
     /// This one, of `joint`, with friction that springs over no shorter way than steps of `dt_s` can follow;
-    /// `servos` are the lane's. Of slides: a hinge's 2 mrad are long enough for its friction and inertia.
+    /// `servos` are the lane's. Hinges stay as they are: over 2 mrad even 0.6 N·m on 1.1e-3 kg·m² does not push
+    /// them in steps of 2 ms.
     pub fn stepped(
         self,
         joint: &Joint,
