@@ -4,6 +4,8 @@ use caudata_model::{Pose, RobotModel};
 
 /// Distance kept from the ends of the range, share of the range.
 const LIMIT_MARGIN: f64 = 0.05;
+/// A wheel is swung no farther than a joint whose file has no limits, rad.
+const WHEEL_RAD: f64 = std::f64::consts::TAU;
 /// Commands stay below this share of the speed without load.
 const SPEED_SHARE: f64 = 0.6;
 /// Commands ask for accelerations that take at most this share of the greatest torque.
@@ -54,6 +56,7 @@ impl JointLimits {
 
     fn of(robot: &RobotModel, index: usize) -> Self {
         let (low, high) = robot.joint_limits_rad()[index];
+        let (low, high) = (low.max(-WHEEL_RAD), high.min(WHEEL_RAD));
         let margin = LIMIT_MARGIN * (high - low);
         let servo = robot.servo(index);
         let inertia_kgm2 = inertia(robot, index) + servo.armature_kgm2;

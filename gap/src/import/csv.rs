@@ -1,11 +1,11 @@
 //! CSV files of anybody. A recording is one file, or a folder of several that share a clock; rows with the same
 //! stamp become one. A column may hold lists (`"[0.1, 0.2]"`), of which a signal is one item.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use super::run::{ImportError, bytes, file_stem, files_below};
-use super::sheet::{Recording, Sheet};
+use super::sheet::{Hint, Joint, Recording, Sheet};
 
 /// The recording at `path`: a file, or of a folder the files that are `named`; all of them where none is.
 ///
@@ -44,6 +44,7 @@ struct Table {
     decimal_comma: bool,
     /// Line number and fields.
     rows: Vec<(usize, Vec<String>)>,
+    hints: BTreeMap<String, Hint>,
 }
 
 impl Table {
@@ -62,14 +63,16 @@ impl Table {
             }
         }
         let separator = separator(header);
-        let table = Self {
+        let mut table = Self {
             file: file.to_owned(),
             decimal_comma: separator != ',',
             header: fields(header, separator),
             rows: (lines.filter(|(_, l)| !l.trim().is_empty()))
                 .map(|(n, l)| (n + 1, fields(l, separator)))
                 .collect(),
+            hints: BTreeMap::new(),
         };
+        table.hints = table.named();
         match table.rows.is_empty() {
             true => Err(table.wrong("has no row below its header".to_owned())),
             false => Ok(table),
@@ -78,6 +81,30 @@ impl Table {
 
     fn wrong(&self, message: String) -> ImportError {
         ImportError::Format { file: self.file.clone(), message }
+    }
+
+    /// Joints of a joint state that was flattened: `name0` holds what `position0` is of, if that never changes.
+    fn named(&self) -> BTreeMap<String, Hint> {
+        let mut out = BTreeMap::new();
+        for (at, header) in self.header.iter().enumerate() {
+            let Some((before, k)) = header.trim().rsplit_once("name") else { continue };
+            let plain = |c: char| c.is_ascii_digit() || "_[]".contains(c);
+            let mut joints = self.rows.iter().map(|(_, row)| row.get(at).map(|f| f.trim()));
+            let Some(Some(joint)) = joints.next() else { continue };
+            if k.is_empty() || !k.chars().all(plain) || number(joint, true).is_some() {
+                continue;
+            }
+            let same = joints.all(|other| other == Some(joint));
+            for (word, kind, unit) in [
+                ("position", "pos", None),
+                ("velocity", "vel", None),
+                ("effort", "tau", Some("Nm")),
+            ] {
+                let (kind, joint) = (if same { kind } else { "" }, Joint::Named(joint.to_owned()));
+                out.insert(format!("{before}{word}{k}"), Hint { kind, joint: Some(joint), unit });
+            }
+        }
+        out
     }
 }
 
@@ -88,6 +115,10 @@ impl Sheet for Table {
 
     fn header(&self) -> Vec<&str> {
         self.header.iter().map(String::as_str).collect()
+    }
+
+    fn hint(&self, column: &str) -> Option<&Hint> {
+        self.hints.get(column.trim())
     }
 
     /// An empty field was not sampled.
@@ -229,6 +260,17 @@ mod tests {
                 assert!((x.unwrap_or(0.0) - want.unwrap_or(0.0)).abs() < 1e-12);
             }
         }
+    }
+
+    #[test]
+    fn a_flattened_joint_state_says_which_joint_is_which() {
+        let text = "ms,name_0,position_0,name_1,position_1\n0,tilt,1,pan,2\n1,tilt,1,tilt,2\n";
+        let table = Table::parse("state.csv", text).unwrap();
+        let tilt = Some(Joint::Named("tilt".to_owned()));
+        let first = table.hint("position_0").unwrap();
+        assert_eq!((first.kind, &first.joint), ("pos", &tilt));
+        assert_eq!(table.hint("position_1").unwrap().kind, "", "its joint changes");
+        assert_eq!(table.hint("ms"), None);
     }
 
     #[test]

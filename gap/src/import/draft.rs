@@ -14,6 +14,7 @@ use caudata_model::{BaseKind, RobotModel};
 use super::map::{UNKNOWN, unit};
 use super::run::ImportError;
 use super::sheet::{Clock, Hint, Joint, Recording, Sheet};
+use super::units::unit_word;
 use super::words::{CLOCKS, COMMANDS, Words, joint_called};
 
 /// Words in the names of grippers, which some give as a share of their range when all else is an angle.
@@ -195,11 +196,14 @@ fn clock(recording: &Recording) -> Result<Clock, ImportError> {
     for sheet in &recording.sheets {
         for column in sheet.header() {
             let words = Words::of(column);
-            if words.has(CLOCKS) {
+            // a column that is called `ms`
+            let alone = unit_word(&column.trim().to_lowercase());
+            let alone = alone.filter(|name| unit(name).is_ok_and(|(_, of)| of == "time"));
+            if words.has(CLOCKS) || alone.is_some() {
                 let stamps: Vec<f64> = sheet.values(column, None)?.into_iter().flatten().collect();
                 return Ok(Clock {
                     column: column.to_owned(),
-                    unit: words.unit.unwrap_or_else(|| clock_unit(&stamps)),
+                    unit: words.unit.or(alone).unwrap_or_else(|| clock_unit(&stamps)),
                     remark: String::new(),
                 });
             }

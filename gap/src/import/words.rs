@@ -19,8 +19,7 @@ const KIND_WORDS: &[(&str, &str)] = &[
         "pos position positions angle angles q encoder present actual measured theta ist winkel mesure medida",
     ),
 ];
-pub(super) const COMMANDS: &str =
-    "goal cmd command commanded target desired des setpoint reference ref soll consigne consigna";
+pub(super) const COMMANDS: &str = "goal goals cmd command commands commanded target targets desired des setpoint reference ref soll consigne consigna";
 pub(super) const CLOCKS: &str =
     "t time timestamp stamp clock seconds datetime zeit zeitstempel temps tiempo";
 
