@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use caudata_config::{Config, ConfigArgs};
+use caudata_config::{Config, ConfigArgs, TransportKind};
 use caudata_studies::flags;
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use clap::Args;
@@ -35,6 +35,8 @@ pub struct UpArgs {
 /// Ctrl-C.
 pub fn run(args: &UpArgs, process: &Process) -> Result<(), Failure> {
     let mut flags = flags::of_robot(&args.config);
+    let of_file = flags.sets("transport", "kind").or_exit(ExitCode::BadConfig)?
+        && flags.load().or_exit(ExitCode::BadConfig)?.transport.kind != TransportKind::Zenoh;
     if flags.overrides.iter().any(|o| o.starts_with("transport.kind=") && !o.contains("zenoh")) {
         let message = "transport.kind: `up` has zenoh, which reaches other hosts; leave it out";
         return Err(Failure::message(ExitCode::BadConfig, message));
@@ -44,6 +46,11 @@ pub fn run(args: &UpArgs, process: &Process) -> Result<(), Failure> {
     robot::load(&config.robot_path())?;
     let run_id = config.cluster_run_id().to_owned();
     let view = View::new(args.json);
+    if of_file {
+        view.note(
+            "transport.kind of the file is not taken: `up` has zenoh, which reaches other hosts",
+        );
+    }
     let (root, stop) = (run_dir(&config), &process.stop);
     let folder = RunFolder::of_run(&root, &run_id, &mut view.wait_for_owner(stop))?;
     config.robot = std::path::absolute(config.robot_path()).or_exit(ExitCode::NoInput)?;
