@@ -450,7 +450,10 @@ fn print(model: &RobotModel, summary: &Summary<'_>) {
             true => format!("{:.1} mm", 1e3 * x),
             false => format!("{:.1}", x.to_degrees()),
         };
-        let angles = [model.nominal_pos_rad()[index], lower, upper].map(shown);
+        let mut angles = [model.nominal_pos_rad()[index], lower, upper].map(shown);
+        if model.rolls(index) {
+            angles[1..].fill("rolls".to_owned());
+        }
         let gains = [summary.kp_nm_per_rad[index], summary.kd_nm_s_per_rad[index]];
         let own = vec![index.to_string(), (*name).to_owned()];
         let servo = vec![summary.servos[index].to_owned()];

@@ -6,6 +6,10 @@ use serde::{Deserialize, Serialize};
 use crate::error::checks;
 use crate::{ACTION_HISTORY, JointTable, PerJoint, TaskError};
 
+/// How far a wheel's target runs on in a control period, of `scale`, for a unit of action: 4 rad/s at a scale of
+/// 0.8 and 50 Hz.
+const ROLL_SHARE: f32 = 0.1;
+
 settings! {
     /// Table `[task.action]`: `q_des = q_nominal + scale · filter(clip(a))`.
     #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -16,7 +20,8 @@ settings! {
         pub scale: f32 = 0.5,
         /// First-order low pass at the control rate: y ← y + α(a − y), in (0, 1]; 1 is no filter. Default
         /// 0.5. At 50 Hz α = 0.15 passes up to about 1.3 Hz, 0.5 up to about 6 Hz. Too large: policies learn
-        /// to vibrate; too small: they cannot react to a push.
+        /// to vibrate; too small: they cannot react to a push. A wheel (limits more than 100 rad apart) has
+        /// none: its target runs on by a tenth of `scale` per unit of action and control period.
         pub filter_alpha: f32 = 0.5,
         /// Actions beyond ± this are cut off before the filter, > 0. Default 5. Far outside what a policy
         /// should want; it keeps the observed past actions bounded when an exploration draw is extreme.
@@ -77,8 +82,11 @@ impl ActionFilter {
         joints: &JointTable,
         targets_rad: &mut [f32],
     ) {
-        for (smoothed, action) in self.smoothed.iter_mut().zip(action) {
-            *smoothed += config.filter_alpha * (action - *smoothed);
+        for (i, (smoothed, action)) in self.smoothed.iter_mut().zip(action).enumerate() {
+            *smoothed += match joints.rolls(i) {
+                true => ROLL_SHARE * action,
+                false => config.filter_alpha * (action - *smoothed),
+            };
         }
         for (i, target) in targets_rad.iter_mut().enumerate() {
             let wanted = self.target_rad(config, joints, i);
@@ -129,6 +137,20 @@ mod tests {
             }
         }
         assert!((filter.smoothed[3] - 0.0625).abs() < 1e-6);
+    }
+
+    /// 0.8·0.1·0.5 = 0.04 rad a period, past where a leg's filter would have stopped it.
+    #[test]
+    fn the_action_of_a_wheel_is_its_speed() {
+        let config = ActionConfig { scale: 0.8, filter_alpha: 0.25, clip: 5.0 };
+        let mut table = joints();
+        (table.lower_rad[1], table.upper_rad[1]) = (-1e5, 1e5);
+        let mut filter = ActionFilter::new(ACT_DIM);
+        let mut targets = [0.0; ACT_DIM];
+        for _ in 0..100 {
+            filter.apply(&config, &[0.5; ACT_DIM], &table, &mut targets);
+        }
+        assert!((targets[1] - 4.1).abs() < 1e-3 && targets[0] == 0.4, "{targets:?}");
     }
 
     #[test]

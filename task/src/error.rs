@@ -9,7 +9,7 @@ pub enum TaskError {
     Config { field: &'static str, value: String, reason: &'static str },
     /// The robot is not one that this task can drive.
     #[error(
-        "robot '{robot}' has {found} {what}, the task takes {least} to {most}; choose another robot file"
+        "robot '{robot}' has {found} {what}, the task takes {least} to {most}; its file lists them (`actuated`, `[[feet]]`)"
     )]
     Robot { robot: String, what: &'static str, found: usize, least: usize, most: usize },
     /// The gait clock names a foot that the robot does not have.

@@ -1,6 +1,6 @@
 //! The actuated joints as the task sees them: nominal pose, limits, which of them are legs.
 
-use caudata_model::{Pose, RobotModel};
+use caudata_model::{Pose, ROLLS_FROM_RAD, RobotModel};
 
 use crate::row::{MAX_FEET, MAX_JOINTS};
 use crate::{PerJoint, TaskError};
@@ -43,6 +43,11 @@ impl JointTable {
     /// Number of actuated joints, and of actions.
     pub fn len(&self) -> usize {
         self.nominal_rad.len()
+    }
+
+    /// Whether a joint turns without end: a wheel.
+    pub fn rolls(&self, joint: usize) -> bool {
+        self.upper_rad[joint] - self.lower_rad[joint] > ROLLS_FROM_RAD as f32
     }
 
     /// Whether there is none (no robot that the task drives).

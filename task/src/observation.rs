@@ -253,9 +253,9 @@ fn write_part(part: Part, input: &ObservationInput<'_>, joints: &JointTable, out
     match part {
         Part::JointVel => out.copy_from_slice(input.joint_vel_radps),
         Part::JointPos => {
-            let pairs = input.joint_pos_rad.iter().zip(&joints.nominal_rad);
-            for (offset, (pos, nominal)) in out.iter_mut().zip(pairs) {
-                *offset = pos - nominal;
+            let pairs = input.joint_pos_rad.iter().zip(&joints.nominal_rad).enumerate();
+            for (offset, (i, (pos, nominal))) in out.iter_mut().zip(pairs) {
+                *offset = if joints.rolls(i) { 0.0 } else { pos - nominal };
             }
         }
         Part::Gyro => out.copy_from_slice(&input.gyro_radps),

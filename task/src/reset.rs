@@ -101,7 +101,8 @@ pub fn draw(
     if fallen {
         // as often on its back as on its feet; pitch by its sine, as a ball thrown up would lie
         start.roll_pitch_rad = [around_zero(PI), around_zero(1.0).asin()];
-        for (i, q) in start.joint_pos_rad.iter_mut().enumerate() {
+        for (i, q) in start.joint_pos_rad.iter_mut().enumerate().filter(|(i, _)| !joints.rolls(*i))
+        {
             *q = stream.uniform(joints.lower_rad[i], joints.upper_rad[i]);
         }
     }

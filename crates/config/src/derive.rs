@@ -7,7 +7,7 @@
 use std::fmt::Write;
 
 use caudata_model::{BaseKind, Pose, RobotModel};
-use caudata_task::{Mirror, ObservationLayout, check_joint_names};
+use caudata_task::{JointTable, Mirror, ObservationLayout, check_joint_names};
 
 use crate::ConfigError;
 
@@ -19,13 +19,14 @@ const PERIOD_S: f64 = 0.02;
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Size {
     feet: usize,
+    /// Driven wheels of a robot without feet.
+    wheels: usize,
     mass_kg: f64,
-    /// Height of the legs' first joints above the feet, mean; for a robot without feet the height at which
-    /// its centre of mass would lie on the ground, twice.
+    /// Height of the legs' first joints above the feet, or the radius of the wheels, mean.
     leg_m: f64,
     /// Height of the centre of mass above the lowest point, nominal pose.
     com_m: f64,
-    /// Slowest servo's speed without load.
+    /// Speed without load of the slowest servo that moves it.
     servo_radps: f64,
     /// Viscous damping of a driven joint, mean, N·m·s/rad; of a slide at a lever of 0.1 m.
     damping_nms: f64,
@@ -42,8 +43,22 @@ impl Size {
             places.links[foot.link].point(foot.centre_m)[2]
         };
         let feet = model.feet().len();
-        let lowest = match feet {
-            0 => places.links.iter().map(|l| l.pos_m[2]).fold(com_z, f64::min),
+        // heights of their axles and of their lowest points
+        let wheel = |a: usize| {
+            let link = model.joints()[model.actuated()[a]].child_link;
+            let bottom = model.links()[link].geoms.iter().filter(|g| g.collides()).map(|geom| {
+                let at = places.links[link].compose(&geom.link_from_geom);
+                at.pos_m[2] - geom.shape.half_extent_m(at.inverse().rotate([0.0, 0.0, 1.0]))
+            });
+            let axle_z = places.links[link].pos_m[2];
+            (axle_z, bottom.fold(axle_z, f64::min))
+        };
+        let driven = 0..model.actuated().len();
+        let wheels: Vec<(f64, f64)> =
+            driven.filter(|&a| feet == 0 && model.rolls(a)).map(wheel).collect();
+        let lowest = match (feet, wheels.len()) {
+            (0, 0) => places.links.iter().map(|l| l.pos_m[2]).fold(com_z, f64::min),
+            (0, _) => wheels.iter().map(|w| w.1).fold(com_z, f64::min),
             _ => (0..feet).map(foot_z).fold(f64::INFINITY, f64::min),
         };
         let hip_z = |foot: usize| {
@@ -53,17 +68,22 @@ impl Size {
             leg.last().map_or(com_z, |hip| places.links[hip].pos_m[2])
         };
         let legs: f64 = (0..feet).map(|foot| hip_z(foot) - foot_z(foot)).sum();
+        let radii: f64 = wheels.iter().map(|(axle, bottom)| axle - bottom).sum();
         let count = model.actuated().len();
-        let servos = (0..count).map(|i| model.servo(i));
+        // an arm or a gripper does not carry it
+        let leg = |a: usize| model.leg_of(model.joints()[model.actuated()[a]].child_link).is_some();
+        let carries = |a: &usize| feet + wheels.len() == 0 || model.rolls(*a) || leg(*a);
+        let speed = |a: usize| model.servo(a).qd_max_radps / model.per_radian(a);
         Ok(Self {
             feet,
+            wheels: wheels.len(),
             mass_kg: model.total_mass_kg(),
-            leg_m: match feet {
+            leg_m: match feet + wheels.len() {
                 0 => 0.1,
-                feet => (legs / feet as f64).max(0.02),
+                count => ((legs + radii) / count as f64).max(0.02),
             },
             com_m: (com_z - lowest).max(0.01),
-            servo_radps: servos.map(|s| s.qd_max_radps).fold(f64::INFINITY, f64::min),
+            servo_radps: (0..count).filter(carries).map(speed).fold(f64::INFINITY, f64::min),
             damping_nms: (0..count)
                 .map(|i| model.servo(i).damping_nm_s_per_rad * model.per_radian(i).powi(2))
                 .sum::<f64>()
@@ -72,12 +92,11 @@ impl Size {
     }
 
     /// Forward speed that such a robot is first asked for, m/s: a slow trot at a Froude number of 0.12, a
-    /// biped's first steps at 0.01; no faster than feet can be swung, and half a foot's length per second
-    /// without feet.
+    /// biped's first steps at 0.01; no faster than feet can be swung, 0.1 m/s without feet or wheels.
     fn speed_mps(&self) -> f64 {
-        let froude = match self.feet {
-            0 => return 0.1,
-            1 | 2 => 0.01,
+        let froude = match (self.feet, self.wheels) {
+            (0, 0) => return 0.1,
+            (1 | 2, _) => 0.01,
             _ => 0.12,
         };
         let walks = (froude * GRAVITY_MPS2 * self.leg_m).sqrt();
@@ -110,9 +129,9 @@ impl Size {
         (steps_w / self.carrying_w()).clamp(1.0, 3.0)
     }
 
-    /// Whether it tips over when it stands still on one foot of a stride.
+    /// Whether it tips over when it stands still on one foot of a stride, or on its wheels.
     fn balances(&self) -> bool {
-        matches!(self.feet, 1 | 2)
+        matches!(self.feet + self.wheels, 1 | 2)
     }
 
     /// Cut-off of the action filter, Hz: below the stride's frequency, so that steps come of it instead of
@@ -140,7 +159,9 @@ pub fn can_walk(model: &RobotModel) -> Result<(), ConfigError> {
     } else if !geoms.any(|g| g.collides()) {
         "has no shape that touches the ground, so it falls through it; give its feet and its trunk shapes in the MJCF"
             .to_owned()
-    } else if let Err(error) = check_joint_names(&model.actuated_names()) {
+    } else if let Err(error) = check_joint_names(&model.actuated_names())
+        .and_then(|()| JointTable::from_model(model).map(drop))
+    {
         format!("cannot be trained: {error}")
     } else {
         return Ok(());
@@ -179,6 +200,8 @@ fn write_layer(
     let (speed, stride_hz) = (round(size.speed_mps()), round(size.stride_hz()));
     let weight_n = size.mass_kg * GRAVITY_MPS2;
     let (walks, swing_m) = (if size.feet == 0 { 0.0 } else { 1.0 }, size.swing_m());
+    // wheels do not roll aside
+    let aside = if size.wheels == 0 { round(0.15 * speed) } else { 0.0 };
     // the rates at which full costs come in keep the proportion to what walking earns
     let slower = 0.3 / speed;
     write!(
@@ -189,6 +212,7 @@ fn write_layer(
         speed = speed,
         swing_m = swing_m,
         feet = size.feet,
+        wheels = size.wheels,
         mass = size.mass_kg,
         leg = size.leg_m,
         servo = size.servo_radps,
@@ -205,8 +229,8 @@ fn write_layer(
         hz_high = round(1.05 * stride_hz),
         vx_low = round(0.3 * speed),
         vx_high = round(1.15 * speed),
-        vy_low = -round(0.15 * speed),
-        vy_high = round(0.15 * speed),
+        vy_low = -aside,
+        vy_high = aside,
         lin_vel_sigma = round(0.5 * speed * speed),
         phase_sigma = round((0.4 * swing_m * swing_m * size.feet as f64).max(1e-4)),
         contact_n = round(0.04 * weight_n),
@@ -215,7 +239,7 @@ fn write_layer(
         power_weight = -round(2e-2 * (2.6 * GRAVITY_MPS2 * 0.3) / size.carrying_w()),
         slip_weight = -round(2.0 * slower) * walks,
         trunk_weight = -5.0 * walks,
-        com_low = round(if size.feet == 0 { -0.1 } else { 0.55 * size.com_m }),
+        com_low = round(if size.feet + size.wheels == 0 { -0.1 } else { 0.55 * size.com_m }),
         com_high = round(3.0 * size.com_m + 0.2),
         push_n = round(1.5 * size.mass_kg),
     )
@@ -231,7 +255,7 @@ mod tests {
     fn steps_against_the_joints_damping_are_an_effort() {
         let (mass_kg, leg_m, com_m, servo_radps) = (1.8, 0.18, 0.2, 30.0);
         let of = |damping_nms| {
-            Size { feet: 2, mass_kg, leg_m, com_m, servo_radps, damping_nms }.effort()
+            Size { feet: 2, wheels: 0, mass_kg, leg_m, com_m, servo_radps, damping_nms }.effort()
         };
         assert_eq!(of(0.05), 1.0);
         assert!((of(0.39) - 4.5 / 2.3).abs() < 0.03, "{}", of(0.39));

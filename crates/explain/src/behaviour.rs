@@ -134,7 +134,11 @@ impl Behaviour {
     fn judged(result: &ScenarioResult, command: f64, vibration_hz: f64) -> Self {
         let (vx, vy) = (result.vx_mps.mean, result.vy_mps.mean);
         let (yaw, falls) = (result.yaw_rate_radps.mean, result.fall_share.mean);
-        let belly = result.trunk_contact_share.mean;
+        // what has no feet lies or rolls on the ground
+        let belly = match result.duty_factor.is_empty() {
+            true => 0.0,
+            false => result.trunk_contact_share.mean,
+        };
         let share = vx / command;
         let vibrates = vibration_hz > 0.0 && result.vibration_share.mean > 0.3;
         let turning = (2.0 * (yaw.abs() - 0.15)).clamp(0.0, 1.0);

@@ -40,5 +40,6 @@ pub use params::{
 };
 pub use pose::Pose;
 pub use types::{
-    Ball, BaseKind, Foot, Geom, Joint, JointKind, JointMotion, Link, Shape, Site, Softness,
+    Ball, BaseKind, Foot, Geom, Joint, JointKind, JointMotion, Link, ROLLS_FROM_RAD, Shape, Site,
+    Softness,
 };

@@ -4,7 +4,7 @@ use crate::extension::Extension;
 use crate::params::{
     BacklashParams, ContactParams, Gains, SensorParams, ServoParams, SupplyParams, WaterParams,
 };
-use crate::types::{BaseKind, Foot, Geom, Joint, Link, Site};
+use crate::types::{BaseKind, Foot, Geom, Joint, Link, ROLLS_FROM_RAD, Site};
 
 /// A robot, loaded from `*.robot.toml` and the MJCF beside it, and checked: a value that exists is valid.
 ///
@@ -141,6 +141,12 @@ impl RobotModel {
     /// [`Self::servo`]).
     pub fn per_radian(&self, actuated_index: usize) -> f64 {
         self.joints[self.actuated[actuated_index]].per_radian()
+    }
+
+    /// Whether an actuated joint turns without end: a wheel.
+    pub fn rolls(&self, actuated_index: usize) -> bool {
+        let (low, high) = self.joint_limits_rad()[actuated_index];
+        high - low > ROLLS_FROM_RAD
     }
 
     /// The name of an actuated joint's servo type (indices as in [`Self::servo`]).

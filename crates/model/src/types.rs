@@ -181,6 +181,9 @@ pub enum Shape {
     Plane,
 }
 
+/// A driven joint whose limits are farther apart rolls: a policy sets its speed and does not see its angle.
+pub const ROLLS_FROM_RAD: f64 = 100.0;
+
 /// Points on each rim that stand for a cylinder.
 const RIM_POINTS: u32 = 16;
 

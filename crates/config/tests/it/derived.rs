@@ -54,15 +54,26 @@ fn changed_quadruped(change: impl Fn(&str) -> String) -> RobotModel {
     RobotModel::load(&folder.path().join("quadruped.robot.toml")).unwrap()
 }
 
+fn footless(text: &str) -> String {
+    let foot = |leg| format!("[[feet]]\nname = \"{leg}\"\ngeom = \"{leg}_foot\"\n");
+    ["FL", "FR", "HL", "HR"].iter().fold(text.to_owned(), |text, leg| text.replace(&foot(leg), ""))
+}
+
+/// Shanks that turn without end, the lower ends of which are 0.2 m below their axes.
+#[test]
+fn a_robot_on_wheels_is_asked_to_roll() {
+    let range = "range=\"-2.7227 -0.83776\"";
+    let model = changed_quadruped(|text| footless(text).replace(range, "range=\"-1e5 1e5\""));
+    let layer = Config::derived(&model).unwrap();
+    for said in ["0 feet, 4 wheels", "command_mps = 0.4", "vy_mps = [-0, 0]", "symmetric = true"] {
+        assert!(layer.contains(said), "{said} in {layer}");
+    }
+}
+
 #[test]
 fn a_robot_that_falls_through_the_ground_or_has_no_name_for_a_joint_cannot_walk() {
     assert!(can_walk(&changed_quadruped(str::to_owned)).is_ok());
-    let ghost = |text: &str| {
-        let feet = ["FL", "FR", "HL", "HR"]
-            .map(|leg| format!("[[feet]]\nname = \"{leg}\"\ngeom = \"{leg}_foot\"\n"));
-        let text = text.replace("conaffinity=\"1\"", "conaffinity=\"0\"");
-        feet.iter().fold(text, |text, foot| text.replace(foot, ""))
-    };
+    let ghost = |text: &str| footless(text).replace("conaffinity=\"1\"", "conaffinity=\"0\"");
     let why = can_walk(&changed_quadruped(ghost)).unwrap_err().to_string();
     assert!(why.contains("no shape that touches the ground"), "{why}");
     let long = |text: &str| text.replace("FL_thigh", "the_upper_joint_of_the_left_fore_leg");

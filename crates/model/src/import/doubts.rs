@@ -1,9 +1,9 @@
 //! What a file says that can hardly be so: degrees, grams and millimetres where radians, kilograms and metres
 //! belong, and inertias that no body has.
 
-use super::finish::{GRAVITY_MPS2, reach_m, weight_n};
+use super::finish::{GRAVITY_MPS2, reach_m, weight_n, wheel};
 use crate::geometry::{check_inertia, principal};
-use crate::parts::{Body, Robot};
+use crate::parts::{Body, Joint, Robot};
 use crate::tree::{Element, Remarks};
 use crate::types::JointMotion;
 
@@ -23,7 +23,8 @@ pub(super) fn say(robot: &Robot, root: &Element, remarks: &mut Remarks) {
     let reach_m = reach_m(robot);
     for body in &robot.bodies {
         inertia(body, reach_m, remarks);
-        for joint in body.joints.iter().filter(|j| j.motion == JointMotion::Hinge) {
+        let turns = |j: &&Joint| j.motion == JointMotion::Hinge && !wheel(body);
+        for joint in body.joints.iter().filter(turns) {
             if let Some((low, high)) = joint.range.filter(|(l, h)| l.min(-h) < -FAR_RAD) {
                 let message =
                     format!("limits of {low} and {high} rad: are they degrees? {RADIANS}");

@@ -1,12 +1,13 @@
 //! What is worked out of a robot that was read, and the form that the supported subset has.
 
 use std::collections::BTreeSet;
+use std::f64::consts::TAU;
 
 use crate::geometry::Solid;
 use crate::parts::{Actuator, Body, Joint, Painted, Robot};
 use crate::pose::{self, Pose};
 use crate::tree::{Element, Remarks};
-use crate::types::{JointMotion, Shape};
+use crate::types::{Geom, JointMotion, Shape};
 
 /// Joint positions of the pose that the robot file calls nominal.
 pub(super) fn nominal(robot: &Robot, joint: &Joint) -> f64 {
@@ -31,13 +32,14 @@ pub(super) fn finish(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
     for (i, body) in robot.bodies.iter_mut().enumerate() {
         if body.inertial.is_none_or(|i| i.mass_kg <= 0.0) {
             let label = body.element.label();
+            let or = if root.tag == "robot" { " with a <mass>" } else { ", or shapes with a mass" };
             if i == 0 && !robot.free_base && body.joints.is_empty() {
                 // it does not move: any mass will do
                 body.inertial = Some(Solid::unit_ball());
             } else {
                 remarks.refuse(
                     &body.element,
-                    format!("{label} moves and has no mass; give it an <inertial>, or shapes with a mass"),
+                    format!("{label} moves and has no mass; give it an <inertial>{or}"),
                 );
             }
         }
@@ -48,7 +50,8 @@ pub(super) fn finish(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
     if robot.actuators.is_empty() {
         remarks.refuse(
             root,
-            "has no actuator that drives a joint; add <actuator><motor joint=\"…\"/></actuator>",
+            "has no actuator that drives a joint (what pulls a tendon or a site does not); add <actuator><motor \
+             joint=\"…\"/></actuator>",
         );
     }
 }
@@ -138,25 +141,53 @@ fn drop_empty_root(robot: &mut Robot) {
     }
 }
 
+/// Limits of a wheel, rad: farther than it rolls.
+const WHEEL_RAD: f64 = 1e5;
+
 /// Every actuated joint needs limits.
 fn limit_actuated(robot: &mut Robot, remarks: &mut Remarks) {
     let actuated: BTreeSet<String> = robot.actuators.iter().map(|a| a.joint.clone()).collect();
-    for joint in robot.bodies.iter_mut().flat_map(|b| &mut b.joints) {
-        if joint.range.is_none() && actuated.contains(&joint.name) {
-            let half = match joint.motion {
-                JointMotion::Hinge => std::f64::consts::TAU,
-                JointMotion::Slide => 1.0,
+    let carries: BTreeSet<usize> = robot.bodies.iter().filter_map(|b| b.parent).collect();
+    for (i, body) in robot.bodies.iter_mut().enumerate() {
+        let rolls = !carries.contains(&i) && wheel(body);
+        let unlimited = |j: &&mut Joint| j.range.is_none() && actuated.contains(&j.name);
+        for joint in body.joints.iter_mut().filter(unlimited) {
+            let (half, told) = match joint.motion {
+                _ if rolls => (WHEEL_RAD, "is a wheel and no foot: a policy sets its speed"),
+                JointMotion::Hinge => {
+                    (TAU, "has no limits; ±6.2832 written, where a wheel would stop")
+                }
+                JointMotion::Slide => (1.0, "has no limits; ±1.0000 written"),
             };
             joint.range = Some((-half, half));
-            let label = joint.element.label();
-            let wheel = match joint.motion {
-                JointMotion::Hinge => ", where a wheel would stop",
-                JointMotion::Slide => "",
-            };
-            let message = format!("{label} has no limits; ±{half:.4} written{wheel}");
-            remarks.note(&joint.element, message);
+            remarks.note_of(&joint.element, told);
         }
     }
+}
+
+/// Whether a body rolls on its joint: all of it round about an axis that it can turn about by more than once.
+pub(super) fn wheel(body: &Body) -> bool {
+    let [joint] = body.joints.as_slice() else { return false };
+    let turns = joint.range.is_none_or(|(low, high)| high - low > std::f64::consts::TAU);
+    let off_axis_m =
+        |at: [f64; 3]| pose::norm(pose::cross(pose::sub(at, joint.anchor_m), joint.axis));
+    let round = |geom: &Geom| match geom.shape {
+        Shape::Sphere { radius_m } => off_axis_m(geom.link_from_geom.pos_m) < 0.05 * radius_m,
+        Shape::Cylinder { radius_m, .. } => {
+            let along = geom.link_from_geom.rotate([0.0, 0.0, 1.0]);
+            let tilt = pose::norm(pose::cross(along, joint.axis));
+            tilt < 0.05 && off_axis_m(geom.link_from_geom.pos_m) < 0.05 * radius_m
+        }
+        _ => false,
+    };
+    let round = reaching(body).next().is_some() && reaching(body).all(round);
+    turns && joint.motion == JointMotion::Hinge && round
+}
+
+/// Shapes that can touch the ground.
+pub(super) fn reaching(body: &Body) -> impl Iterator<Item = &Geom> {
+    let geoms = body.geoms.iter().map(|painted| &painted.geom);
+    geoms.filter(|g| g.collides() && g.shape != Shape::Plane)
 }
 
 pub(super) const GRAVITY_MPS2: f64 = 9.81;

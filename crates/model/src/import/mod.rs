@@ -97,18 +97,22 @@ pub fn import(file: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
         remarks.note(&root, message);
     }
     let base = &robot.bodies[0];
-    if !robot.free_base && base.joints.len() > 1 && !robot_toml::driven(&robot, 0) {
-        let message = "moves on joints without a drive, so its base counts as held and no preset trains it; for a \
-                       robot that walks in space write <freejoint/> in their place";
+    let limbs = robot.bodies.iter().filter(|body| body.parent == Some(0)).count();
+    let held = match base.joints.len() {
+        0 if root.tag == "mujoco" && limbs > 1 => Some("has no joint"),
+        2.. if !robot_toml::driven(&robot, 0) => Some("moves on joints without a drive"),
+        _ => None,
+    };
+    if let Some(why) = held.filter(|_| !robot.free_base) {
+        let message = format!(
+            "{why}, so it counts as held and no preset trains it; for a robot that walks in space write <freejoint/> there"
+        );
         remarks.note_of(&base.element, message);
     }
-    if let Some(wheel) = robot.bodies.iter().find(|body| robot_toml::wheel(body)) {
-        let message = "rolls on its joint: wheels are not counted as feet, and driven ones end at a full turn";
-        remarks.note_of(&wheel.element, message);
-    }
-    if robot.free_base && robot_toml::feet(&robot).is_empty() {
-        let message = "no foot: no shape at the end of a leg touches the ground (a mesh that is missing does not, a \
-                       wheel rolls); for a robot that walks give each a sphere";
+    let rolls = robot.bodies.iter().any(finish::wheel);
+    if robot.free_base && !rolls && robot_toml::feet(&robot).is_empty() {
+        let message = "no foot and no wheel: no shape at the end of a leg touches the ground (a mesh that is missing does \
+                       not); for a robot that walks give each a sphere, for one that rolls each wheel a cylinder";
         remarks.note(&root, message);
     }
     robot_toml::raise(&mut robot, &root, &mut remarks);

@@ -5,12 +5,12 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
-use super::finish::{nominal, two_digits, unsaid_torque_nm, word};
+use super::finish::{nominal, reaching, two_digits, unsaid_torque_nm, wheel, word};
 use crate::error::Remark;
-use crate::parts::{Actuator, Body, Joint, Robot};
+use crate::parts::{Actuator, Joint, Robot};
 use crate::pose::{self, Pose};
 use crate::tree::{Element, Remarks};
-use crate::types::{Geom, JointMotion, Shape};
+use crate::types::{Geom, JointMotion};
 
 /// Gains that are written where the MJCF commands torque: the whole torque at this error, as legged robots of
 /// 12 to 50 kg are run (Unitree, ANYmal), and this much damping for it.
@@ -340,24 +340,6 @@ pub(super) fn feet(robot: &Robot) -> Vec<Foot> {
     found.into_iter().map(|(_, _, foot)| foot).collect()
 }
 
-/// Whether a body rolls on its joint: round about an axis that it can turn about by more than once.
-pub(super) fn wheel(body: &Body) -> bool {
-    let [joint] = body.joints.as_slice() else { return false };
-    let turns = joint.range.is_none_or(|(low, high)| high - low > std::f64::consts::TAU);
-    let off_axis_m =
-        |at: [f64; 3]| pose::norm(pose::cross(pose::sub(at, joint.anchor_m), joint.axis));
-    let round = |geom: &Geom| match geom.shape {
-        Shape::Sphere { radius_m } => off_axis_m(geom.link_from_geom.pos_m) < 0.05 * radius_m,
-        Shape::Cylinder { radius_m, .. } => {
-            let along = geom.link_from_geom.rotate([0.0, 0.0, 1.0]);
-            let tilt = pose::norm(pose::cross(along, joint.axis));
-            tilt < 0.05 && off_axis_m(geom.link_from_geom.pos_m) < 0.05 * radius_m
-        }
-        _ => false,
-    };
-    turns && joint.motion == JointMotion::Hinge && reaching(body).any(round)
-}
-
 /// Raises a held robot that would be stuck in the ground: nothing of it that moves reaches the ground then.
 pub(super) fn raise(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
     let places = places(robot);
@@ -432,10 +414,4 @@ pub(super) fn moved(joint: &Joint, q: f64) -> Pose {
             Pose { pos_m: pose::sub(joint.anchor_m, turn.rotate(joint.anchor_m)), ..turn }
         }
     }
-}
-
-/// Shapes that can touch the ground.
-pub(super) fn reaching(body: &Body) -> impl Iterator<Item = &Geom> {
-    let geoms = body.geoms.iter().map(|painted| &painted.geom);
-    geoms.filter(|g| g.collides() && g.shape != Shape::Plane)
 }

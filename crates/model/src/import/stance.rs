@@ -1,6 +1,7 @@
 //! A pose to stand in, for a robot whose file has none: knees bent, feet below the hips, all at one height.
 
-use super::robot_toml::{moved, places, reaching};
+use super::finish::reaching;
+use super::robot_toml::{moved, places};
 use crate::parts::{Joint, Robot};
 use crate::pose::{self, Pose};
 use crate::types::{Geom, JointMotion};

@@ -25,7 +25,10 @@ const PASSED_OVER: &[(&str, &str)] = &[
     ("custom", "is MuJoCo's own"),
     ("sensor", "only where gyroscope and accelerometer sit is kept"),
     ("tendon", "tendons are not simulated"),
-    ("equality", "couplings and closed loops are not simulated; the joints move freely"),
+    (
+        "equality",
+        "couplings and closed loops are not simulated, the joints move freely: what only a loop holds up falls",
+    ),
     ("extension", "plugins are not run"),
     ("deformable", "is not simulated"),
 ];

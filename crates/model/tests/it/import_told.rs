@@ -128,9 +128,9 @@ fn wheels_are_no_feet_and_a_damping_ratio_becomes_a_gain() {
         )
     };
     let made = read("cart.xml", &text(position, velocity)).unwrap();
-    assert!(told(&made, "rolls on its joint") && told(&made, "dampratio"), "{:?}", made.notes);
+    assert!(told(&made, "is a wheel and no foot") && told(&made, "dampratio"), "{:?}", made.notes);
     let m = model(&made);
-    assert!(m.feet().is_empty());
+    assert!(m.feet().is_empty() && !m.rolls(0) && m.rolls(1) && m.rolls(2));
     let gains = m.gains()[0];
     assert_eq!(model(&read("cart.xml", &text(velocity, position)).unwrap()).gains(), m.gains());
     // 0.25 + 0.01 + 0.05 kg·m² at 270 N·m/rad, and 9 × 0.1 N·m·s/rad
