@@ -23,12 +23,15 @@ pub(super) const COMMANDS: &str = "goal goals cmd command commands commanded tar
 pub(super) const CLOCKS: &str =
     "t time timestamp stamp clock seconds datetime zeit zeitstempel temps tiempo";
 
-/// The actuated joint that is called so, or else the one with the longest name that is part of it.
+/// The actuated joint that is called so, or else the one with the longest name that is part of it, `_joint` left out.
 pub(super) fn joint_called(robot: &RobotModel, text: &str) -> Option<usize> {
     let text = text.to_lowercase();
     let names: Vec<String> = robot.actuated_names().iter().map(|n| n.to_lowercase()).collect();
     let part = || {
-        let named = (0..names.len()).filter(|&j| text.contains(&names[j]));
+        let stem = |j: usize| {
+            names[j].strip_suffix("_joint").filter(|stem| stem.len() > 2).unwrap_or(&names[j])
+        };
+        let named = (0..names.len()).filter(|&j| text.contains(stem(j)));
         named.max_by_key(|&j| names[j].len())
     };
     names.iter().position(|name| *name == text).or_else(part)
@@ -143,7 +146,21 @@ impl Words {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
+
     use super::*;
+
+    #[test]
+    fn a_header_may_leave_out_that_a_joint_is_one() {
+        let [toml, xml] = ["robot.toml", "xml"].map(|end| {
+            let robots = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/xl330_pendulum.");
+            let text = std::fs::read_to_string(format!("{robots}{end}")).unwrap();
+            text.replace("swing", "swing_joint")
+        });
+        let robot = RobotModel::from_bytes("rig", toml.as_bytes(), xml.as_bytes()).unwrap();
+        assert_eq!(joint_called(&robot, "Swing_soll"), Some(0));
+        assert_eq!(joint_called(&robot, "joint"), None);
+    }
 
     #[test]
     fn a_unit_is_said_by_the_end_of_a_header_if_it_is_one_of_that_kind() {
