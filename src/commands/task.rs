@@ -53,7 +53,7 @@ fn terms() {
     say::line("Reward terms: weights in [task.reward.weights]; own ones in [[task.reward.term]]");
     let rows = TERMS.iter().map(|term| {
         let sense = match term.sense {
-            Sense::Reward => "reward",
+            Sense::Reward | Sense::Guide => "reward",
             Sense::Cost => "cost",
         };
         let weight = format!("{}", term.default_weight);

@@ -351,10 +351,10 @@ impl VecEnv {
             let target_rad = &mut self.target_rad;
             now.filter.unlimited_rad(&task.action, joints, target_rad);
             let input = reward_input(task, joints, body, target_rad, now, truth);
-            let cost_scale = self.task.reward.cost_scale(self.progress);
+            let scales = self.task.reward.scales(self.progress);
             let config = &self.task.reward;
             let own = &mut self.own_rewards;
-            reward = reward::evaluate(config, own, &input, control_period_s, cost_scale, terms);
+            reward = reward::evaluate(config, own, &input, control_period_s, scales, terms);
             if !self.own_ends.is_empty() {
                 let signals = StateSignals::new(&input, config.contact_force_n);
                 own_end = self.own_ends.first(&signals).is_some();

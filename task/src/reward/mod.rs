@@ -26,16 +26,33 @@ use crate::row::Row;
 pub enum Sense {
     /// Weight ≥ 0.
     Reward,
+    /// Weight ≥ 0: pays for how the robot is to move, not for what it is to reach.
+    Guide,
     /// Weight ≤ 0.
     Cost,
 }
 
 impl Sense {
-    /// The factor on a term of this sense while costs are multiplied by `cost_scale`.
-    fn scale(self, cost_scale: f32) -> f32 {
-        match self {
-            Self::Reward => 1.0,
-            Self::Cost => cost_scale,
+    fn of(weight: f32) -> Self {
+        if weight < 0.0 { Self::Cost } else { Self::Reward }
+    }
+}
+
+/// Factors on the terms at a moment of a run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Scales {
+    /// On those that cost.
+    pub costs: f32,
+    /// On those that guide.
+    pub guides: f32,
+}
+
+impl Scales {
+    fn on(self, sense: Sense) -> f32 {
+        match sense {
+            Sense::Reward => 1.0,
+            Sense::Guide => self.guides,
+            Sense::Cost => self.costs,
         }
     }
 }
@@ -108,14 +125,14 @@ macro_rules! reward_terms {
             config: &RewardConfig,
             input: &RewardInput<'_>,
             dt_s: f32,
-            cost_scale: f32,
+            scales: Scales,
         ) -> [f32; TERM_COUNT] {
             let weights = &config.weights;
             [$(
                 if weights.$name == 0.0 {
                     0.0
                 } else {
-                    dt_s * Sense::$sense.scale(cost_scale) * weights.$name * terms::$name(config, input)
+                    dt_s * scales.on(Sense::$sense) * weights.$name * terms::$name(config, input)
                 }
             ),+]
         }
@@ -130,7 +147,7 @@ reward_terms! {
     tracking_yaw_rate: Reward, "1", 0.5;
     /// exp(−Σ (z_j − z_ref(φ_j))²/`phase_sigma`): lift the feet with the gait clock, those that can reach the
     /// ground; 1 afloat. Default 1.0 (paper); too small: the policy shuffles or vibrates.
-    phase: Reward, "1", 1.0;
+    phase: Guide, "1", 1.0;
     /// 1 in every step: a robot that lives earns it. Default 0 (not in the paper). Where costs outweigh what an
     /// untrained policy earns, to fall at once is best, and training finds that out; with this it is not.
     alive: Reward, "1", 0.0;
@@ -176,12 +193,12 @@ reward_terms! {
     /// to tail with the gait clock, as high as the commanded forward speed asks for; 1 on land and in shallow
     /// water. What `phase` is to walking. Default 0 (not in the paper); without it the policy does not find
     /// out how to swim: independent noise in eight joints makes no travelling wave.
-    body_wave: Reward, "1", 0.0;
+    body_wave: Guide, "1", 0.0;
 }
 
 fn check_weight(sense: Sense, weight: f32, field: &'static str) -> Result<(), TaskError> {
     let (right, reason) = match sense {
-        Sense::Reward => {
+        Sense::Reward | Sense::Guide => {
             ((0.0..=1e4).contains(&weight), "this term rewards, its weight must be 0 to 10000")
         }
         Sense::Cost => {
@@ -194,8 +211,8 @@ fn check_weight(sense: Sense, weight: f32, field: &'static str) -> Result<(), Ta
 /// Most terms of a task, its own included.
 pub const TERMS_MAX: usize = TERM_COUNT + own::OWN_MAX;
 
-/// Evaluates all terms for one control step of `dt_s` seconds, costs multiplied by `cost_scale`
-/// ([`RewardConfig::cost_scale`]). `own` are the compiled terms of the task file. `contributions` (in the
+/// Evaluates all terms for one control step of `dt_s` seconds, costs and guides multiplied by `scales`
+/// ([`RewardConfig::scales`]). `own` are the compiled terms of the task file. `contributions` (in the
 /// order of [`RewardConfig::term_names`]) receives each term's part, weight and `dt_s` included; the sum is
 /// the reward.
 pub fn evaluate(
@@ -203,20 +220,19 @@ pub fn evaluate(
     own: &mut Programs,
     input: &RewardInput<'_>,
     dt_s: f32,
-    cost_scale: f32,
+    scales: Scales,
     contributions: &mut PerTerm,
 ) -> f32 {
-    let built_in = built_in(config, input, dt_s, cost_scale);
+    let built_in = built_in(config, input, dt_s, scales);
     contributions.set(&built_in);
     if !own.is_empty() {
         let all = TERM_COUNT + own.len();
         contributions.refill(all, |i| built_in.get(i).copied().unwrap_or(0.0));
         let signals = StateSignals::new(input, config.contact_force_n);
         for (which, term) in config.term.iter().enumerate() {
-            let sense = if term.weight < 0.0 { Sense::Cost } else { Sense::Reward };
+            let sense = Sense::of(term.weight);
             let value = own.value(which, &signals);
-            contributions[TERM_COUNT + which] =
-                dt_s * sense.scale(cost_scale) * term.weight * value;
+            contributions[TERM_COUNT + which] = dt_s * scales.on(sense) * term.weight * value;
         }
     }
     contributions.iter().sum()
@@ -268,6 +284,10 @@ settings! {
         pub costs_at_start: f32 = 1.0,
         /// Environment steps of the whole run after which costs count in full. Default 0: from the start.
         pub costs_full_after_env_steps: u64 = 0,
+        /// Factor on `phase` and `body_wave` at the start of a run, 1 to 10; it falls to 1 as the costs grow.
+        /// Default 1. Where many commands are slow, or go both ways, stepping does not pay at first, and some
+        /// seeds settle for standing; 2.3 makes them step in place before they follow a command.
+        pub guides_at_start: f32 = 1.0,
         /// Terms of one's own, beside the built-in ones. Default none.
         pub term: Vec<OwnTerm>,
         /// Weight of each term.
@@ -276,13 +296,14 @@ settings! {
 }
 
 impl RewardConfig {
-    /// Factor on all costs after `env_steps` environment steps of the whole run.
-    pub fn cost_scale(&self, env_steps: u64) -> f32 {
+    /// Factors on costs and guides after `env_steps` environment steps of the whole run.
+    pub fn scales(&self, env_steps: u64) -> Scales {
         if env_steps >= self.costs_full_after_env_steps {
-            return 1.0;
+            return Scales { costs: 1.0, guides: 1.0 };
         }
-        let share = env_steps as f64 / self.costs_full_after_env_steps as f64;
-        self.costs_at_start + (1.0 - self.costs_at_start) * share as f32
+        let share = (env_steps as f64 / self.costs_full_after_env_steps as f64) as f32;
+        let at = |start: f32| start + (1.0 - start) * share;
+        Scales { costs: at(self.costs_at_start), guides: at(self.guides_at_start) }
     }
 
     /// Checks every value.
@@ -308,6 +329,7 @@ impl RewardConfig {
             wave_lag_rad: (-PI..=PI).contains(&self.wave_lag_rad), "must be -π to π";
             wave_turn_rad: (0.0..=1.0).contains(&self.wave_turn_rad), "must be 0 to 1 rad";
             costs_at_start: (0.0..=1.0).contains(&self.costs_at_start), "must be 0 to 1";
+            guides_at_start: (1.0..=10.0).contains(&self.guides_at_start), "must be 1 to 10";
         }?;
         let weight = |term: &&OwnTerm| !(-1e4..=1e4).contains(&term.weight);
         if let Some(term) = self.term.iter().find(weight) {

@@ -25,6 +25,7 @@ const IN_LEG: [bool; ACT_DIM] = {
     in_leg
 };
 const ZEROS: [f32; ACT_DIM] = [0.0; ACT_DIM];
+const FULL: Scales = Scales { costs: 1.0, guides: 1.0 };
 
 /// Shapes and weights other than the defaults, as training on flat ground uses them.
 pub(crate) fn matched() -> RewardConfig {
@@ -224,7 +225,7 @@ fn the_reward_is_the_weighted_sum_times_dt() {
     };
     let mut parts = PerTerm::filled(0, f32::NAN);
     let own = &mut Programs::default();
-    let total = evaluate(&RewardConfig::default(), own, &input, 0.02, 1.0, &mut parts);
+    let total = evaluate(&RewardConfig::default(), own, &input, 0.02, FULL, &mut parts);
     // Paper: 1.0·0.697676 + 0.5·1 + 1.0·1 − 1e-3·8 = 2.189676; times 0.02 = 0.0437935. Trunk contact: weight
     // 0.
     assert!((total - 0.043_793_5).abs() < 1e-7, "{total}");
@@ -233,7 +234,7 @@ fn the_reward_is_the_weighted_sum_times_dt() {
     assert!((part("tracking_lin_vel") - 0.013_953_5).abs() < 1e-7);
     assert!((part("power") + 0.000_16).abs() < 1e-9);
     assert_eq!(part("trunk_contact"), 0.0);
-    let _ = evaluate(&matched(), own, &input, 0.02, 1.0, &mut parts);
+    let _ = evaluate(&matched(), own, &input, 0.02, FULL, &mut parts);
     let part = |name: &str| parts[TERMS.iter().position(|t| t.name == name).unwrap()];
     // Matched: exp(−0.09/0.05) = 0.165299 · 0.02; trunk contact −1·1·0.02.
     assert!((part("tracking_lin_vel") - 0.003_305_98).abs() < 1e-7);
@@ -247,7 +248,7 @@ fn the_table_matches_the_weights() {
     for (term, weight) in TERMS.iter().zip(defaults) {
         assert_eq!(term.default_weight, weight, "{}", term.name);
         assert!(match term.sense {
-            Sense::Reward => weight >= 0.0,
+            Sense::Reward | Sense::Guide => weight >= 0.0,
             Sense::Cost => weight <= 0.0,
         });
     }
@@ -320,25 +321,110 @@ fn in_water_legs_fold_instead_of_stepping() {
 }
 
 #[test]
-fn costs_grow_over_the_run_and_rewards_do_not() {
-    let config =
-        RewardConfig { costs_at_start: 0.2, costs_full_after_env_steps: 1000, ..matched() };
-    // Halfway: 0.2 + 0.8·0.5.
-    let scales = [0, 500, 1000, 5000].map(|steps| config.cost_scale(steps));
-    for (found, expected) in scales.iter().zip([0.2, 0.6, 1.0, 1.0]) {
-        assert!((found - expected).abs() < 1e-6, "{scales:?}");
+fn costs_grow_over_the_run_guides_fall_and_rewards_stay() {
+    let config = RewardConfig {
+        costs_at_start: 0.2,
+        costs_full_after_env_steps: 1000,
+        guides_at_start: 3.0,
+        ..matched()
+    };
+    config.validate().unwrap();
+    // Halfway: 0.2 + 0.8·0.5, and 3 − 2·0.5.
+    let expected = [(0, 0.2, 3.0), (500, 0.6, 2.0), (1000, 1.0, 1.0), (5000, 1.0, 1.0)];
+    for (steps, costs, guides) in expected {
+        let found = config.scales(steps);
+        assert!((found.costs - costs).abs() < 1e-6, "{found:?}");
+        assert!((found.guides - guides).abs() < 1e-6, "{found:?}");
     }
-    assert_eq!(RewardConfig::default().cost_scale(0), 1.0);
-    // 10 W cost 0.02·3e-3·10 = 6e-4, at 0.2 of the costs 1.2e-4; tracking pays 0.02 either way.
+    assert_eq!(RewardConfig::default().scales(0), FULL);
+    // 10 W cost 0.02·3e-3·10 = 6e-4, at 0.2 of the costs 1.2e-4; tracking pays 0.02 either way, and feet on
+    // the clock 0.02·1.75, three times that at the start.
     let input = RewardInput { mech_power_w: &with(3, 10.0), ..rest() };
     let at = |name: &str| TERMS.iter().position(|t| t.name == name).unwrap();
-    for (scale, power) in [(1.0, -6e-4), (0.2, -1.2e-4)] {
+    for (scales, power, phase) in [(FULL, -6e-4, 0.035), (config.scales(0), -1.2e-4, 0.105)] {
         let mut parts = PerTerm::filled(0, 0.0);
         let own = &mut Programs::default();
-        let _ = evaluate(&config, own, &input, 0.02, scale, &mut parts);
+        let _ = evaluate(&config, own, &input, 0.02, scales, &mut parts);
         assert!((parts[at("power")] - power).abs() < 1e-8);
+        assert!((parts[at("phase")] - phase).abs() < 1e-7, "{parts:?}");
         assert!((parts[at("tracking_lin_vel")] - 0.02).abs() < 1e-8);
     }
+    let wrong = RewardConfig { guides_at_start: 0.5, ..matched() };
+    assert!(wrong.validate().unwrap_err().to_string().contains("guides_at_start"));
+}
+
+#[test]
+fn in_water_legs_fold_instead_of_stepping() {
+    // The nominal pose is 0.1 rad in each of the 8 leg joints, the swimming pose 0.6: 1 − 0.5/π = 0.840845
+    // for each.
+    let fold = [0.6; ACT_DIM];
+    let input = RewardInput { submerged: 1.0, afloat: 1.0, swimming_rad: &fold, ..rest() };
+    check(terms::leg_fold, &input, 0.840_845);
+    // One leg that is 2.4 rad off in one joint and 4.4 in the other, (6·0.840845 + 0.236056 + 0)/8 =
+    // 0.660141: it hides nothing from the other six.
+    let mut one_off = input.joint_pos_rad.to_vec();
+    (one_off[8], one_off[9]) = (3.0, 5.0);
+    let one_leg = RewardInput { joint_pos_rad: &one_off, ..input };
+    check(terms::leg_fold, &one_leg, 0.660_141);
+    // Each of the styles pays in full where it is not asked for, so that nothing is lost or won by going from
+    // one to the other.
+    let input = RewardInput { on_ground: [0.0; FEET].into(), foot_height_m: &[0.3; FEET], ..input };
+    check(terms::phase, &input, 1.0);
+    let on_land = RewardInput {
+        submerged: 0.0,
+        afloat: 0.0,
+        on_ground: PerFoot::filled(FEET, 1.0),
+        foot_height_m: &[0.0; FEET],
+        ..input
+    };
+    check(terms::leg_fold, &on_land, 1.0);
+    check(terms::phase, &on_land, 1.0);
+    // Wading, the hind feet over deep water: the fore feet step (2 cm off, exp(−2·0.02²/0.01) = 0.923116),
+    // and the belly may touch.
+    let wading = RewardInput {
+        afloat: 0.0,
+        on_ground: [1.0, 1.0, 0.0, 0.0].into(),
+        foot_height_m: &[0.02, 0.02, 0.3, 0.3],
+        trunk_force_n: 100.0,
+        ..input
+    };
+    check(terms::leg_fold, &wading, 1.0);
+    check(terms::phase, &wading, 0.923_116);
+    check(terms::trunk_contact, &wading, 0.0);
+}
+
+#[test]
+fn costs_grow_over_the_run_guides_fall_and_rewards_stay() {
+    let config = RewardConfig {
+        costs_at_start: 0.2,
+        costs_full_after_env_steps: 1000,
+        guides_at_start: 3.0,
+        ..matched()
+    };
+    config.validate().unwrap();
+    // Halfway: 0.2 + 0.8·0.5, and 3 − 2·0.5.
+    let expected = [(0, 0.2, 3.0), (500, 0.6, 2.0), (1000, 1.0, 1.0), (5000, 1.0, 1.0)];
+    for (steps, costs, guides) in expected {
+        let found = config.scales(steps);
+        assert!((found.costs - costs).abs() < 1e-6, "{found:?}");
+        assert!((found.guides - guides).abs() < 1e-6, "{found:?}");
+    }
+    assert_eq!(RewardConfig::default().scales(0), FULL);
+    // 10 W cost 0.02·3e-3·10 = 6e-4, at 0.2 of the costs 1.2e-4; tracking pays 0.02 either way, and feet on
+    // the clock 0.02·1.75, three times that at the start.
+    let input = RewardInput { mech_power_w: &with(3, 10.0), ..rest() };
+    let at = |name: &str| TERMS.iter().position(|t| t.name == name).unwrap();
+    for (scales, power, phase) in [(FULL, -6e-4, 0.035), (config.scales(0), -1.2e-4, 0.105)] {
+        let mut parts = PerTerm::filled(0, 0.0);
+        let own = &mut Programs::default();
+        let _ = evaluate(&config, own, &input, 0.02, scales, &mut parts);
+        assert!((parts[at("power")] - power).abs() < 1e-8);
+        assert!((parts[at("phase")] - phase).abs() < 1e-7, "{parts:?}");
+        assert!((parts[at("tracking_lin_vel")] - 0.02).abs() < 1e-8);
+    }
+    let without_end = RewardConfig { guides_at_start: 3.0, ..matched() };
+    let error = without_end.validate().unwrap_err().to_string();
+    assert!(error.contains("costs_full_after_env_steps"), "{error}");
 }
 
 #[test]
@@ -402,7 +488,7 @@ fn terms_of_ones_own_count_with_the_others() {
     pos[3] += 0.4;
     let input = RewardInput { joint_pos_rad: &pos, ..rest() };
     let mut parts = PerTerm::default();
-    let scale = config.cost_scale(0);
+    let scale = config.scales(0);
     let total = evaluate(&config, &mut own, &input, 0.02, scale, &mut parts);
     // 0.02·2·1; a cost at half: 0.02·0.5·(−0.5)·0.4; what is not finite is 0
     for (found, expected) in parts[TERM_COUNT..].iter().zip([0.04, -0.002, 0.0]) {
