@@ -121,7 +121,10 @@ impl Prospects {
         for &effect in effects::ALL.iter().filter(|e| wanted(e)) {
             let middle = effect.grid.len() / 2;
             let Some(place) = Place::named(model, effect.domain, &[]) else { continue };
-            let somewhere = effect.domain == Domain::Robot || !place.items.is_empty();
+            let somewhere = match effect.domain {
+                Domain::Robot => true,
+                _ => !place.items.is_empty() && effect.may_be(model, &place),
+            };
             if somewhere && middle < effect.grid.len() {
                 let values = effect.sizes(model, &place, middle);
                 let by_joint = matches!(effect.domain, Domain::Joints | Domain::Links);

@@ -4,7 +4,7 @@
 //! Every struct also knows its fields by name ([`JointEffects::FIELDS`], [`JointEffects::get`],
 //! [`JointEffects::set`]), so that a search over parameters needs no list of its own.
 
-use caudata_model::{Joint, ServoParams, WaterParams};
+use caudata_model::{EncoderSide, Joint, ServoParams, WaterParams};
 use serde::{Deserialize, Serialize};
 
 use crate::drive::command::MAX_COMMAND_DELAY_S;
@@ -160,6 +160,9 @@ effects! {
         gear_stiffness_nm_per_rad: 0.0, 1e6 => 0.0;
         /// Damping ratio of the rotor on that stiffness. Nominal 0.3.
         gear_damping_ratio: 0.0, 10.0 => TOOTH_DAMPING_RATIO;
+        /// 1 where the encoder is on the motor, 0 where it is on the output: the share of what the rotor is
+        /// ahead of the joint that loop and log see. Nominal: the servo's.
+        motor_encoder: 0.0, 1.0 => f64::from(u8::from(servo.encoder == Some(EncoderSide::Motor)));
         /// Spring at the joint (cable, skin), N·m/rad. Nominal: the model's.
         spring_nm_per_rad: 0.0, 1e4 => joint.stiffness_nm_per_rad;
         /// Where that spring is relaxed, rad. Nominal: the model's.

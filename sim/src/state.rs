@@ -84,6 +84,11 @@ state! {
         motor_torque_nm: actuated,
         /// Mechanical power q̇·τ of each motor, mean over the period (signed), W. `[N, A]`
         mech_power_w: actuated,
+        /// How far each joint's encoder is ahead of it, policy order, rad: something where it is on the motor,
+        /// behind play or a spring. `[N, A]`
+        encoder_ahead_rad: actuated,
+        /// How much faster it is, rad/s. `[N, A]`
+        encoder_ahead_radps: actuated,
         /// Centre of mass of the whole robot, world, m. `[N, 3]`
         com_pos_m: 3,
         /// Velocity of that centre of mass, world, m/s. `[N, 3]`

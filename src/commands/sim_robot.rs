@@ -276,10 +276,12 @@ impl SimulatedRobot {
             tick: self.tick,
             time_s: self.tick as f64 * period_s,
             joint_pos_rad: each(&|i| {
-                sensors::encoder_pos_rad(model.servo(i), state.joint_pos_rad[joint(i)], 0.0)
+                let seen_rad = state.joint_pos_rad[joint(i)] + state.encoder_ahead_rad[i];
+                sensors::encoder_pos_rad(model.servo(i), seen_rad, 0.0)
             }),
             joint_vel_radps: each(&|i| {
-                sensors::encoder_vel_radps(model.servo(i), state.joint_vel_radps[joint(i)])
+                let seen_radps = state.joint_vel_radps[joint(i)] + state.encoder_ahead_radps[i];
+                sensors::encoder_vel_radps(model.servo(i), seen_radps)
             }),
             current_a: each(&|i| sensors::current_a(model.servo(i), state.motor_torque_nm[i])),
             supply_v: self.engine.params(0).supply_v,

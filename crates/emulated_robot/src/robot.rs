@@ -267,10 +267,12 @@ impl EmulatedRobot {
         for (index, joint) in self.joints.iter().enumerate() {
             let at = model.actuated()[index];
             let sign = f64::from(joint.direction);
-            let velocity = sign * f64::from(state.joint_vel_radps[at]) / VELOCITY_LSB_RADPS;
+            let seen_rad = state.joint_pos_rad[at] + state.encoder_ahead_rad[index];
+            let seen_radps = state.joint_vel_radps[at] + state.encoder_ahead_radps[index];
+            let velocity = sign * f64::from(seen_radps) / VELOCITY_LSB_RADPS;
             let current = sensors::current_a(model.servo(index), state.motor_torque_nm[index]);
             let present = Present {
-                position: joint.counts(f64::from(state.joint_pos_rad[at])),
+                position: joint.counts(f64::from(seen_rad)),
                 velocity: velocity.round() as i32,
                 current: (sign * f64::from(current) / CURRENT_LSB_A).round() as i16,
                 voltage: (f64::from(supply_v) / VOLTAGE_LSB_V).round() as u16,

@@ -201,6 +201,13 @@ impl Reader {
         };
         pick(pos, &self.actuated, &mut truth.joint_pos_rad);
         pick(vel, &self.actuated, &mut truth.joint_vel_radps);
+        // as the encoders have them
+        let ahead_rad = values(&state.encoder_ahead_rad, lane, state.actuated);
+        let ahead_radps = values(&state.encoder_ahead_radps, lane, state.actuated);
+        for (i, (rad, radps)) in ahead_rad.iter().zip(ahead_radps).enumerate() {
+            truth.joint_pos_rad[i] += rad;
+            truth.joint_vel_radps[i] += radps;
+        }
         let torque_nm = values(&state.motor_torque_nm, lane, state.actuated);
         truth.motor_torque_nm.set(torque_nm);
         let power_w = values(&state.mech_power_w, lane, state.actuated);

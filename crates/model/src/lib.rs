@@ -35,8 +35,8 @@ pub use extension::{Extension, ExtensionEffect, ExtensionParameter};
 pub use kinematics::{JointFrame, Kinematics};
 pub use model::RobotModel;
 pub use params::{
-    AddedShare, BacklashParams, ContactParams, DragScale, Gains, ImuParams, SensorParams,
-    ServoParams, SupplyParams, WaterParams,
+    AddedShare, BacklashParams, ContactParams, DragScale, EncoderSide, Gains, ImuParams,
+    SensorParams, ServoParams, SupplyParams, WaterParams,
 };
 pub use pose::Pose;
 pub use types::{

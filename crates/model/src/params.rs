@@ -12,6 +12,16 @@ pub struct Gains {
     pub kd_nm_s_per_rad: f64,
 }
 
+/// Where a servo's encoder sits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum EncoderSide {
+    /// Behind the gear, at the joint.
+    Output,
+    /// On the motor: it counts turns of the rotor, and does not see play.
+    Motor,
+}
+
 /// One servo type: torque envelope, friction, and how it measures.
 ///
 /// Envelope after ToddlerBot v2: the motor torque is limited to `tau_max_nm` up to the speed
@@ -69,6 +79,9 @@ pub struct ServoParams {
     /// Friction per load torque while the load drives the motor; default 0.
     #[serde(default)]
     pub load_friction_driven: f64,
+    /// Where its encoder sits. `None`: nobody says; simulated at the output, and a diagnosis tries both.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub encoder: Option<EncoderSide>,
 }
 
 fn default_stribeck_speed_radps() -> f64 {

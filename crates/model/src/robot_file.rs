@@ -6,7 +6,9 @@ use serde::Deserialize;
 
 use crate::error::ModelError;
 use crate::extension::Extension;
-use crate::params::{AddedShare, ContactParams, DragScale, ImuParams, ServoParams, SupplyParams};
+use crate::params::{
+    AddedShare, ContactParams, DragScale, EncoderSide, ImuParams, ServoParams, SupplyParams,
+};
 
 /// Value of `format` that this version reads.
 pub(crate) const FORMAT: &str = "caudata.robot.v1";
@@ -119,6 +121,8 @@ pub(crate) struct Brushless {
     pub damping_nm_s_per_rad: f64,
     /// At the joint.
     pub encoder_counts_per_turn: u32,
+    /// Where it sits, as in a preset.
+    pub encoder: Option<EncoderSide>,
 }
 
 /// Table `[servo.variant.NAME]`: another type with some of its values changed.

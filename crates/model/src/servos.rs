@@ -44,6 +44,7 @@ impl Brushless {
             stribeck_speed_radps: 0.1,
             load_friction_driving: 0.0,
             load_friction_driven: 0.0,
+            encoder: self.encoder,
         }
     }
 }
@@ -87,6 +88,11 @@ impl Types {
     fn of(c: &Checker<'_>, file: &RobotFile) -> Result<Self, ModelError> {
         let library = library();
         let mut described: BTreeMap<String, ServoParams> = file.servo.preset.clone();
+        for (name, servo) in &mut described {
+            // a type of the library with figures of its own is built as the library's is
+            let known = || library.get(name)?.get("encoder")?.clone().try_into().ok();
+            servo.encoder = servo.encoder.or_else(known);
+        }
         let mut once = |at: &str, name: &str, servo: ServoParams| {
             c.servo(&format!("{at}.{name}"), &servo)?;
             match described.insert(name.to_owned(), servo) {
@@ -157,6 +163,7 @@ mod tests {
         for (name, table) in types {
             let servo = read(&c, &name, table).unwrap();
             c.servo(&name, &servo).unwrap();
+            assert!(servo.encoder.is_some(), "{name}");
             // what holds still at the speed without load has no torque left, or little
             assert!(servo.tau_qd_max_nm <= 0.25 * servo.tau_max_nm, "{name}");
         }
@@ -176,6 +183,7 @@ mod tests {
             friction_loss_nm: 0.2,
             damping_nm_s_per_rad: 0.0,
             encoder_counts_per_turn: 32768,
+            encoder: None,
         };
         let servo = motor.servo();
         assert!((servo.tau_max_nm - 18.0).abs() < 1e-12);

@@ -307,6 +307,7 @@ fn ranked(
     let may = |effect: &Effect, a: usize| {
         open[a]
             && !model.own[a].iter().any(|t| t.effect == effect)
+            && effect.may_be(robot, &place_of(context, a))
             && (effect.unseen)(&context.excitation, &place_of(context, a)).is_none()
             && pool.is_none_or(|p| p[a].contains(effect.id))
     };

@@ -1,7 +1,7 @@
 //! What an effect is: a record with a hook, and what most records share.
 
 use caudata_declare::named;
-use caudata_model::{JointMotion, RobotModel};
+use caudata_model::{JointMotion, RobotModel, ServoParams};
 
 use crate::excitation::Excitation;
 use crate::place::{Domain, Place, places};
@@ -92,6 +92,8 @@ pub struct Effect {
     /// Whether its trace starts with a threshold (gap, stop, limit), so that a derivative at nothing says
     /// nothing.
     pub hinge: bool,
+    /// Whether a joint with this servo may have it.
+    pub of_servo: fn(&ServoParams) -> bool,
     /// Puts it into a plant. `values` in SI, one per parameter.
     pub apply: fn(&mut Plant, &Place, &[f64]),
     /// Effects that look like it: ids, with spaces between.
@@ -122,14 +124,21 @@ impl Effect {
     /// Everywhere that it can act on a robot, widest first.
     pub fn places(&self, model: &RobotModel) -> Vec<Place> {
         let mut all = places(model, self.domain);
+        all.retain(|p| self.may_be(model, p));
         // N and N·m, m and rad are no one size
-        let of_joint = |unit: &str| unit.contains("rad") || unit.contains('m');
-        if self.domain == Domain::Joints && self.parameters.iter().any(|p| of_joint(p.unit)) {
+        let of_joint = |p: &ParameterSpec| p.reference != Reference::One || p.unit == "rad";
+        if self.domain == Domain::Joints && self.parameters.iter().any(of_joint) {
             all.retain(|p| {
                 p.items.iter().all(|&a| model.per_radian(a) == model.per_radian(p.items[0]))
             });
         }
         all
+    }
+
+    /// Whether what stands at `place` may have it at all.
+    pub fn may_be(&self, model: &RobotModel, place: &Place) -> bool {
+        let joints = Some(&place.items).filter(|_| place.domain == Domain::Joints);
+        joints.into_iter().flatten().all(|&a| (self.of_servo)(model.servo(a)))
     }
 
     /// Ids of the effects that look like it.
@@ -275,6 +284,7 @@ pub(super) const PLAIN: Effect = Effect {
     parameters: &[],
     grid: &[],
     hinge: false,
+    of_servo: |_| true,
     apply: |_, _, _| {},
     look_alikes: "",
     corrects: "",

@@ -26,6 +26,18 @@ pub static GEAR_BACKLASH: Effect = Effect {
     ..OF_GEARS
 };
 
+pub static PLAY_BEHIND_ENCODER: Effect = Effect {
+    id: "play_behind_encoder",
+    of_servo: |servo| servo.encoder.is_none(),
+    apply: |plant, place, v| {
+        (GEAR_BACKLASH.apply)(plant, place, v);
+        place.each(|a| plant.lane.joints[a].motor_encoder = 1.0);
+    },
+    look_alikes: "gear_backlash gear_compliance pre_sliding servo_loop_delay armature",
+    signature: "the same where the encoder is on the motor: what hangs on the joint follows late and unseen, a light motor before it",
+    ..GEAR_BACKLASH
+};
+
 pub static GEAR_COMPLIANCE: Effect = Effect {
     id: "gear_compliance",
     parameters: &[

@@ -67,6 +67,7 @@ pub static ALL: &[&Effect] = &[
     &friction::PRE_SLIDING,
     &friction::FRICTION_DRIFT,
     &gear::GEAR_BACKLASH,
+    &gear::PLAY_BEHIND_ENCODER,
     &gear::GEAR_COMPLIANCE,
     &gear::COGGING,
     &structure::GIRDLE_PLAY,

@@ -214,7 +214,11 @@ fn correct(engine: &mut BatchEngine, lane: usize, plant: &Plant, measured: &Star
         base_angvel_radps: three(&state.base_angvel_radps),
         ..InitialState::nominal(&plant.model)
     };
-    let init = placed(plant, measured, true, own);
+    let mut init = placed(plant, measured, true, own);
+    let ahead = state.encoder_ahead_rad.chunks(state.actuated.max(1)).nth(lane);
+    for (q, ahead) in init.joint_pos_rad.iter_mut().zip(ahead.into_iter().flatten()) {
+        *q -= ahead;
+    }
     engine.correct(lane, &init).is_ok()
 }
 

@@ -92,9 +92,13 @@ impl Trace {
     ) {
         let row = |k: usize| k * lane..k * (lane + 1);
         let values = &mut self.values;
-        for joints in [&state.joint_pos_rad, &state.joint_vel_radps] {
+        for (joints, ahead) in [
+            (&state.joint_pos_rad, &state.encoder_ahead_rad),
+            (&state.joint_vel_radps, &state.encoder_ahead_radps),
+        ] {
             let own = &joints[row(state.joints)];
-            values.extend(model.actuated().iter().map(|&j| own[j]));
+            let seen = model.actuated().iter().zip(&ahead[row(self.joints)]);
+            values.extend(seen.map(|(&j, ahead)| own[j] + ahead));
         }
         // the torque is that of the positions before the step. While the command stays, it goes on as it went;
         // what the next command does to it, nobody has read yet

@@ -166,6 +166,7 @@ impl<R: Lanes> Core for CoreOf<R> {
                 group.set_params(spare, &self.shared.program, model, config, level, params);
             }
         }
+        self.shared.ahead |= group.params.features.motor_encoder;
     }
 
     fn fits(&self, lane: &LaneState, steps: usize) -> bool {
@@ -432,7 +433,7 @@ impl<R: Lanes> Part<'_, R> {
             turned: &mut scratch.turned,
             rows: &mut self.rows.fields,
             widths: &self.widths,
-            readout: self.shared.readout.fields(),
+            readout: self.shared.readout.fields(self.shared.ahead),
             first,
             diverged,
         });

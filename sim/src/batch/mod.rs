@@ -60,7 +60,7 @@ use crate::{Engine, EngineConfig, InitialState, LaneParams, SimError, State, Ter
 pub const MAX_LANES: usize = 1 << 20;
 
 /// Changes whenever what a snapshot holds does.
-const BATCH_FORMAT: &str = "caudata-batch-4";
+const BATCH_FORMAT: &str = "caudata-batch-5";
 
 /// The batch engine.
 pub struct BatchEngine {

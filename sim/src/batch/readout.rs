@@ -27,13 +27,14 @@ impl Readout {
     /// Joints and motor torques alone.
     pub const JOINTS: Self = Self { base: false, imu: false, feet: false, rest: false };
 
-    /// Whether each field of [`State`](crate::State) is read out, in its order.
+    /// Whether each field of [`State`](crate::State) is read out, in its order; `ahead`: whether an encoder may
+    /// be ahead of its joint.
     #[inline(always)]
-    pub(super) fn fields(self) -> [bool; FIELDS] {
+    pub(super) fn fields(self, ahead: bool) -> [bool; FIELDS] {
         let Self { base, imu, feet, rest } = self;
         [
-            base, base, base, base, true, true, true, rest, rest, rest, rest, rest, feet, rest,
-            rest, rest, rest, rest, imu, imu, imu,
+            base, base, base, base, true, true, true, rest, ahead, ahead, rest, rest, rest, rest,
+            feet, rest, rest, rest, rest, rest, imu, imu, imu,
         ]
     }
 }

@@ -56,6 +56,10 @@ pub(super) fn report<R: Lanes>(
     put_joints(program, group, &mut w);
     let a = program.actuated;
     w.put(&group.sums[..2 * a]);
+    if shared.ahead {
+        put_ahead(program, group, &mut w);
+    }
+    w.at += 2 * a;
     if readout.rest {
         put_whole(program, group, frames, base, &mut scratch.coms, &mut w);
         w.put(&[heading(program, frames)]);
@@ -168,6 +172,18 @@ fn put_joints<R: Lanes>(program: &Program<R>, group: &Group<R>, w: &mut Writer<'
         w.out[vel + node.joint] = group.x[lay.qd() + i];
     }
     w.at += 2 * program.joints;
+}
+
+/// How far encoders are ahead of their joints. Those of locked joints are not.
+#[inline(always)]
+fn put_ahead<R: Lanes>(program: &Program<R>, group: &Group<R>, w: &mut Writer<'_, R>) {
+    let qd = layout(program).qd();
+    for (i, node) in program.nodes.iter().enumerate() {
+        let Some(a) = node.servo else { continue };
+        let (rad, radps) = group.drives[a].encoder_ahead(&group.params.servos[a], group.x[qd + i]);
+        w.out[w.at + a] = rad;
+        w.out[w.at + program.actuated + a] = radps;
+    }
 }
 
 /// Centre of mass, its velocity and the equivalent angular velocity I⁻¹·L about it.

@@ -30,6 +30,8 @@ pub(super) struct Shared<R: Lanes> {
     pub max_base_speed: f64,
     /// What each period reports.
     pub readout: Readout,
+    /// Whether a lane has had an encoder that may be ahead of its joint.
+    pub ahead: bool,
 }
 
 impl<R: Lanes> Shared<R> {
@@ -50,6 +52,7 @@ impl<R: Lanes> Shared<R> {
             max_joint_speed: config.max_joint_speed_radps,
             max_base_speed: config.max_base_speed_mps,
             readout: Readout::ALL,
+            ahead: false,
         }
     }
 

@@ -65,6 +65,8 @@ features! {
     ripple: servo.ripple_nm > 0.0,
     /// Play or compliance in the gear.
     gear: servo.gear_is_soft > 0.5,
+    /// An encoder on the motor, behind that.
+    motor_encoder: servo.motor_encoder > 0.0,
 }
 
 fn warms(servo: &ServoDrive<f64>) -> bool {

@@ -4,8 +4,9 @@
 //! teeth of stiffness k and damping d: inside the gap nothing is passed on, beyond it
 //! `τ = k·(x ∓ h) + d·(ω − q̇)` with x = θ − q. Friction and viscous damping sit on the rotor's side, where
 //! most of a gear train is: within the gap the output moves freely, and the width of the free travel does not
-//! depend on load. The encoder sits on the output (as in the XM430), so the position loop sees q; back-EMF
-//! and envelope see the rotor's speed ω. h = 0 leaves a compliant gear.
+//! depend on load. Where the encoder sits on the output (as in the XM430), the position loop sees q, and play
+//! makes it hunt; where it sits on the motor, loop and log see θ and ω, and the joint follows unseen.
+//! Back-EMF and envelope see ω. h = 0 leaves a compliant gear.
 //!
 //! Teeth are stiff and the rotor is light (1000 N·m/rad on 0.0022 kg·m²: 674 rad/s), so rotor and teeth are
 //! taken implicitly together: backward Euler of the rotor gives ω⁺ = a₀ + a₁·q̇⁺, which turns the gear's

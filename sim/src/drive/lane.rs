@@ -259,8 +259,8 @@ impl LaneDrive {
         }
     }
 
-    /// Writes the means over the period.
-    pub fn write(&self, out: &mut State) {
+    /// Writes the means over the period, and how far encoders are ahead.
+    pub fn write(&self, memory: &DriveMemory, model: &RobotModel, out: &mut State) {
         let mean = |to: &mut [f32], from: &[f64]| {
             for (slot, sum) in to.iter_mut().zip(from) {
                 *slot = (sum / self.period_s) as f32;
@@ -268,5 +268,9 @@ impl LaneDrive {
         };
         mean(&mut out.motor_torque_nm, &self.torque_sum);
         mean(&mut out.mech_power_w, &self.work_sum);
+        for (a, &j) in model.actuated().iter().enumerate() {
+            (out.encoder_ahead_rad[a], out.encoder_ahead_radps[a]) =
+                memory.servos[a].encoder_ahead(&self.servos[a], out.joint_vel_radps[j]);
+        }
     }
 }

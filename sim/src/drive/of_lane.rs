@@ -81,6 +81,7 @@ impl ServoDrive<f64> {
             gear_stiffness_nm_per_rad: teeth,
             gear_damping_nms_per_rad: 2.0 * wide(e.gear_damping_ratio) * (teeth * rotor).sqrt(),
             rotor_kgm2: rotor,
+            motor_encoder: if soft { wide(e.motor_encoder) } else { 0.0 },
         }
     }
 

@@ -107,5 +107,7 @@ per_lane! {
         pub gear_damping_nms_per_rad: R,
         /// Rotor inertia seen at the joint, kg·m².
         pub rotor_kgm2: R,
+        /// Share of what the rotor is ahead of the joint that the encoder sees; 0 where they are one.
+        pub motor_encoder: R,
     }
 }

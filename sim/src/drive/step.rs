@@ -90,6 +90,15 @@ per_lane! {
     }
 }
 
+impl<R: Real> JointMemory<R> {
+    /// How far the encoder of servo `p` is ahead of its joint, and how much faster it is where that moves at
+    /// `qd_radps`, rad and rad/s: something where it is on a rotor that is a body of its own.
+    #[inline(always)]
+    pub fn encoder_ahead(&self, p: &ServoDrive<R>, qd_radps: R) -> (R, R) {
+        (p.motor_encoder * self.lead_rad, p.motor_encoder * (self.rotor_radps - qd_radps))
+    }
+}
+
 impl JointMemory<f64> {
     /// A joint that has been moving at `qd_radps` with the command `command_rad` for long: nothing on its
     /// way, gear centred, cold.
@@ -143,6 +152,12 @@ pub fn start<R: Real>(
     let ahead_radps = step.ahead_radps(p, stop.law.mobility(), qdd_radps2);
     // a rotor behind play or springs has an acceleration of its own
     let motor_ahead_radps = R::select(soft, R::zero(), ahead_radps);
+    let (mut seen_rad, mut seen_radps) = (q_rad, qd_radps);
+    if f.motor_encoder {
+        let (lead_rad, lead_radps) = m.encoder_ahead(p, qd_radps);
+        seen_rad += lead_rad;
+        seen_radps += lead_radps;
+    }
     let motor_nm = motor(
         f,
         p,
@@ -150,8 +165,8 @@ pub fn start<R: Real>(
         on_its_way,
         step,
         bus,
-        target_rad - q_rad,
-        qd_radps + ahead_radps,
+        target_rad - seen_rad,
+        seen_radps + ahead_radps,
         motor_radps + motor_ahead_radps,
     );
 

@@ -482,6 +482,7 @@ fn a_lane_that_does_not_need_a_stage_is_not_touched_by_it() {
         asymmetry: true,
         ripple: true,
         gear: true,
+        motor_encoder: true,
     };
     assert_eq!(DriveFeatures::of(&servo()), DriveFeatures::default());
     assert_eq!(all.or(DriveFeatures::default()), all);

@@ -180,8 +180,8 @@ impl Lane {
         let before = self.memory.out.clone();
         self.memory.robot.read(&mut self.seen.at);
         self.report(shared, Some(self.memory.imu_vel_mps))?;
-        let out = &mut self.memory.out;
-        self.drive.write(out);
+        let Memory { drive, out, .. } = &mut self.memory;
+        self.drive.write(drive, &shared.model, out);
         let mean = |sum: f64| (sum / f64::from(shared.config.substeps)) as f32;
         let (parts, _) = self.contacts_ns.as_chunks::<4>();
         let (feet, body) = parts.split_at(shared.model.feet().len());

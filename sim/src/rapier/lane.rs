@@ -137,7 +137,8 @@ impl Lane {
         if self.report(shared, Some(self.memory.imu_vel_mps)).is_err() {
             return false;
         }
-        self.drive.write(&mut self.memory.out);
+        let memory = &mut self.memory;
+        self.drive.write(&memory.drive, model, &mut memory.out);
         self.contacts.write(&mut self.memory.out, config.control_period_s());
         self.memory.out.is_finite()
     }

@@ -4,7 +4,7 @@
 use std::f64::consts::FRAC_PI_2;
 
 use crate::common::near;
-use caudata_model::{BaseKind, JointKind, JointMotion, Pose, RobotModel, Shape};
+use caudata_model::{BaseKind, EncoderSide, JointKind, JointMotion, Pose, RobotModel, Shape};
 
 /// A robot file for `joints` (all actuated, nominal 0) with an optional tail of tables.
 fn robot_toml(joints: &[&str], tail: &str) -> String {
@@ -191,6 +191,32 @@ fn euler_sequences_turn_about_moving_or_fixed_axes() {
     close(axis("xyz"), [1.0, 0.0, 0.0]);
     // fixed: 90° about x takes z to -y; 90° about the world's y leaves it there
     close(axis("XYZ"), [0.0, -1.0, 0.0]);
+}
+
+/// A servo says where its encoder is, or has the name of one of the library, or nobody knows.
+#[test]
+fn where_an_encoder_sits() {
+    let mjcf = r#"<mujoco><worldbody><body name="b"><joint name="j" type="hinge" range="-1 1"/>
+        <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody>
+        <actuator><motor joint="j"/></actuator></mujoco>"#;
+    let toml = robot_toml(&["j"], "");
+    let of = |text: &str| {
+        let model = RobotModel::from_bytes("test.robot.toml", text.as_bytes(), mjcf.as_bytes());
+        model.map(|m| m.servo(0).encoder)
+    };
+    let with = |line: &str| {
+        toml.replace(
+            "gear_backlash_rad = 0.0",
+            &format!("gear_backlash_rad = 0.0\nencoder = {line}"),
+        )
+    };
+    assert_eq!(of(&toml).unwrap(), None);
+    assert_eq!(of(&with("\"motor\"")).unwrap(), Some(EncoderSide::Motor));
+    assert_eq!(of(&with("\"output\"")).unwrap(), Some(EncoderSide::Output));
+    assert!(of(&with("\"rotor\"")).is_err());
+    let known = toml.replace("default = \"s\"", "default = \"sts3215\"");
+    let known = known.replace("preset.s]", "preset.sts3215]");
+    assert_eq!(of(&known).unwrap(), Some(EncoderSide::Output));
 }
 
 #[test]

@@ -210,6 +210,29 @@ pub fn play_has_its_width(config: &EngineConfig) {
     near("travel", (one - pos(e.as_ref(), 0)).abs(), 0.0202, 2e-4);
 }
 
+/// Held at 1 rad with ±0.01 rad of play, on whose flank gravity keeps it: the encoder comes to rest where
+/// 15·(1 − x)·= 0.981·sin q, and on the motor it is 0.01 rad and the teeth's bend ahead of the joint.
+pub fn an_encoder_on_the_motor_does_not_see_play(config: &EngineConfig) {
+    let model = robots::pendulum();
+    let on = |motor: f32| {
+        geared(&model, |j| {
+            j.gear_half_gap_rad = 0.01;
+            j.motor_encoder = motor;
+        })
+    };
+    let mut e = lanes(config, &model, &[on(0.0), on(1.0)]);
+    run(e.as_mut(), periods(config, 8.0), &[1.0; 2], |_, _| ());
+    let ahead = |lane: usize| f64::from(e.state().encoder_ahead_rad[lane]);
+    let load = |lane: usize| 0.981 * pos(e.as_ref(), lane).sin();
+    assert_eq!(ahead(0), 0.0);
+    near("ahead", ahead(1), 0.01 + load(1) / 1000.0, 1e-4);
+    for lane in 0..2 {
+        let seen = pos(e.as_ref(), lane) + ahead(lane);
+        near("loop", 15.0 * (1.0 - seen), load(lane), 2e-3);
+        near("speed", f64::from(e.state().encoder_ahead_radps[lane]), 0.0, 1e-3);
+    }
+}
+
 /// Joint A runs free at 15 rad/s on 12 V; joint B presses its stop with 4 A, 0.5 Ω take 2 V: A slows down to
 /// 12.5 rad/s.
 pub fn one_joints_load_slows_another(config: &EngineConfig) {

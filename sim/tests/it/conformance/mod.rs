@@ -120,6 +120,7 @@ macro_rules! suite {
                 load_friction_lifts_and_lowers,
                 stribeck_grips_at_rest,
                 play_has_its_width,
+                an_encoder_on_the_motor_does_not_see_play,
                 one_joints_load_slows_another,
                 delay_and_skew_shift_the_phase,
                 low_pass_lags_and_damps,
