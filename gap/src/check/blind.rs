@@ -36,6 +36,17 @@ impl Evidence<'_> {
         self.runs.iter().any(|r| r.channels.contains_key(kind))
     }
 
+    /// What counts as a radian at a joint.
+    fn per_radian(&self, j: &JointExcitation) -> f64 {
+        let at = self.robot.actuated_names().iter().position(|name| *name == j.joint);
+        at.map_or(1.0, |a| self.robot.per_radian(a))
+    }
+
+    /// How far a joint goes, rad; of a slide, of what counts as one.
+    fn span_rad(&self, j: &JointExcitation) -> f64 {
+        (j.range_rad[1] - j.range_rad[0]) / self.per_radian(j)
+    }
+
     /// Whether one joint in one run has it.
     fn joint(&self, test: impl Fn(&JointExcitation) -> bool) -> bool {
         self.runs.iter().any(|r| r.joints.iter().any(&test))
@@ -92,7 +103,7 @@ const NEEDS: &[Need] = &[
     (&["bus_skew"], |e| unless(e.moving_joints() >= 3 && e.joint(|j| j.band_hz[1] > 1.0), "three or more joints moving at once above 1 Hz"), "all_chirp"),
     (&["dropped_frames"], |e| unless(e.moving_joints() > 0, "motion"), "prbs"),
     (&["clock_drift"], |e| unless(e.runs.iter().any(|r| r.duration_s >= 100.0), "one run of 100 s or more"), "gait_long"),
-    (&["profile_limit"], |e| unless(e.total(|j| j.steps[2] as f64) >= 1.0 || e.joint(|j| j.speed_max_radps > 4.0), "large steps"), "steps_large"),
+    (&["profile_limit"], |e| unless(e.total(|j| j.steps[2] as f64) >= 1.0 || e.joint(|j| j.speed_max_radps > 4.0 * e.per_radian(j)), "large steps"), "steps_large"),
     (&["kp_error", "duty_supply", "controller_dead_band", "integral_action"], |e| unless(e.total(|j| j.holds as f64) >= 3.0, "holds under load"), "holds"),
     (&["kd_error"], |e| unless(e.total(|j| (j.steps[0] + j.steps[1] + j.steps[2]) as f64) >= 2.0 || e.joint(|j| j.band_hz[1] > 2.5), "steps, or commands above 2.5 Hz"), "steps_medium"),
     (&["torque_constant"], |e| unless(e.has("cur"), "motor current"), "holds"),
@@ -102,9 +113,9 @@ const NEEDS: &[Need] = &[
     (&["thermal_derating"], |e| unless(e.has("temp") && e.runs.iter().any(|r| r.warming_k > 8.0), "temperature over a hard hold of some minutes"), "hot_hold"),
     (&["coulomb_friction", "viscous_friction", "direction_asymmetry"], |e| unless(e.total(|j| j.reversals as f64) >= 4.0, "reversals"), "triangle_medium"),
     (&["stribeck_friction", "cogging"], |e| unless(e.total(|j| j.slow_s) > 2.0, "slow motion (0.02 to 0.3 rad/s) for 2 s or more"), "triangle_slow"),
-    (&["load_dependent_friction", "drive_asymmetry"], |e| unless(e.joint(|j| j.range_rad[1] - j.range_rad[0] > 0.8 && j.reversals >= 2), "one speed under several loads: lift and lower over 0.8 rad or more"), "lift_lower"),
+    (&["load_dependent_friction", "drive_asymmetry"], |e| unless(e.joint(|j| e.span_rad(j) > 0.8 && j.reversals >= 2), "one speed under several loads: lift and lower over 0.8 rad or more"), "lift_lower"),
     (&["pre_sliding"], |e| unless(e.total(|j| j.small_reversals as f64) >= 4.0, "reversals of a few mrad"), "micro"),
-    (&["gear_backlash", "gear_compliance"], |e| unless(e.total(|j| j.reversals as f64) >= 6.0 && (e.has("cur") || e.joint(|j| j.band_hz[1] > 2.0)), "reversals at small load, with current or above 2 Hz"), "micro"),
+    (&["gear_backlash", "play_behind_encoder", "gear_compliance"], |e| unless(e.total(|j| j.reversals as f64) >= 6.0 && (e.has("cur") || e.joint(|j| j.band_hz[1] > 2.0)), "reversals at small load, with current or above 2 Hz"), "micro"),
     (&["friction_drift"], |e| unless(e.runs.len() >= 3 || e.runs.iter().any(|r| r.duration_s > 200.0), "a session: three or more runs, or one of some minutes"), "gait_long"),
     (&["girdle_play"], |e| unless(e.sees_links(), "IMU, foot positions or motion capture: encoders sit before the play and cannot show it"), "rock_x"),
     (&["parallel_spring"], |e| unless(e.total(|j| j.holds as f64) >= 4.0, "holds over the range"), "holds"),
@@ -112,7 +123,7 @@ const NEEDS: &[Need] = &[
         let limits: BTreeMap<&str, (f64, f64)> = e.robot.actuated_names().into_iter().zip(e.robot.joint_limits_rad().iter().copied()).collect();
         unless(e.joint(|j| limits.get(j.joint.as_str()).is_some_and(|(low, high)| j.range_rad[1] - j.range_rad[0] > 0.85 * (high - low))), "motion over the whole range")
     }, "sweep_full"),
-    (&["link_mass", "link_com", "point_mass"], |e| unless(e.total(|j| j.holds as f64) >= 3.0 && e.joint(|j| j.range_rad[1] - j.range_rad[0] > 0.6), "holds in several poses"), "holds"),
+    (&["link_mass", "link_com", "point_mass"], |e| unless(e.total(|j| j.holds as f64) >= 3.0 && e.joint(|j| e.span_rad(j) > 0.6), "holds in several poses"), "holds"),
     (&["link_inertia", "armature"], |e| unless(e.joint(|j| j.band_hz[1] > 2.5) || e.total(|j| j.fast_s) > 0.3, "fast motion"), "chirp_large"),
     (&["payload"], |e| unless(e.has("cur") || e.has("base.pos") || e.has("imu.acc") || e.total(|j| j.holds as f64) >= 3.0, "holds with current"), "holds"),
     (&["floor_slope"], |e| unless(e.free() && (e.has("imu.acc") || e.has("imu.grav")), "the robot on the ground, with its IMU"), "rest"),

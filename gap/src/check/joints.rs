@@ -34,6 +34,8 @@ const FOLLOWS_FAR: f64 = 0.5;
 const LAG_STEP_S: f64 = 0.02;
 /// Motion below this (standard deviation) is not told from noise, rad.
 const RESOLVED_RAD: f64 = 0.004;
+/// A reading that stays for longer than this while its command asks for both sides of it is stuck, s.
+const STUCK_S: f64 = 0.3;
 /// A servo that is asked for this share of its torque at rest draws a current that shows.
 const PULLS: f64 = 0.05;
 
@@ -200,6 +202,15 @@ fn one_sided(
     known().all(|i| *i >= 0.0).then(|| ("sign", detail.to_owned()))
 }
 
+/// Least and greatest reading.
+fn ends(pos: &[f64]) -> (f64, f64) {
+    let known = || pos.iter().filter(|q| q.is_finite());
+    (
+        known().fold(f64::INFINITY, |m, q| m.min(*q)),
+        known().fold(f64::NEG_INFINITY, |m, q| m.max(*q)),
+    )
+}
+
 /// A reading that stays the same to the last bit while the command asks for both sides of it.
 fn stuck(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     let (Some(cmd), Some(pos)) = (&joint.cmd, &joint.pos) else { return };
@@ -214,16 +225,22 @@ fn stuck(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
         let at = format!("pos.{}", joint.name);
         return out.push(Finding::fatal("stuck", at, detail));
     }
+    let (least, most) = ends(pos);
     let mut from = 0;
     for i in 1..=pos.len() {
         if i < pos.len() && pos[i] == pos[from] {
             continue;
         }
-        let asked = || cmd[from..i].iter().filter(|u| u.is_finite());
-        let above = asked().any(|u| u - pos[from] > far);
-        let below = asked().any(|u| pos[from] - u > far);
+        let asked_s = |way: f64| {
+            let asked = cmd[from..i].iter().filter(|u| way * (*u - pos[from]) > far);
+            asked.count() as f64 * run.grid.step_s
+        };
+        let (above_s, below_s) = (asked_s(1.0), asked_s(-1.0));
         let lasts = (i - from) as f64 * run.grid.step_s;
-        if above && below && lasts > 0.3 {
+        // where no reading goes further there may be a stop: only a joint that does not come back is stuck
+        let up = below_s > if pos[from] == most { STUCK_S } else { 0.0 };
+        let down = above_s > if pos[from] == least { STUCK_S } else { 0.0 };
+        if above_s > 0.0 && below_s > 0.0 && up && down && lasts > STUCK_S {
             let detail = format!(
                 "reads {:.4} {unit} for {lasts:.1} s from t = {:.2} s while the command asks for both sides of it",
                 pos[from],

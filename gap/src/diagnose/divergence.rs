@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
+use caudata_model::RobotModel;
 use caudata_random::{Key, Purpose, Stream};
 
 use super::gates;
-use super::judge::Judge;
 use super::motion::Motion;
-use super::state::On;
+use super::state::{Context, On};
 use crate::report::Divergence;
 use crate::trial::{Channel, Kind, Steps, Trial};
 
@@ -15,8 +15,10 @@ use crate::trial::{Channel, Kind, Steps, Trial};
 const MOST_CELLS: usize = 400;
 /// Resamplings of the null.
 const CELL_RESAMPLES: usize = 300;
-/// Slow: below this, rad/s.
+/// Slow: below this, rad/s; of a slide, so many of what counts as a radian.
 const SLOW_RADPS: f64 = 0.3;
+/// A joint turns round from this speed to the other way, likewise.
+const TURNS_RADPS: f64 = 0.05;
 /// Fast: above this share of the joint's 95th percentile.
 const FAST_SHARE: f64 = 0.6;
 /// A reversal lasts this long to each side, s.
@@ -35,11 +37,12 @@ struct Cell {
     blocks: BTreeMap<u32, (f64, usize)>,
 }
 
-/// The map of `on`, worst first.
-pub fn divergence(judge: &Judge, on: &On, seed: u64) -> Vec<Divergence> {
+/// The map of `on`, which are predictions of the held-out runs, worst first.
+pub fn divergence(context: &Context, on: &On) -> Vec<Divergence> {
+    let (model, judge) = (context.replayer.model(), &context.holdout);
     let data = &judge.data;
     let motion: Vec<Vec<Option<Regimes<'_>>>> = (data.trials.iter())
-        .map(|t| (0..t.commands.len()).map(|a| Regimes::of(t, a)).collect())
+        .map(|t| (0..t.commands.len()).map(|a| Regimes::of(model, t, a)).collect())
         .collect();
     let noise = judge.repeat_noise();
     let mut cells: BTreeMap<(Kind, String, usize), Cell> = BTreeMap::new();
@@ -67,7 +70,7 @@ pub fn divergence(judge: &Judge, on: &On, seed: u64) -> Vec<Divergence> {
         }
     }
     cells.retain(|_, c| c.count >= 20);
-    let p = family_wise(&cells, seed);
+    let p = family_wise(&cells, context.seed);
     let mut out: Vec<Divergence> = cells
         .iter()
         .zip(p)
@@ -129,6 +132,7 @@ fn family_wise(cells: &BTreeMap<(Kind, String, usize), Cell>, seed: u64) -> Vec<
 struct Regimes<'a> {
     position: &'a Channel,
     command: Option<&'a Steps>,
+    slow_radps: f64,
     fast_radps: f64,
     heavy_rad: f64,
     reversals_s: Vec<f64>,
@@ -136,7 +140,8 @@ struct Regimes<'a> {
 
 impl<'a> Regimes<'a> {
     /// None where a joint has no angle.
-    fn of(trial: &'a Trial, joint: usize) -> Option<Self> {
+    fn of(model: &RobotModel, trial: &'a Trial, joint: usize) -> Option<Self> {
+        let per_radian = model.per_radian(joint);
         let position = trial.channel(Kind::Position, joint)?;
         let command = trial.commands.get(joint);
         let all = position.time_s.iter().map(|&t| Motion::at(position, command, t));
@@ -146,16 +151,22 @@ impl<'a> Regimes<'a> {
             sorted.sort_by(f64::total_cmp);
             gates::at(&sorted, share)
         };
+        let slow_radps = SLOW_RADPS * per_radian;
         let mut reversals_s = Vec::new();
         let mut last = 0.0_f64;
-        for (m, t) in all.iter().zip(&position.time_s).filter(|(m, _)| m.qd_radps.abs() > 0.05) {
+        for (m, t) in all
+            .iter()
+            .zip(&position.time_s)
+            .filter(|(m, _)| m.qd_radps.abs() > TURNS_RADPS * per_radian)
+        {
             if last * m.qd_radps < 0.0 {
                 reversals_s.push(*t);
             }
             last = m.qd_radps;
         }
         Some(Self {
-            fast_radps: (FAST_SHARE * below(0.95, |m| m.qd_radps)).max(SLOW_RADPS),
+            fast_radps: (FAST_SHARE * below(0.95, |m| m.qd_radps)).max(slow_radps),
+            slow_radps,
             heavy_rad: below(0.75, |m| m.error_rad),
             position,
             command,
@@ -170,6 +181,6 @@ impl<'a> Regimes<'a> {
         let near = self.reversals_s.partition_point(|&t| t < t_s - REVERSAL_S);
         let reversal = self.reversals_s.get(near).is_some_and(|&t| t <= t_s + REVERSAL_S);
         let loaded = m.error_rad.abs() > self.heavy_rad;
-        [true, speed < SLOW_RADPS, speed > self.fast_radps, reversal, loaded]
+        [true, speed < self.slow_radps, speed > self.fast_radps, reversal, loaded]
     }
 }

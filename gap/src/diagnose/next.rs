@@ -320,6 +320,8 @@ fn is_recorded<'a>(
     own: &Trial,
     weighted: bool,
 ) -> bool {
+    let small_rad = small(model, trial);
+    let within = |a: usize| small_rad * model.per_radian(a);
     let mut runs = runs.flat_map(|r| std::iter::once(r).chain(&r.members));
     runs.any(|r| {
         let mut meta = r.meta.clone();
@@ -332,17 +334,18 @@ fn is_recorded<'a>(
         };
         let longer = r.duration_s() > own.duration_s() - 0.1;
         repeats::same_conditions(model, &meta, &own.meta)
-            && (named() || longer && repeats::same_commands(own, r, |_| small(trial)))
+            && (named() || longer && repeats::same_commands(own, r, within))
     })
 }
 
-/// What makes no difference to the commands of `trial`, rad: a twentieth of what its joint that moves least does,
-/// and no more than repeats are allowed.
-fn small(trial: &excite::Trial) -> f64 {
+/// What makes no difference to the commands of `trial`, rad (of a slide, of what counts as one): a twentieth
+/// of what its joint that moves least does, and no more than repeats are allowed.
+fn small(model: &RobotModel, trial: &excite::Trial) -> f64 {
     const MOST_RAD: f64 = 0.008;
     let span = |a: usize| {
         let sent = || trial.commands_rad.iter().map(|row| row[a]);
-        sent().fold(f64::NEG_INFINITY, f64::max) - sent().fold(f64::INFINITY, f64::min)
+        let span = sent().fold(f64::NEG_INFINITY, f64::max) - sent().fold(f64::INFINITY, f64::min);
+        span / model.per_radian(a)
     };
     let moves = (0..trial.columns.len()).map(span).filter(|span| *span > 0.0);
     moves.map(|span| 0.05 * span).fold(MOST_RAD, f64::min)

@@ -127,9 +127,9 @@ pub fn conclude(
         report: Report {
             verdict,
             summary,
-            divergence: divergence(&context.holdout, &base.holdout, context.seed),
+            divergence: divergence(context, &base.holdout),
             divergence_after: match !model.terms.is_empty() || context.losses.is_some() {
-                true => divergence(&context.holdout, &model.holdout, context.seed),
+                true => divergence(context, &model.holdout),
                 false => Vec::new(),
             },
             doubts: match causes.is_empty() {

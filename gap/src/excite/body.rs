@@ -54,6 +54,11 @@ impl<'a> Body<'a> {
         self.rows.push(row);
     }
 
+    /// How far joint `a` may swing, at most `size_rad` (of a slide, so many of what counts as a radian).
+    fn sine(&self, a: usize, size_rad: f64, hz: f64) -> f64 {
+        self.limits[a].sine_rad(size_rad * self.limits[a].per_radian, hz)
+    }
+
     fn count(&self, s: f64) -> usize {
         (s * self.rate_hz).round().max(1.0) as usize
     }
@@ -108,7 +113,7 @@ impl<'a> Body<'a> {
     pub fn all_steps(&mut self) {
         self.each(|w, _| {
             let c = w.limits.nominal_rad;
-            let size = 0.35f64.min(w.room(c));
+            let size = w.reach(c, 0.35);
             w.hold(0.5);
             for x in [1.0, 0.0, -1.0, 0.0, 1.0, -1.0, 0.0] {
                 w.step(c + w.sign * size * x, 1.0);
@@ -122,7 +127,7 @@ impl<'a> Body<'a> {
             let c = w.limits.nominal_rad;
             if a == 0 {
                 for _ in 0..12 {
-                    w.step(c + 0.3, 0.5);
+                    w.step(c + 0.3 * w.limits.per_radian, 0.5);
                     w.step(c, 0.5);
                 }
             } else {
@@ -142,8 +147,7 @@ impl<'a> Body<'a> {
                     let (left, front) = (i % 2 == 0, i < b.legs.len() / 2);
                     let up = if if roll { left } else { front } { 1.0 } else { -1.0 };
                     if let Some(&knee) = leg.last() {
-                        row[knee] +=
-                            fade * up * b.limits[knee].sine_rad(0.3, hz) * (TAU * hz * t).sin();
+                        row[knee] += fade * up * b.sine(knee, 0.3, hz) * (TAU * hz * t).sin();
                     }
                 }
             });
@@ -155,7 +159,7 @@ impl<'a> Body<'a> {
         for i in 0..self.legs.len() {
             self.play(3.0, |b, _, fade, row| {
                 if let Some(&knee) = b.legs[i].last() {
-                    row[knee] -= 0.7 * fade;
+                    row[knee] -= 0.7 * b.limits[knee].per_radian * fade;
                 }
             });
             self.hold(0.5);
@@ -171,13 +175,14 @@ impl<'a> Body<'a> {
                 let diagonal = if i % 2 == i / 2 % 2 { 0.0 } else { PI };
                 let (swing, lift) = ((phase + diagonal).sin(), (phase + diagonal).cos().max(0.0));
                 if let (Some(&hip), Some(&knee)) = (leg.first(), leg.last()) {
-                    row[hip] += fade * b.limits[hip].sine_rad(HIP_SWING_RAD, hz) * swing;
+                    row[hip] += fade * b.sine(hip, HIP_SWING_RAD, hz) * swing;
                     let low = (height - 1.0) * row[knee].abs();
-                    row[knee] += fade * (low - 0.35 * lift);
+                    row[knee] += fade * (low - 0.35 * b.limits[knee].per_radian * lift);
                 }
             }
             for &a in b.trunk() {
-                row[a] += fade * (bend_rad + b.limits[a].sine_rad(0.1, hz) * phase.cos());
+                let bend = bend_rad * b.limits[a].per_radian;
+                row[a] += fade * (bend + b.sine(a, 0.1, hz) * phase.cos());
             }
         });
     }
@@ -193,7 +198,7 @@ impl<'a> Body<'a> {
             let n = b.spine.len().max(1) as f64;
             for (i, &a) in b.spine.iter().enumerate() {
                 let x = i as f64 / n;
-                let size = b.limits[a].sine_rad(size_rad * (0.4 + 0.6 * x), hz);
+                let size = b.sine(a, size_rad * (0.4 + 0.6 * x), hz);
                 row[a] += fade * size * (TAU * (hz * t - x)).sin();
             }
             for leg in &b.legs {
@@ -209,7 +214,7 @@ impl<'a> Body<'a> {
             self.play(1.0, |b, _, fade, row| {
                 for leg in &b.legs {
                     if let Some(&knee) = leg.last() {
-                        row[knee] -= 0.6 * fade;
+                        row[knee] -= 0.6 * b.limits[knee].per_radian * fade;
                     }
                 }
             });

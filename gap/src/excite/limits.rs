@@ -16,7 +16,7 @@ const TORQUE_SHARE: f64 = 0.4;
 pub const HOLD_SHARE: f64 = 0.35;
 /// The one trial that is meant to warm the servo.
 pub const HOT_SHARE: f64 = 0.5;
-/// Steps of the search for what gravity allows, rad.
+/// Steps of the search for what gravity allows, rad; of a slide, so many of what counts as one.
 const SEARCH_RAD: f64 = 0.02;
 
 /// Limits of one actuated joint, with the others in their nominal pose and the base held level.
@@ -26,6 +26,8 @@ pub struct JointLimits {
     pub name: String,
     /// Place in policy order.
     pub index: usize,
+    /// What counts as a radian (of a slide, m).
+    pub per_radian: f64,
     /// Nominal position, rad.
     pub nominal_rad: f64,
     /// What may be commanded, rad: the range less a margin.
@@ -60,10 +62,13 @@ impl JointLimits {
         let margin = LIMIT_MARGIN * (high - low);
         let servo = robot.servo(index);
         let inertia_kgm2 = inertia(robot, index) + servo.armature_kgm2;
-        let points = ((high - low) / SEARCH_RAD).ceil() as usize;
+        let per_radian = robot.per_radian(index);
+        let search = SEARCH_RAD * per_radian;
+        let points = ((high - low) / search).ceil() as usize;
         let mut out = Self {
             name: robot.actuated_names()[index].to_owned(),
             index,
+            per_radian,
             nominal_rad: robot.nominal_pos_rad()[index],
             range_rad: (low + margin, high - margin),
             hold_rad: (low + margin, high - margin),
@@ -75,7 +80,7 @@ impl JointLimits {
             kp_nm_per_rad: robot.kp_nm_per_rad(index),
             kd_nm_s_per_rad: robot.kd_nm_s_per_rad(index) + servo.kd_min_nm_s_per_rad,
             gravity_nm: (0..=points)
-                .map(|i| gravity(robot, index, low + i as f64 * SEARCH_RAD))
+                .map(|i| gravity(robot, index, low + i as f64 * search))
                 .collect(),
         };
         out.hold_rad = out.held_within(low, HOLD_SHARE);
@@ -87,18 +92,19 @@ impl JointLimits {
     fn held_within(&self, low_rad: f64, share: f64) -> (f64, f64) {
         let allowed = |q: f64| self.at(q - low_rad).abs() <= share * self.tau_max_nm;
         let mut reach = (self.nominal_rad, self.nominal_rad);
-        while reach.0 - SEARCH_RAD >= self.range_rad.0 && allowed(reach.0 - SEARCH_RAD) {
-            reach.0 -= SEARCH_RAD;
+        let search = SEARCH_RAD * self.per_radian;
+        while reach.0 - search >= self.range_rad.0 && allowed(reach.0 - search) {
+            reach.0 -= search;
         }
-        while reach.1 + SEARCH_RAD <= self.range_rad.1 && allowed(reach.1 + SEARCH_RAD) {
-            reach.1 += SEARCH_RAD;
+        while reach.1 + search <= self.range_rad.1 && allowed(reach.1 + search) {
+            reach.1 += search;
         }
         reach
     }
 
     fn at(&self, above_low_rad: f64) -> f64 {
         let last = self.gravity_nm.len() - 1;
-        let k = (above_low_rad / SEARCH_RAD).round().clamp(0.0, last as f64);
+        let k = (above_low_rad / (SEARCH_RAD * self.per_radian)).round().clamp(0.0, last as f64);
         self.gravity_nm[k as usize]
     }
 
@@ -120,7 +126,7 @@ impl JointLimits {
         // no farther than the gain reaches with all of the servo's torque
         let most = self.tau_max_nm / self.kp_nm_per_rad.max(1e-9);
         while way * pull(q) > 0.0 && (q - q_rad).abs() < most {
-            q += way * STEP;
+            q += way * STEP * self.per_radian;
         }
         q
     }
@@ -135,7 +141,7 @@ impl JointLimits {
             if share <= HOT_SHARE && share > best.1 {
                 best = (q, share);
             }
-            q += SEARCH_RAD;
+            q += SEARCH_RAD * self.per_radian;
         }
         best
     }

@@ -62,7 +62,7 @@ fn triangles(w: &mut Wave<'_>, speed_radps: f64, size_rad: f64, cycles: f64) {
 }
 
 fn steps(w: &mut Wave<'_>, centre_rad: f64, size_rad: f64, s: f64) {
-    let size = (w.scale * size_rad).min(w.room(centre_rad));
+    let size = w.reach(centre_rad, size_rad);
     w.go(centre_rad);
     w.hold(0.5);
     for x in [1.0, 0.0, -1.0, 0.0, 1.0, -1.0, 0.0] {
@@ -76,8 +76,9 @@ fn micro(w: &mut Wave<'_>, place: f64) {
     w.go(centre);
     for mrad in [1.5, 3.0, 6.0, 12.0] {
         for _ in 0..4 {
-            w.step(centre + 1e-3 * mrad, 0.15);
-            w.step(centre - 1e-3 * mrad, 0.15);
+            let size = 1e-3 * mrad * w.limits.per_radian;
+            w.step(centre + size, 0.15);
+            w.step(centre - size, 0.15);
         }
         w.step(centre, 0.2);
     }
@@ -98,22 +99,22 @@ pub(super) const RECIPES: &[Recipe] = &[
         let (pose, share) = w.limits.hottest();
         if share > 0.15 { w.go(pose); w.hold(240.0); } else {
             // no gravity on this joint: heat by motion
-            let centre = w.place(0.0); let hz = 1.5; let size = w.limits.sine_rad(0.5, hz);
+            let centre = w.place(0.0); let hz = 1.5; let size = w.as_size(w.limits.sine_rad(0.5 * w.limits.per_radian, hz));
             w.sine(centre, size, hz, 240.0);
         }
         triangles(w, 0.5, 0.4, 2.0);
     })),
     joint("staircase", "climb and descend in steps of 40 mrad", &["controller_dead_band", "kp_error", "coulomb_friction", "encoder_gain"], |w| {
         let start = w.place(-0.4); w.go(start);
-        let (sign, step) = (w.sign, 0.04 * w.scale);
+        let (sign, step) = (w.sign, 0.04 * w.scale * w.limits.per_radian);
         for k in [1.0, -1.0] { for _ in 0..10 { let next = w.now() + sign * k * step; w.step(next, 0.4); } }
     }),
     // frequency
     joint("chirp_small", "50 mrad, 0.5 to 10 Hz: within what the servo follows", &["command_delay", "command_low_pass", "servo_loop_delay", "measurement_delay", "armature", "gear_compliance"], |w| { let c = w.place(0.0); w.chirp(c, 0.05, 0.5, 10.0, 12.0); }),
     joint("chirp_medium", "0.2 rad, 0.2 to 6 Hz", &["velocity_lag", "current_lag", "command_low_pass", "command_delay", "kd_error", "viscous_friction", "link_inertia"], |w| { let c = w.place(0.0); w.chirp(c, 0.2, 0.2, 6.0, 14.0); }),
     joint("chirp_large", "0.6 rad, 0.1 to 3 Hz, up to the speed limit", &["armature", "link_inertia", "voltage_limit", "viscous_friction", "profile_limit"], |w| { let c = w.place(0.0); w.chirp(c, 0.6, 0.1, 3.0, 16.0); }),
-    joint("chirp_raised", "0.15 rad, 0.3 to 5 Hz, about a raised pose", &["load_dependent_friction", "link_com", "gear_backlash"], |w| { let c = w.place(0.8); w.chirp(c, 0.15, 0.3, 5.0, 10.0); }),
-    joint("chirp_lowered", "the same about a lowered pose: the load the other way", &["load_dependent_friction", "link_com", "gear_backlash"], |w| { let c = w.place(-0.8); w.chirp(c, 0.15, 0.3, 5.0, 10.0); }),
+    joint("chirp_raised", "0.15 rad, 0.3 to 5 Hz, about a raised pose", &["load_dependent_friction", "link_com", "gear_backlash", "play_behind_encoder"], |w| { let c = w.place(0.8); w.chirp(c, 0.15, 0.3, 5.0, 10.0); }),
+    joint("chirp_lowered", "the same about a lowered pose: the load the other way", &["load_dependent_friction", "link_com", "gear_backlash", "play_behind_encoder"], |w| { let c = w.place(-0.8); w.chirp(c, 0.15, 0.3, 5.0, 10.0); }),
     joint("sines", "three sizes at three frequencies", &["viscous_friction", "linear_drag", "quadratic_drag", "added_mass", "command_low_pass"], |w| {
         let c = w.place(0.0);
         for hz in [0.5, 1.2, 2.8] { for size in [0.08, 0.2, 0.5] { w.sine(c, size, hz, 3.0); } }
@@ -131,7 +132,7 @@ pub(super) const RECIPES: &[Recipe] = &[
     joint("sweep_full", "the whole range and back at 0.4 rad/s", &["hard_stop", "cogging", "encoder_gain", "parallel_spring"], |w| {
         let (top, bottom, speed) = (w.far(1.0), w.far(-1.0), 0.4);
         let (middle, size) = (0.5 * (top + bottom), 0.5 * (top - bottom).abs());
-        w.triangle(middle, size, speed, 1.0);
+        w.triangle(middle, w.as_size(size), speed, 1.0);
     }),
     // steps
     joint("steps_small", "steps of 30 mrad", &["kp_error", "kd_error", "controller_dead_band", "servo_loop_delay"], |w| { let c = w.place(0.0); steps(w, c, 0.03, 0.6); }),
@@ -141,14 +142,14 @@ pub(super) const RECIPES: &[Recipe] = &[
     joint("reversals_fast", "full turns of direction at speed", &["braking_asymmetry", "torque_limit", "supply_sag"], |w| { let c = w.place(0.0); for size in [0.2, 0.4, 0.6] { w.triangle(c, size, 3.5, 4.0); } }),
     // load
     joint("lift_lower", "lift and lower at three equal speeds", &["load_dependent_friction", "drive_asymmetry", "viscous_friction", "winding_resistance"], |w| {
-        for speed in [0.15, 0.5, 1.2] { let (c, size) = (w.place(0.5), (w.place(1.0) - w.place(0.0)).abs() * 0.5); w.triangle(c, size, speed, 1.0); }
+        for speed in [0.15, 0.5, 1.2] { let (c, size) = (w.place(0.5), w.as_size((w.place(1.0) - w.place(0.0)).abs() * 0.5)); w.triangle(c, size, speed, 1.0); }
     }),
     joint("lift_lower_other", "the same on the other side", &["load_dependent_friction", "drive_asymmetry", "direction_asymmetry"], |w| {
-        for speed in [0.15, 0.5, 1.2] { let (c, size) = (w.place(-0.5), (w.place(-1.0) - w.place(0.0)).abs() * 0.5); w.triangle(c, size, speed, 1.0); }
+        for speed in [0.15, 0.5, 1.2] { let (c, size) = (w.place(-0.5), w.as_size((w.place(-1.0) - w.place(0.0)).abs() * 0.5)); w.triangle(c, size, speed, 1.0); }
     }),
-    joint("micro", "reversals of 1.5 to 12 mrad, no load", &["pre_sliding", "gear_backlash", "controller_dead_band"], |w| micro(w, 0.0)),
-    joint("micro_loaded", "the same under load, both ways", &["gear_backlash", "pre_sliding", "gear_compliance"], |w| { micro(w, 0.9); micro(w, -0.9); }),
-    joint("backlash_probe", "slow reversals of 30 mrad about no load", &["gear_backlash", "gear_compliance", "coulomb_friction"], |w| { let c = w.place(0.0); w.triangle(c, 0.015, 0.06, 6.0); w.triangle(c, 0.03, 0.3, 6.0); }),
+    joint("micro", "reversals of 1.5 to 12 mrad, no load", &["pre_sliding", "gear_backlash", "play_behind_encoder", "controller_dead_band"], |w| micro(w, 0.0)),
+    joint("micro_loaded", "the same under load, both ways", &["gear_backlash", "play_behind_encoder", "pre_sliding", "gear_compliance"], |w| { micro(w, 0.9); micro(w, -0.9); }),
+    joint("backlash_probe", "slow reversals of 30 mrad about no load", &["gear_backlash", "play_behind_encoder", "gear_compliance", "coulomb_friction"], |w| { let c = w.place(0.0); w.triangle(c, 0.015, 0.06, 6.0); w.triangle(c, 0.03, 0.3, 6.0); }),
     joint("drop_high", "let go from a raised pose", &["measurement_delay", "viscous_friction", "voltage_limit", "coulomb_friction", "current_bias"], |w| { for _ in 0..2 { let q = w.place(1.0); w.go(q); w.hold(0.6); w.drop(2.0); } }),
     joint("drop_low", "let go from a half-raised pose on the other side", &["measurement_delay", "coulomb_friction", "stribeck_friction"], |w| { for _ in 0..2 { let q = w.place(-0.5); w.go(q); w.hold(0.6); w.drop(2.0); } }),
     // several joints

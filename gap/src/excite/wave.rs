@@ -1,4 +1,5 @@
-//! A joint's command over time, put together from pieces that respect its limits.
+//! A joint's command over time, put together from pieces that respect its limits. Places are in the joint's
+//! own unit; sizes and speeds of motions are angles, and of a slide so many of what counts as a radian.
 
 use std::f64::consts::{PI, TAU};
 
@@ -68,6 +69,16 @@ impl<'a> Wave<'a> {
         (centre_rad - low).min(high - centre_rad).max(0.0)
     }
 
+    /// A way as a size: in radians, or so many of what counts as one.
+    pub fn as_size(&self, way: f64) -> f64 {
+        way / self.limits.per_radian
+    }
+
+    /// How far a motion of this size goes about `centre_rad`.
+    pub fn reach(&self, centre_rad: f64, size_rad: f64) -> f64 {
+        (self.scale * size_rad * self.limits.per_radian).min(self.room(centre_rad))
+    }
+
     fn rows(&self, s: f64) -> usize {
         (s * self.rate_hz).round().max(1.0) as usize
     }
@@ -109,11 +120,14 @@ impl<'a> Wave<'a> {
     /// Goes to and fro about `centre_rad` at a constant speed (of the joint's pace), slower where the joint
     /// is too heavy to turn round in a third of the way.
     pub fn triangle(&mut self, centre_rad: f64, size_rad: f64, speed_radps: f64, cycles: f64) {
-        let size = (self.scale * size_rad).min(self.room(centre_rad));
+        let size = self.reach(centre_rad, size_rad);
         // turning round from −v to v takes 2v/a; the way there and back 2·size/v
         let turn = (0.3 * size * self.limits.acceleration_radps2).sqrt();
-        let speed =
-            (speed_radps * self.pace * self.scale).min(self.limits.speed_radps).min(turn).max(1e-3);
+        let (own, limits) = (self.limits.per_radian, self.limits);
+        let speed = (speed_radps * self.pace * self.scale * own)
+            .min(limits.speed_radps)
+            .min(turn)
+            .max(1e-3 * own);
         self.go(centre_rad);
         let n = self.rows(4.0 * size / speed * cycles);
         for k in 1..=n {
@@ -127,7 +141,7 @@ impl<'a> Wave<'a> {
     /// A sine whose frequency grows from `low_hz` to `high_hz` in `s` seconds; its size falls where speed or
     /// torque would be too much.
     pub fn chirp(&mut self, centre_rad: f64, size_rad: f64, low_hz: f64, high_hz: f64, s: f64) {
-        let size = (self.scale * size_rad).min(self.room(centre_rad));
+        let size = self.reach(centre_rad, size_rad);
         self.go(centre_rad);
         let n = self.rows(s);
         let mut phase = 0.0;
@@ -143,7 +157,7 @@ impl<'a> Wave<'a> {
     /// A sine of one frequency for whole periods of about `s` seconds.
     pub fn sine(&mut self, centre_rad: f64, size_rad: f64, hz: f64, s: f64) {
         let hz = hz * self.pace;
-        let size = self.limits.sine_rad((self.scale * size_rad).min(self.room(centre_rad)), hz);
+        let size = self.limits.sine_rad(self.reach(centre_rad, size_rad), hz);
         self.go(centre_rad);
         let periods = (s * hz).round().max(1.0);
         let n = self.rows(periods / hz);
@@ -157,7 +171,7 @@ impl<'a> Wave<'a> {
     /// Jumps between two places after a fixed pseudo-random sequence (shift register of 7 bits, x⁷ + x⁶ + 1),
     /// `bit_s` each.
     pub fn prbs(&mut self, centre_rad: f64, size_rad: f64, bit_s: f64, bits: usize) {
-        let size = self.limits.jump_rad((self.scale * size_rad).min(self.room(centre_rad)), bit_s);
+        let size = self.limits.jump_rad(self.reach(centre_rad, size_rad), bit_s);
         self.go(centre_rad);
         // a start of its own for each joint: sequences that are shifted against each other hardly go together
         let mut register: u8 = 1 + (self.limits.index as u8).wrapping_mul(37) % 126;

@@ -50,6 +50,21 @@ fn nothing_is_said_of_clean_logs() {
     }
 }
 
+/// A joint that meets a stop before its range ends, and comes back from it late.
+#[test]
+fn a_joint_at_its_stop_is_not_stuck() {
+    let robot = robot("xl330_pendulum");
+    let log = &logs(&robot, "steps_large", &[7])[0];
+    let at = Signal::Position("swing".to_owned());
+    let most = log.table.column(&at).unwrap().iter().flatten().fold(0.0_f64, |m, q| m.max(*q));
+    let stopped = changed(log, |s, _, _, v| match *s == at {
+        true => v.map(|q| q.min(0.6 * most)),
+        false => v,
+    });
+    let checked = one(&robot, &stopped);
+    assert!(checked.faults.iter().all(|f| f.kind != "stuck"), "{:#?}", checked.faults);
+}
+
 #[test]
 fn turned_signs_are_found() {
     let robot = robot("polymander");

@@ -153,6 +153,7 @@ fn assumed(robot: &Robot, types: &[DriveType]) -> Vec<String> {
 /// A type of servo, as far as the MJCF tells one from another.
 #[derive(PartialEq)]
 struct DriveType {
+    motion: JointMotion,
     torque_nm: f64,
     speed_radps: f64,
     armature_kgm2: f64,
@@ -170,6 +171,7 @@ fn drive_types(robot: &Robot, driven: &[&Joint]) -> (Vec<DriveType>, Vec<usize>)
     let mut of = Vec::new();
     for (joint, drive) in driven.iter().zip(&robot.actuators) {
         let own = DriveType {
+            motion: joint.motion,
             torque_nm: drive.force_limit.unwrap_or(unsaid_nm),
             speed_radps: drive.speed_limit.unwrap_or(UNSAID_SPEED_RADPS),
             armature_kgm2: joint.armature,
@@ -231,6 +233,11 @@ fn drives(w: &mut String, driven: &[&Joint], types: &[DriveType], of: &[usize]) 
         let full = two_digits(t.speed_radps * FULL_TORQUE_SHARE);
         let (of_torque, of_speed) = (mark(t.torque_guessed), mark(t.speed_guessed));
         let of_rotor = mark(t.rotor_guessed);
+        // of a slide, steps that are as fine in what counts as a radian
+        let (counts, speed_step) = match t.motion {
+            JointMotion::Hinge => (16_384, 0.001),
+            JointMotion::Slide => (163_840, 0.0001),
+        };
         let DriveType {
             torque_nm: torque,
             speed_radps: speed,
@@ -245,7 +252,7 @@ fn drives(w: &mut String, driven: &[&Joint], types: &[DriveType], of: &[usize]) 
              qd_tau_max_radps = {full:?}           # [ours]\nqd_max_radps = {speed:?}               # {of_speed}\ntau_qd_max_nm = 0.0               # [ours]\n\
              tau_brake_max_nm = {torque:?}          # {of_torque}\nkd_min_nm_s_per_rad = 0.0\nback_drive_kp_ratio = 1.0\n\
              friction_loss_nm = {friction:?}          # [mjcf]\ndamping_nm_s_per_rad = {damping:?}      # [mjcf]\narmature_kgm2 = {armature:?}             # {of_rotor}\n\
-             reference_supply_v = 24.0         # [ours]\nencoder_counts_per_turn = 16384   # [ours]\nvelocity_lsb_radps = 0.001        # [ours]\n\
+             reference_supply_v = 24.0         # [ours]\nencoder_counts_per_turn = {counts}   # [ours]\nvelocity_lsb_radps = {speed_step:?}        # [ours]\n\
              current_lsb_a = 0.01              # [ours]\ntorque_per_current_nm_per_a = 1.0 # [ours]\ncurrent_dead_band_a = 0.0\ngear_backlash_rad = 0.0"
         );
     }
