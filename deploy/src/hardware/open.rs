@@ -51,7 +51,14 @@ pub fn read_wiring(
         let reason = format!("it is for robot `{}`, this is `{}`", wiring.robot, model.name());
         return Err(wrong(reason).into());
     }
-    let joints = wiring.joints(&model.actuated_names()).map_err(wrong)?;
+    let names = model.actuated_names();
+    if let Some(wheel) = (0..names.len()).find(|&a| model.rolls(a)) {
+        let name = names[wheel];
+        let reason =
+            format!("joint.{name}: it is a wheel, and servos on this bus turn once at most");
+        return Err(wrong(reason).into());
+    }
+    let joints = wiring.joints(&names).map_err(wrong)?;
     overrides.put_into(&mut wiring);
     Ok((wiring, joints))
 }

@@ -7,6 +7,8 @@ use caudata_hardware::emulated::EmulatedImu;
 
 use std::path::Path;
 
+use caudata_model::RobotModel;
+
 use super::*;
 use crate::hardware::inspect::Mark;
 use crate::testing::model;
@@ -16,6 +18,18 @@ const DEADLINE: Duration = Duration::from_millis(7);
 fn wiring() -> (Wiring, Vec<JointWiring>) {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/polymander.wiring.toml");
     read_wiring(Path::new(path), &model(), &PortOverrides::default()).unwrap()
+}
+
+#[test]
+fn wheels_are_refused() {
+    let robots = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/polymander.");
+    let read = |end| std::fs::read_to_string(format!("{robots}{end}")).unwrap();
+    let rolls = read("xml").replace("-1.27409 1.27409", "-1e5 1e5");
+    let (toml, model) = (read("robot.toml"), model());
+    let rover = RobotModel::from_bytes(model.name(), toml.as_bytes(), rolls.as_bytes()).unwrap();
+    let path = format!("{robots}wiring.toml");
+    let refused = read_wiring(Path::new(&path), &rover, &PortOverrides::default());
+    assert!(refused.unwrap_err().to_string().contains("joint.FL_hip: it is a wheel"));
 }
 
 /// Sixteen servos as from the factory but for id and speed, in the nominal pose at 12 V.
