@@ -270,6 +270,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         let wanted = if self.motion.stage().is_policys() {
             self.walk(&sensed, dt_s, wanted_command)
         } else {
+            self.wheels_stand(sent);
             Some(sent)
         };
         let targets = match wanted {
@@ -388,6 +389,12 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             self.runner.forget();
         }
         if view.age <= LINK_STOP && !view.released { view.command } else { [0.0; COMMAND_DIM] }
+    }
+
+    fn wheels_stand(&mut self, sent_rad: PerJoint) {
+        if self.runner.wheels_stand(&sent_rad) {
+            self.motion.stand_in(self.runner.joints().nominal_rad);
+        }
     }
 
     /// What the hardware says goes before what the policy wants.

@@ -84,6 +84,11 @@ impl Motion {
         self.stage
     }
 
+    /// Stands in another pose from now on.
+    pub fn stand_in(&mut self, nominal_rad: PerJoint) {
+        self.nominal_rad = nominal_rad;
+    }
+
     /// Asks to come to an end in order: let the policy stop, stand, then torque off.
     pub fn halt(&mut self) {
         match self.stage {
@@ -252,6 +257,19 @@ mod tests {
         // 0.5 s of standing are 25 ticks.
         assert_eq!(run(&mut motion, &mut sent), 25);
         assert_eq!((motion.stage(), sent), (Stage::Walk, ZERO));
+    }
+
+    #[test]
+    fn a_wheel_is_not_led_back() {
+        let mut motion = Motion::new(ZERO, 0.02);
+        let mut rolled = ZERO;
+        rolled[3] = 26.5;
+        motion.stand_in(rolled);
+        // 0.2 rad of a leg at 0.5 rad/s, whatever the wheel has turned
+        let mut sent = rolled;
+        sent[4] = -0.2;
+        assert!((20..=21).contains(&run(&mut motion, &mut sent)));
+        assert_eq!((motion.stage(), sent), (Stage::Settle, rolled));
     }
 
     fn walking() -> Motion {

@@ -131,6 +131,17 @@ impl PolicyRunner {
         self.actions = [PerJoint::filled(joints, 0.0); ACTION_HISTORY];
     }
 
+    /// Where it has wheels, these stand where they were sent last: they are not led back to an angle. Whether
+    /// it has any.
+    pub fn wheels_stand(&mut self, sent_rad: &PerJoint) -> bool {
+        let wheels = (0..self.joints.len()).filter(|&joint| self.joints.rolls(joint));
+        let wheels: Vec<usize> = wheels.collect();
+        for &wheel in &wheels {
+            self.joints.nominal_rad[wheel] = sent_rad[wheel];
+        }
+        !wheels.is_empty()
+    }
+
     /// What the policy saw last.
     pub fn observation(&self) -> &[f32] {
         &self.obs

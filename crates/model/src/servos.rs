@@ -93,6 +93,7 @@ impl Types {
             let known = || library.get(name)?.get("encoder")?.clone().try_into().ok();
             servo.encoder = servo.encoder.or_else(known);
         }
+        let presets = described.clone();
         let mut once = |at: &str, name: &str, servo: ServoParams| {
             c.servo(&format!("{at}.{name}"), &servo)?;
             match described.insert(name.to_owned(), servo) {
@@ -105,8 +106,7 @@ impl Types {
             once("servo.brushless", name, motor.servo())?;
         }
         for (name, variant) in &file.servo.variant {
-            let base = file.servo.preset.get(&variant.of);
-            let servo = varied(c, name, variant, base, &library)?;
+            let servo = varied(c, name, variant, presets.get(&variant.of), &library)?;
             once("servo.variant", name, servo)?;
         }
         Ok(Self { presets: described.into_iter().collect(), library })

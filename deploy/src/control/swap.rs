@@ -91,6 +91,7 @@ impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
                     self.counts.swap_speed_radps = self.counts.swap_speed_radps.max(speed);
                 }
                 self.trial = Trial::default();
+                self.wheels_stand(self.gate.last_rad());
                 self.motion.blend_again(self.gate.last_rad());
             }
             Err(error) => tracing::error!(%error, "policy not swapped in"),

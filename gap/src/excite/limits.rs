@@ -4,7 +4,7 @@ use caudata_model::{Pose, RobotModel};
 
 /// Distance kept from the ends of the range, share of the range.
 const LIMIT_MARGIN: f64 = 0.05;
-/// A wheel is swung no farther than a joint whose file has no limits, rad.
+/// A wheel is swung no farther from its nominal angle than a joint whose file has no limits, rad.
 const WHEEL_RAD: f64 = std::f64::consts::TAU;
 /// Commands stay below this share of the speed without load.
 const SPEED_SHARE: f64 = 0.6;
@@ -58,7 +58,11 @@ impl JointLimits {
 
     fn of(robot: &RobotModel, index: usize) -> Self {
         let (low, high) = robot.joint_limits_rad()[index];
-        let (low, high) = (low.max(-WHEEL_RAD), high.min(WHEEL_RAD));
+        let nominal = robot.nominal_pos_rad()[index];
+        let (low, high) = match robot.rolls(index) {
+            true => (nominal - WHEEL_RAD, nominal + WHEEL_RAD),
+            false => (low, high),
+        };
         let margin = LIMIT_MARGIN * (high - low);
         let servo = robot.servo(index);
         let inertia_kgm2 = inertia(robot, index) + servo.armature_kgm2;
@@ -69,7 +73,7 @@ impl JointLimits {
             name: robot.actuated_names()[index].to_owned(),
             index,
             per_radian,
-            nominal_rad: robot.nominal_pos_rad()[index],
+            nominal_rad: nominal,
             range_rad: (low + margin, high - margin),
             hold_rad: (low + margin, high - margin),
             speed_radps: SPEED_SHARE * servo.qd_max_radps * robot.supply_v()

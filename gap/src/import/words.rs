@@ -32,7 +32,7 @@ pub(super) fn joint_called(robot: &RobotModel, text: &str) -> Option<usize> {
             names[j].strip_suffix("_joint").filter(|stem| stem.len() > 2).unwrap_or(&names[j])
         };
         let named = (0..names.len()).filter(|&j| text.contains(stem(j)));
-        named.max_by_key(|&j| names[j].len())
+        named.max_by_key(|&j| stem(j).len())
     };
     names.iter().position(|name| *name == text).or_else(part)
 }
@@ -160,6 +160,16 @@ mod tests {
         let robot = RobotModel::from_bytes("rig", toml.as_bytes(), xml.as_bytes()).unwrap();
         assert_eq!(joint_called(&robot, "Swing_soll"), Some(0));
         assert_eq!(joint_called(&robot, "joint"), None);
+        // the longest part that is there counts, not the longest name
+        let [toml, xml] = ["robot.toml", "xml"].map(|end| {
+            let robots = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/polymander.");
+            let text = std::fs::read_to_string(format!("{robots}{end}")).unwrap();
+            text.replace("FL_hip", "arm_joint").replace("FL_knee", "forearm")
+        });
+        let robot = RobotModel::from_bytes("arm", toml.as_bytes(), xml.as_bytes()).unwrap();
+        let called = |text| joint_called(&robot, text).map(|joint| robot.actuated_names()[joint]);
+        assert_eq!(called("forearm_cmd"), Some("forearm"));
+        assert_eq!(called("arm_cmd"), Some("arm_joint"));
     }
 
     #[test]

@@ -215,9 +215,14 @@ fn correct(engine: &mut BatchEngine, lane: usize, plant: &Plant, measured: &Star
         ..InitialState::nominal(&plant.model)
     };
     let mut init = placed(plant, measured, true, own);
-    let ahead = state.encoder_ahead_rad.chunks(state.actuated.max(1)).nth(lane);
-    for (q, ahead) in init.joint_pos_rad.iter_mut().zip(ahead.into_iter().flatten()) {
-        *q -= ahead;
+    for (joints, ahead) in [
+        (&mut init.joint_pos_rad, &state.encoder_ahead_rad),
+        (&mut init.joint_vel_radps, &state.encoder_ahead_radps),
+    ] {
+        let ahead = ahead.chunks(state.actuated.max(1)).nth(lane);
+        for (own, ahead) in joints.iter_mut().zip(ahead.into_iter().flatten()) {
+            *own -= ahead;
+        }
     }
     engine.correct(lane, &init).is_ok()
 }

@@ -22,8 +22,11 @@ impl ServoDrive<f64> {
         let span = (servo.qd_max_radps - servo.qd_tau_max_radps).max(1e-6);
         let slope = ((servo.tau_max_nm - servo.tau_qd_max_nm) / span).max(0.0);
         let speed = wide(e.speed_scale);
-        let rotor = wide(params.joint_armature_kgm2[a]);
         let soft = e.gear_half_gap_rad > 0.0 || e.gear_stiffness_nm_per_rad > 0.0;
+        let motor_encoder = if soft { wide(e.motor_encoder) } else { 0.0 };
+        // the loop's damping acts on the rotor of the step before: one that is lighter would rattle
+        let least = motor_encoder * dt_s * wide(params.kd_nms_per_rad[a] + e.kd_min_nms_per_rad);
+        let rotor = wide(params.joint_armature_kgm2[a]).max(least);
         let teeth = match wide(e.gear_stiffness_nm_per_rad) {
             given if given > 0.0 => given,
             _ => {
@@ -81,7 +84,7 @@ impl ServoDrive<f64> {
             gear_stiffness_nm_per_rad: teeth,
             gear_damping_nms_per_rad: 2.0 * wide(e.gear_damping_ratio) * (teeth * rotor).sqrt(),
             rotor_kgm2: rotor,
-            motor_encoder: if soft { wide(e.motor_encoder) } else { 0.0 },
+            motor_encoder,
         }
     }
 

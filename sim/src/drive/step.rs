@@ -152,11 +152,13 @@ pub fn start<R: Real>(
     let ahead_radps = step.ahead_radps(p, stop.law.mobility(), qdd_radps2);
     // a rotor behind play or springs has an acceleration of its own
     let motor_ahead_radps = R::select(soft, R::zero(), ahead_radps);
-    let (mut seen_rad, mut seen_radps) = (q_rad, qd_radps);
+    let (mut seen_rad, mut seen_radps, mut seen_ahead_radps) = (q_rad, qd_radps, ahead_radps);
     if f.motor_encoder {
         let (lead_rad, lead_radps) = m.encoder_ahead(p, qd_radps);
         seen_rad += lead_rad;
         seen_radps += lead_radps;
+        let behind_motor = R::zero().lt(p.motor_encoder);
+        seen_ahead_radps = R::select(behind_motor, motor_ahead_radps, ahead_radps);
     }
     let motor_nm = motor(
         f,
@@ -166,7 +168,7 @@ pub fn start<R: Real>(
         step,
         bus,
         target_rad - seen_rad,
-        seen_radps + ahead_radps,
+        seen_radps + seen_ahead_radps,
         motor_radps + motor_ahead_radps,
     );
 

@@ -197,11 +197,14 @@ fn figures(r: &ScenarioResult) {
         each(&r.clearance_m, |c| format!("{:.1}", 100.0 * c)),
         100.0 * r.slip_mps.mean,
     );
+    let vibration = format!("vibration {:.1} %", 100.0 * r.vibration_share.mean);
+    if r.duty_factor.is_empty() {
+        // it lies or rolls on the ground
+        return say::line(format!("  {vibration}"));
+    }
     say::line(format!(
-        "  stride {:.2} Hz,{} vibration {:.1} %, trunk down {:.1} %",
+        "  stride {:.2} Hz,{of_feet} {vibration}, trunk down {:.1} %",
         r.stride_hz.mean,
-        if r.duty_factor.is_empty() { "" } else { &of_feet },
-        100.0 * r.vibration_share.mean,
         100.0 * r.trunk_contact_share.mean
     ));
 }

@@ -282,10 +282,11 @@ settings! {
         /// `costs_full_after_env_steps`. Default 1. Full costs from the start make standing still pay before the
         /// robot has found out how to walk, above all where small commands are among those drawn.
         pub costs_at_start: f32 = 1.0,
-        /// Environment steps of the whole run after which costs count in full. Default 0: from the start.
+        /// Environment steps of the whole run after which costs count in full, and guides (`guides_at_start`)
+        /// once. Default 0: from the start.
         pub costs_full_after_env_steps: u64 = 0,
-        /// Factor on `phase` and `body_wave` at the start of a run, 1 to 10; it falls to 1 as the costs grow.
-        /// Default 1. Where many commands are slow, or go both ways, stepping does not pay at first, and some
+        /// Factor on `phase` and `body_wave` at the start of a run, 1 to 10; it falls to 1 in proportion over
+        /// `costs_full_after_env_steps`, and does nothing where that is 0. Default 1. Where many commands are slow, or go both ways, stepping does not pay at first, and some
         /// seeds settle for standing; 2.3 makes them step in place before they follow a command.
         pub guides_at_start: f32 = 1.0,
         /// Terms of one's own, beside the built-in ones. Default none.

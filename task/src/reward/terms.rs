@@ -114,24 +114,20 @@ pub fn rocking(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     input.gyro_radps[0].powi(2) + input.gyro_radps[1].powi(2)
 }
 
-/// Σ|q − q_nominal| while the command is to stand, rad.
+/// Σ|q − q_nominal| while the command is to stand, rad; wheels have no angle to stand in.
 pub fn stand_still(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     if !input.standing {
         return 0.0;
     }
-    input
-        .joint_pos_rad
-        .iter()
-        .zip(input.joints.nominal_rad)
-        .map(|(q, nominal)| (q - nominal).abs())
-        .sum()
+    let off = |i: usize| (input.joint_pos_rad[i] - input.joints.nominal_rad[i]).abs();
+    (0..input.joint_pos_rad.len()).filter(|&i| !input.joints.rolls(i)).map(off).sum()
 }
 
 /// Σ(q − q_nominal)² of the joints that move no leg, rad²; 0 afloat, where the body swims.
 pub fn bend(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
-    let joints = input.joint_pos_rad.iter().zip(input.joints.nominal_rad);
-    let body = joints.zip(input.in_leg).filter(|&(_, &leg)| !leg);
-    let squares = body.map(|((q, nominal), _)| (q - nominal).powi(2));
+    let joints = 0..input.joint_pos_rad.len();
+    let body = joints.filter(|&i| !input.in_leg[i] && !input.joints.rolls(i));
+    let squares = body.map(|i| (input.joint_pos_rad[i] - input.joints.nominal_rad[i]).powi(2));
     (1.0 - input.afloat) * squares.sum::<f32>()
 }
 
