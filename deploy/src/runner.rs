@@ -134,12 +134,14 @@ impl PolicyRunner {
     /// Where it has wheels, these stand where they were sent last: they are not led back to an angle. Whether
     /// it has any.
     pub fn wheels_stand(&mut self, sent_rad: &PerJoint) -> bool {
-        let wheels = (0..self.joints.len()).filter(|&joint| self.joints.rolls(joint));
-        let wheels: Vec<usize> = wheels.collect();
-        for &wheel in &wheels {
-            self.joints.nominal_rad[wheel] = sent_rad[wheel];
+        let mut any = false;
+        for joint in 0..self.joints.len() {
+            if self.joints.rolls(joint) {
+                self.joints.nominal_rad[joint] = sent_rad[joint];
+                any = true;
+            }
         }
-        !wheels.is_empty()
+        any
     }
 
     /// What the policy saw last.

@@ -140,6 +140,19 @@ impl State {
         }
     }
 
+    /// What the encoder of lane `lane`'s hinge `joint` (model order), moved by servo `servo` (policy order),
+    /// has, rad.
+    pub fn encoder_pos_rad(&self, lane: usize, joint: usize, servo: usize) -> f32 {
+        self.joint_pos_rad[lane * self.joints + joint]
+            + self.encoder_ahead_rad[lane * self.actuated + servo]
+    }
+
+    /// Its speed, rad/s.
+    pub fn encoder_vel_radps(&self, lane: usize, joint: usize, servo: usize) -> f32 {
+        self.joint_vel_radps[lane * self.joints + joint]
+            + self.encoder_ahead_radps[lane * self.actuated + servo]
+    }
+
     /// Whether every number is finite.
     pub(crate) fn is_finite(&self) -> bool {
         self.fields().iter().all(|f| f.iter().all(|v| v.is_finite()))

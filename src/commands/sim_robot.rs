@@ -276,11 +276,11 @@ impl SimulatedRobot {
             tick: self.tick,
             time_s: self.tick as f64 * period_s,
             joint_pos_rad: each(&|i| {
-                let seen_rad = state.joint_pos_rad[joint(i)] + state.encoder_ahead_rad[i];
+                let seen_rad = state.encoder_pos_rad(0, joint(i), i);
                 sensors::encoder_pos_rad(model.servo(i), seen_rad, 0.0)
             }),
             joint_vel_radps: each(&|i| {
-                let seen_radps = state.joint_vel_radps[joint(i)] + state.encoder_ahead_radps[i];
+                let seen_radps = state.encoder_vel_radps(0, joint(i), i);
                 sensors::encoder_vel_radps(model.servo(i), seen_radps)
             }),
             current_a: each(&|i| sensors::current_a(model.servo(i), state.motor_torque_nm[i])),

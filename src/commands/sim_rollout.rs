@@ -421,12 +421,11 @@ fn signals(model: &RobotModel) -> Vec<Signal> {
 /// The state of the only lane, without the commands that stand before it.
 fn push_state(values: &mut Vec<Option<f64>>, model: &RobotModel, state: &State) {
     let mut push = |slice: &[f32]| values.extend(slice.iter().map(|&x| Some(f64::from(x))));
-    let actuated = |all: &[f32]| -> Vec<f32> { model.actuated().iter().map(|&j| all[j]).collect() };
-    let seen = |all: &[f32], ahead: &[f32]| -> Vec<f32> {
-        actuated(all).iter().zip(ahead).map(|(own, ahead)| own + ahead).collect()
-    };
-    push(&seen(&state.joint_pos_rad, &state.encoder_ahead_rad));
-    push(&seen(&state.joint_vel_radps, &state.encoder_ahead_radps));
+    let servos = || model.actuated().iter().enumerate();
+    let pos_rad: Vec<f32> = servos().map(|(a, &j)| state.encoder_pos_rad(0, j, a)).collect();
+    let vel_radps: Vec<f32> = servos().map(|(a, &j)| state.encoder_vel_radps(0, j, a)).collect();
+    push(&pos_rad);
+    push(&vel_radps);
     push(&state.motor_torque_nm);
     push(&state.imu_gyro_radps);
     push(&state.imu_acc_mps2);

@@ -53,7 +53,8 @@ fn terms() {
     say::line("Reward terms: weights in [task.reward.weights]; own ones in [[task.reward.term]]");
     let rows = TERMS.iter().map(|term| {
         let sense = match term.sense {
-            Sense::Reward | Sense::Guide => "reward",
+            Sense::Reward => "reward",
+            Sense::Guide => "guide",
             Sense::Cost => "cost",
         };
         let weight = format!("{}", term.default_weight);

@@ -267,8 +267,8 @@ impl EmulatedRobot {
         for (index, joint) in self.joints.iter().enumerate() {
             let at = model.actuated()[index];
             let sign = f64::from(joint.direction);
-            let seen_rad = state.joint_pos_rad[at] + state.encoder_ahead_rad[index];
-            let seen_radps = state.joint_vel_radps[at] + state.encoder_ahead_radps[index];
+            let seen_rad = state.encoder_pos_rad(0, at, index);
+            let seen_radps = state.encoder_vel_radps(0, at, index);
             let velocity = sign * f64::from(seen_radps) / VELOCITY_LSB_RADPS;
             let current = sensors::current_a(model.servo(index), state.motor_torque_nm[index]);
             let present = Present {

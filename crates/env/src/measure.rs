@@ -162,9 +162,6 @@ impl Reader {
         lane: usize,
         truth: &mut Truth,
     ) {
-        let joints = state.joints;
-        let pos = &state.joint_pos_rad[lane * joints..][..joints];
-        let vel = &state.joint_vel_radps[lane * joints..][..joints];
         let feet = state.feet;
         let foot_pos = vectors(&state.foot_pos_m, lane, feet);
         let foot_height_m = values(&state.foot_height_m, lane, feet);
@@ -199,15 +196,9 @@ impl Reader {
             let girdle_m = com[2] - self.girdles_ahead_m[girdle] * gravity[0];
             f32::from(girdle_m - water.girdle_ground_m[girdle] <= self.feet_reach_m)
         };
-        pick(pos, &self.actuated, &mut truth.joint_pos_rad);
-        pick(vel, &self.actuated, &mut truth.joint_vel_radps);
-        // as the encoders have them
-        let ahead_rad = values(&state.encoder_ahead_rad, lane, state.actuated);
-        let ahead_radps = values(&state.encoder_ahead_radps, lane, state.actuated);
-        for (i, (rad, radps)) in ahead_rad.iter().zip(ahead_radps).enumerate() {
-            truth.joint_pos_rad[i] += rad;
-            truth.joint_vel_radps[i] += radps;
-        }
+        let joints = &self.actuated;
+        truth.joint_pos_rad.refill(joints.len(), |a| state.encoder_pos_rad(lane, joints[a], a));
+        truth.joint_vel_radps.refill(joints.len(), |a| state.encoder_vel_radps(lane, joints[a], a));
         let torque_nm = values(&state.motor_torque_nm, lane, state.actuated);
         truth.motor_torque_nm.set(torque_nm);
         let power_w = values(&state.mech_power_w, lane, state.actuated);
@@ -321,11 +312,6 @@ impl Sensors {
 fn into_heading(v: [f32; 3], heading_rad: f32) -> [f32; 3] {
     let (sin, cos) = heading_rad.sin_cos();
     [cos * v[0] + sin * v[1], cos * v[1] - sin * v[0], v[2]]
-}
-
-/// Makes `out` the values at the given places.
-fn pick(values: &[f32], places: &PerJoint<usize>, out: &mut PerJoint) {
-    out.refill(places.len(), |i| values[places[i]]);
 }
 
 /// Row `lane` of a `[N, count]` array.

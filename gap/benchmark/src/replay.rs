@@ -39,13 +39,12 @@ fn reading(
     a: usize,
 ) -> [f64; 3] {
     let state = engine.state();
-    let j = lane * model.joints().len() + model.actuated()[a];
-    let servo = lane * model.actuated().len() + a;
-    let torque_nm = state.motor_torque_nm[servo];
+    let joint = model.actuated()[a];
+    let torque_nm = state.motor_torque_nm[lane * model.actuated().len() + a];
     let constant = engine.params(lane).joints[a].torque_constant_nm_per_a;
     [
-        f64::from(state.joint_pos_rad[j] + state.encoder_ahead_rad[servo]),
-        f64::from(state.joint_vel_radps[j] + state.encoder_ahead_radps[servo]),
+        f64::from(state.encoder_pos_rad(lane, joint, a)),
+        f64::from(state.encoder_vel_radps(lane, joint, a)),
         f64::from(torque_nm) / f64::from(constant),
     ]
 }

@@ -240,7 +240,7 @@ fn stuck(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
         // where no reading goes further there may be a stop: only a joint that does not come back is stuck
         let up = below_s > if pos[from] == most { STUCK_S } else { 0.0 };
         let down = above_s > if pos[from] == least { STUCK_S } else { 0.0 };
-        if above_s > 0.0 && below_s > 0.0 && up && down && lasts > STUCK_S {
+        if up && down && lasts > STUCK_S {
             let detail = format!(
                 "reads {:.4} {unit} for {lasts:.1} s from t = {:.2} s while the command asks for both sides of it",
                 pos[from],

@@ -5,7 +5,7 @@ use caudata_model::{Pose, RobotModel};
 /// Distance kept from the ends of the range, share of the range.
 const LIMIT_MARGIN: f64 = 0.05;
 /// A wheel is swung no farther from its nominal angle than a joint whose file has no limits, rad.
-const WHEEL_RAD: f64 = std::f64::consts::TAU;
+const ROLLED_RAD: f64 = std::f64::consts::TAU;
 /// Commands stay below this share of the speed without load.
 const SPEED_SHARE: f64 = 0.6;
 /// Commands ask for accelerations that take at most this share of the greatest torque.
@@ -60,7 +60,7 @@ impl JointLimits {
         let (low, high) = robot.joint_limits_rad()[index];
         let nominal = robot.nominal_pos_rad()[index];
         let (low, high) = match robot.rolls(index) {
-            true => (nominal - WHEEL_RAD, nominal + WHEEL_RAD),
+            true => (nominal - ROLLED_RAD, nominal + ROLLED_RAD),
             false => (low, high),
         };
         let margin = LIMIT_MARGIN * (high - low);
@@ -247,5 +247,19 @@ mod tests {
         // 2 Hz: I·ω² = 0.006978·157.9 = 1.102, d·ω = 0.0482·12.566 = 0.6057; 0.886·1.2575/|(−0.216, 0.6057)|
         // = 1.7327 N·m per rad; 0.4·0.77/1.7327 = 0.1778 rad, below 0.6·15.96/12.57 = 0.76 rad
         assert!((j.sine_rad(1.0, 2.0) - 0.1778).abs() < 0.002, "{}", j.sine_rad(1.0, 2.0));
+    }
+
+    /// Ranges less 5 % at either end: of 12 turns all of them, of a wheel one turn either way.
+    #[test]
+    fn only_wheels_are_held_to_a_turn() {
+        let toml = include_str!("../../../robots/xl330_pendulum.robot.toml");
+        let mjcf = include_str!("../../../robots/xl330_pendulum.xml");
+        let reach_rad = |half: &str| {
+            let mjcf = mjcf.replace("-3.14159 3.14159", half);
+            let rig = RobotModel::from_bytes("rig", toml.as_bytes(), mjcf.as_bytes()).unwrap();
+            JointLimits::all(&rig)[0].range_rad.1
+        };
+        assert!((reach_rad("-37.7 37.7") - 0.9 * 37.7).abs() < 1e-4);
+        assert!((reach_rad("-1e5 1e5") - 0.9 * std::f64::consts::TAU).abs() < 1e-4);
     }
 }

@@ -92,14 +92,9 @@ impl Trace {
     ) {
         let row = |k: usize| k * lane..k * (lane + 1);
         let values = &mut self.values;
-        for (joints, ahead) in [
-            (&state.joint_pos_rad, &state.encoder_ahead_rad),
-            (&state.joint_vel_radps, &state.encoder_ahead_radps),
-        ] {
-            let own = &joints[row(state.joints)];
-            let seen = model.actuated().iter().zip(&ahead[row(self.joints)]);
-            values.extend(seen.map(|(&j, ahead)| own[j] + ahead));
-        }
+        let servos = || model.actuated().iter().enumerate();
+        values.extend(servos().map(|(a, &j)| state.encoder_pos_rad(lane, j, a)));
+        values.extend(servos().map(|(a, &j)| state.encoder_vel_radps(lane, j, a)));
         // the torque is that of the positions before the step. While the command stays, it goes on as it went;
         // what the next command does to it, nobody has read yet
         let torques = &state.motor_torque_nm[row(self.joints)];

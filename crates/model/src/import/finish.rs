@@ -141,7 +141,7 @@ fn drop_empty_root(robot: &mut Robot) {
     }
 }
 
-/// Limits of a wheel, rad: farther than it rolls.
+/// Limits of a wheel, rad, either way: no run goes so far.
 const WHEEL_RAD: f64 = 1e5;
 
 /// Every actuated joint needs limits.

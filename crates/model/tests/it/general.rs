@@ -217,6 +217,9 @@ fn where_an_encoder_sits() {
     let known = toml.replace("default = \"s\"", "default = \"sts3215\"");
     let known = known.replace("preset.s]", "preset.sts3215]");
     assert_eq!(of(&known).unwrap(), Some(EncoderSide::Output));
+    let variant = known.replace("[servo]\ndefault = \"sts3215\"", "[servo]\ndefault = \"v\"")
+        + "\n[servo.variant.v]\nof = \"sts3215\"\ntau_max_nm = 1.1\n";
+    assert_eq!(of(&variant).unwrap(), Some(EncoderSide::Output), "a variant keeps its preset's");
 }
 
 #[test]

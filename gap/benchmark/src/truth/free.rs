@@ -212,13 +212,11 @@ fn read(
     let mut row: Vec<Option<f64>> = command.iter().map(|&u| Some(counted(u, 1e-6))).collect();
     let servos = model.actuated();
     for (a, &j) in servos.iter().enumerate() {
-        let q = f64::from(state.joint_pos_rad[j] + state.encoder_ahead_rad[a])
-            + 0.0002 * s.normal_f64();
+        let q = f64::from(state.encoder_pos_rad(0, j, a)) + 0.0002 * s.normal_f64();
         row.push(Some(counted(q, model.servo(a).encoder_lsb_rad())));
     }
     for (a, &j) in servos.iter().enumerate() {
-        let v = f64::from(state.joint_vel_radps[j] + state.encoder_ahead_radps[a])
-            + 0.01 * s.normal_f64();
+        let v = f64::from(state.encoder_vel_radps(0, j, a)) + 0.01 * s.normal_f64();
         row.push(Some(counted(v, model.servo(a).velocity_lsb_radps)));
     }
     drives(model, state, &session.lane, &mut row, s);
