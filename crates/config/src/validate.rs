@@ -86,6 +86,7 @@ impl Config {
         rule!(self, run.seed in 0, i64::MAX as u64);
         rule!(self, run.iterations in 1, 10_000_000);
         rule!(self, evaluation.episodes in 0, 10_000);
+        rule!(self, evaluation.choose_from in 0, 64);
         rule!(self, evaluation.robot_run_s in 0.0, 600.0);
         rule!(self, evaluation.robot_command_mps in -5.0, 5.0);
         rule!(self, evaluation.command_mps to 5.0);

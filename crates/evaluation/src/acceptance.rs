@@ -27,7 +27,7 @@ impl Found {
 }
 
 /// Why a scenario does not count as walked; empty where it does.
-fn objections(scenario: &ScenarioResult) -> String {
+pub(crate) fn objections(scenario: &ScenarioResult) -> String {
     let missed = scenario.gates.as_ref().map_or_else(Vec::new, |g| g.missed());
     match scenario.walks() {
         Some(false) if missed.is_empty() => {

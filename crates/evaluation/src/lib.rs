@@ -11,6 +11,7 @@ mod acceptance;
 mod anatomy;
 mod animal;
 mod block;
+mod choice;
 mod envelope;
 mod error;
 mod estimate;
@@ -34,6 +35,7 @@ mod wave;
 
 pub use anatomy::Anatomy;
 pub use animal::score as animal_score;
+pub use choice::Tried;
 pub use envelope::Envelope;
 pub use error::EvaluationError;
 pub use estimate::Estimate;

@@ -13,6 +13,7 @@ use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
 use serde::Serialize;
 
 use super::accounting::{Balance, balance};
+use super::choose::{self, CHOSEN, Choice, choose};
 use super::folder::RunFolder;
 use super::robot::{RobotRun, run_robot};
 use super::supervise::Outcome;
@@ -41,6 +42,8 @@ pub struct Report {
     learner_silences: usize,
     /// What became of every chunk.
     accounting: Balance,
+    /// Which of the last versions is the policy.
+    choice: Choice,
     /// The policy's SHA-256 wherever it lies.
     policy: PolicyHashes,
     /// In the environment, if it was evaluated there.
@@ -83,9 +86,14 @@ pub fn evaluate(
     outcome: &mut Outcome,
     stop: &StopFlag,
 ) -> Result<Report, Failure> {
+    let [runs, judged] = [config.evaluation.robot_run_s > 0.0, config.evaluation.episodes > 0];
+    let choice = match judged && config.evaluation.choose_from > 0 {
+        true => choose(config, folder, &model, outcome, stop)?,
+        false => Choice::last(outcome),
+    };
     let policy = eval::read_policy(&folder.policy())?;
     let stream = config.policy_server.stream_of(folder.run_id());
-    let version = outcome.finished.policy_version;
+    let version = choice.version;
     let on_server = hash_on_server(stream, version, outcome)?.ok_or_else(|| {
         let message = format!("the policy server does not have version {version} of {stream}");
         Failure::message(ExitCode::Unavailable, message)
@@ -94,11 +102,13 @@ pub fn evaluate(
         Some(ran) => Some(ActorsHash::new(ran, hash_on_server(stream, ran.version, outcome)?)),
         None => None,
     };
-    let [runs, judged] = [config.evaluation.robot_run_s > 0.0, config.evaluation.episodes > 0];
     let mut share =
         say::Share::new("parts of the evaluation", usize::from(runs) + usize::from(judged));
     let robot = match runs {
-        true => Some(run_robot(config, folder, &outcome.server_addr.to_string(), stop)?),
+        true => {
+            let label = if choice.tried.is_empty() { "latest" } else { CHOSEN };
+            Some(run_robot(config, folder, &outcome.server_addr.to_string(), label, stop)?)
+        }
         false => None,
     };
     if runs {
@@ -116,7 +126,7 @@ pub fn evaluate(
     let finished = outcome.finished.clone();
     let robot_hash = robot.as_ref().map(|robot| robot.policy_sha256.clone());
     let hashes = [policy.sha256_hex(), on_server.clone()];
-    let same = hashes.iter().chain(&robot_hash).all(|hash| *hash == finished.policy_sha256)
+    let same = hashes.iter().chain(&robot_hash).all(|hash| *hash == choice.learner_sha256)
         && actors.as_ref().is_none_or(|actors| actors.same);
     Ok(Report {
         run_id: folder.run_id().to_owned(),
@@ -126,14 +136,15 @@ pub fn evaluate(
         learner_silences: outcome.learner_silences,
         accounting: balance(&finished.actors, &outcome.ledgers),
         policy: PolicyHashes {
-            version: finished.policy_version,
-            learner: finished.policy_sha256.clone(),
+            version,
+            learner: choice.learner_sha256.clone(),
             run_folder: policy.sha256_hex(),
             server: on_server,
             robot: robot_hash,
             actors,
             same,
         },
+        choice,
         finished,
         evaluation,
         robot,
@@ -221,6 +232,7 @@ pub fn print(report: &Report) {
     if report.actor_restarts > 0 {
         say::line(format!("actors started again: {}", report.actor_restarts));
     }
+    choose::print(&report.choice);
     say::line(format!(
         "policy version {}, sha256 {} {}",
         report.policy.version,
@@ -281,6 +293,7 @@ fn improvement(what: &str, digits: usize, first: MeanSe, last: MeanSe) -> String
 #[cfg(test)]
 mod tests {
     use super::*;
+    use caudata_evaluation::Tried;
 
     #[test]
     fn improvement_by_hand() {
@@ -329,6 +342,7 @@ mod tests {
             actor_restarts: 0,
             learner_silences: 0,
             accounting: Balance::default(),
+            choice: Choice { tried: vec![Tried::default()], ..Choice::default() },
             policy: PolicyHashes {
                 version: 0,
                 learner: String::new(),
@@ -347,6 +361,8 @@ mod tests {
             &report["accounting"],
             &report["policy"],
             &report["policy"]["actors"],
+            &report["choice"],
+            &report["choice"]["tried"][0],
             &report["evaluation"],
         ];
         for key in objects.iter().flat_map(|object| object.as_object().unwrap().keys()) {

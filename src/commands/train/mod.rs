@@ -3,6 +3,7 @@
 mod accounting;
 pub mod backoff;
 pub mod children;
+mod choose;
 pub mod desk;
 mod finish;
 pub mod folder;

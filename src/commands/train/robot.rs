@@ -36,16 +36,18 @@ pub struct RobotRun {
     pub summary: Value,
 }
 
-/// Runs `caudata sim robot` and `caudata-robot` against the policy server for the configured time.
+/// Runs `caudata sim robot` and `caudata-robot` for the configured time, with what `label` of the policy server
+/// leads to.
 pub fn run_robot(
     config: &Config,
     folder: &RunFolder,
     server: &str,
+    label: &str,
     stop: &StopFlag,
 ) -> Result<RobotRun, Failure> {
     let (mut simulator, addr) = start_simulator(folder)?;
     let log = free_name(&folder.robot_log());
-    let summary = run_client(config, folder, server, addr, &log, stop);
+    let summary = run_client(config, folder, [server, label], addr, &log, stop);
     simulator.signal(Signal::SIGTERM);
     simulator.finish(Duration::from_secs(5));
     let summary = summary?;
@@ -64,14 +66,14 @@ fn start_simulator(folder: &RunFolder) -> Result<(Process, SocketAddr), Failure>
 fn run_client(
     config: &Config,
     folder: &RunFolder,
-    server: &str,
+    [server, label]: [&str; 2],
     simulator: SocketAddr,
     log: &Path,
     stop: &StopFlag,
 ) -> Result<Value, Failure> {
     let evaluation = &config.evaluation;
     let mut command = Command::new(Programs::beside_this_one()?.find("caudata-robot")?);
-    command.args(["run", "--json", "--policy-server", server]);
+    command.args(["run", "--json", "--policy-server", server, "--label", label]);
     command.args(["--stream", config.policy_server.stream_of(folder.run_id())]);
     command.arg("--robot").arg(&config.robot);
     command.arg("--state").arg(folder.root().join("robot_state"));

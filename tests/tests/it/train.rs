@@ -57,6 +57,7 @@ fn trains_end_to_end(transport: &str) {
     assert!((1..=3).contains(&version), "{actors}");
     assert!(actors["actors"].is_string() && actors["actors"] == actors["server"], "{actors}");
     assert_eq!(policy["learner"], policy["robot"], "{policy}");
+    chosen(&report);
     for name in
         ["config.toml", "git.txt", "policy.onnx", "report.json", "progress.jsonl", "robot/log.csv"]
     {
@@ -73,6 +74,18 @@ fn trains_end_to_end(transport: &str) {
     assert!(!files_like(&out.join("curves"), ".svg").is_empty());
     samples(&out);
     assert_eq!(json_file(&out.join("report.json")).unwrap()["policy"], *policy);
+}
+
+/// The newest of the versions that miss the fewest commands is the policy; nothing walks after four iterations.
+fn chosen(report: &Value) {
+    let choice = &report["choice"];
+    let tried = choice["tried"].as_array().unwrap();
+    let missed = |t: &Value| t["missed"].as_array().unwrap().len();
+    let fewest = tried.iter().map(missed).min().unwrap();
+    let best = tried.iter().find(|t| missed(t) == fewest).unwrap();
+    assert!(tried[0]["version"] == 4 && fewest > 0, "{choice}");
+    assert_eq!(choice["version"], best["version"], "{choice}");
+    assert_eq!(choice["version"], report["policy"]["version"], "{choice}");
 }
 
 /// Writes what an environment of the training does as rows, the same again, and none into its folder.

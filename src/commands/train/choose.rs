@@ -1,0 +1,160 @@
+//! The end of a training: which of its last versions is its policy.
+
+use std::io::{BufRead, BufReader};
+use std::sync::Arc;
+
+use caudata_config::Config;
+use caudata_evaluation::{Settings, Tried};
+use caudata_model::RobotModel;
+use caudata_policy::PolicyFile;
+use caudata_proto::registry::{LabelName, LabelState, Manifest, SetLabel, StreamName};
+use caudata_registry_client::RegistryClient;
+use caudata_studies::failures::refused;
+use caudata_studies::files;
+use caudata_telemetry::progress::Event;
+use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
+use serde::Serialize;
+
+use super::folder::RunFolder;
+use super::supervise::Outcome;
+use crate::commands::policy::block_on;
+use crate::say;
+
+/// The label of the run's stream that leads to the version that was chosen.
+pub const CHOSEN: &str = "chosen";
+
+/// The version that was chosen.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Choice {
+    /// Its version.
+    pub version: u64,
+    /// Those that were tried, newest first; empty where the last one was kept untried.
+    pub tried: Vec<Tried>,
+    /// SHA-256 as the learner made it, hex.
+    #[serde(skip)]
+    pub learner_sha256: String,
+}
+
+impl Choice {
+    /// The last version, untried.
+    pub fn last(outcome: &Outcome) -> Self {
+        Self {
+            version: outcome.finished.policy_version,
+            tried: Vec::new(),
+            learner_sha256: outcome.finished.policy_sha256.clone(),
+        }
+    }
+}
+
+/// Tries the last published versions, newest first, until one walks by every gate at the commands that it was
+/// trained for; where none does, the newest of those that miss the fewest is the one. It becomes the run's
+/// policy.onnx, and the label [`CHOSEN`] leads to it.
+///
+/// # Errors
+/// When a version cannot be had or tried, the label or the file cannot be written, or `stop` is set.
+pub fn choose(
+    config: &Config,
+    folder: &RunFolder,
+    model: &Arc<RobotModel>,
+    outcome: &Outcome,
+    stop: &StopFlag,
+) -> Result<Choice, Failure> {
+    let stream = config.policy_server.stream_of(folder.run_id());
+    let stream = StreamName::new(stream).or_exit(ExitCode::BadConfig)?;
+    let address = outcome.server_addr.to_string();
+    let below = Some(outcome.finished.policy_version + 1);
+    let (versions, led) = block_on(async {
+        let mut client = RegistryClient::new(&address)?;
+        let page = client.list(Some(&stream), config.evaluation.choose_from, below).await?;
+        let labels = client.overview(Some(&stream)).await?.labels;
+        let led = labels.into_iter().find(|state| state.label.as_str() == CHOSEN);
+        // labels never lead down, since robots do not go down
+        let floor = led.as_ref().map_or(0, |state| state.version);
+        let versions = page.manifests.into_iter().filter(|m| m.version >= floor);
+        Ok((versions.collect::<Vec<Manifest>>(), led))
+    })?;
+    // no seed that a person would judge the policy by afterwards
+    let settings = Settings {
+        episodes: config.evaluation.episodes,
+        seed: !config.run.seed,
+        ..Settings::default()
+    };
+    let go_on = || stop.reason().is_none();
+    let mut tried: Vec<Tried> = Vec::new();
+    let mut best: Option<(usize, PolicyFile)> = None;
+    let mut share = say::Share::new("versions at most", versions.len());
+    for manifest in &versions {
+        let policy = fetched(&address, manifest)?;
+        let now = Tried::of(config, model, &policy, &settings, &go_on)
+            .map_err(|error| refused(error, stop))?;
+        share.one_more();
+        let missed = now.missed.len();
+        tried.push(now);
+        if best.as_ref().is_none_or(|(fewest, _)| missed < *fewest) {
+            best = Some((missed, policy));
+        }
+        if missed == 0 {
+            break;
+        }
+    }
+    let Some((_, policy)) = best else { return Ok(Choice::last(outcome)) };
+    let version = policy.metadata().version;
+    files::write_whole(&folder.policy(), policy.bytes())?;
+    label(&address, stream, version, led)?;
+    Ok(Choice { version, tried, learner_sha256: made_by_learner(folder, outcome, version)? })
+}
+
+fn fetched(address: &str, manifest: &Manifest) -> Result<PolicyFile, Failure> {
+    let bytes = block_on(async { RegistryClient::new(address)?.fetch(manifest).await })?;
+    PolicyFile::parse(bytes.into()).or_exit(ExitCode::BadInput)
+}
+
+/// Leads [`CHOSEN`] to `version`, from where it leads now.
+fn label(
+    address: &str,
+    stream: StreamName,
+    version: u64,
+    led: Option<LabelState>,
+) -> Result<(), Failure> {
+    let wanted = SetLabel {
+        stream,
+        label: LabelName::new(CHOSEN).or_exit(ExitCode::Internal)?,
+        version,
+        expected_generation: led.map_or(0, |state| state.generation),
+        override_reason: None,
+    };
+    block_on(async { RegistryClient::new(address)?.set_label(wanted).await.map(drop) })
+}
+
+/// The hash that the learner told when it published a version.
+fn made_by_learner(folder: &RunFolder, outcome: &Outcome, version: u64) -> Result<String, Failure> {
+    let finished = &outcome.finished;
+    if version == finished.policy_version {
+        return Ok(finished.policy_sha256.clone());
+    }
+    let path = folder.progress();
+    let file = std::fs::File::open(&path)
+        .or_exit_with(ExitCode::NoInput, || format!("cannot read {}", path.display()))?;
+    let lines = BufReader::new(file).lines().map_while(Result::ok);
+    let told = lines.filter_map(|line| match serde_json::from_str(&line) {
+        Ok(Event::Published(published)) if published.version == version => Some(published.sha256),
+        _ => None,
+    });
+    Ok(told.last().unwrap_or_default())
+}
+
+/// What was tried, as lines for a person.
+pub fn print(choice: &Choice) {
+    let missed = |tried: &Tried| tried.missed.join(" | ");
+    let (version, n) = (choice.version, choice.tried.len());
+    let Some(last) = choice.tried.first().filter(|last| !last.walks()) else { return };
+    say::line(format!("version {}, the last one, does not pass: {}", last.version, missed(last)));
+    let what = match choice.tried.iter().find(|tried| tried.version == version) {
+        Some(chosen) if chosen.walks() => "the newest that walks by every gate".to_owned(),
+        Some(chosen) if version != last.version => {
+            format!("none of {n} passes, it misses the fewest: {}", missed(chosen))
+        }
+        _ => format!("none of {n} passes, none misses fewer"),
+    };
+    say::line(format!("version {version} is the policy (label `{CHOSEN}`): {what}"));
+}
