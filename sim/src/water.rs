@@ -27,6 +27,7 @@
 use caudata_model::{RobotModel, Shape};
 
 use crate::LaneParams;
+use crate::batch::vec3::{add, scale, sub};
 use crate::per_lane::per_lane;
 use crate::real::Real;
 
@@ -123,8 +124,8 @@ pub fn forces<R: Real>(p: &WaterLink<R>, at: &LinkMotion<R>, water: &Surface<R>)
     let w = into_link(rot, at.angvel_radps);
     let damping_force = damping(s, p.linear_force, p.quadratic_force, v);
     let damping_torque = damping(s, p.linear_torque, p.quadratic_torque, w);
-    let added_mass = times(p.added_mass_kg, s);
-    let added_inertia = times(p.added_inertia_kgm2, s);
+    let added_mass = scale(p.added_mass_kg, s);
+    let added_inertia = scale(p.added_inertia_kgm2, s);
 
     // −v ×* (M_a·v): torque v × p + ω × l, force ω × p, with the water's momentum p = m_a·v, l = I_a·ω
     let momentum = each(added_mass, v);
@@ -135,7 +136,7 @@ pub fn forces<R: Real>(p: &WaterLink<R>, at: &LinkMotion<R>, water: &Surface<R>)
     let held = add(each(damping_force, v), add(carried, each(added_mass, drift)));
     let turned = add(each(damping_torque, w), moment);
 
-    let lift = times(water.gravity_mps2, -(s * p.displaced_kg));
+    let lift = scale(water.gravity_mps2, -(s * p.displaced_kg));
     let arm = into_world(rot, sub(p.buoyancy_m, p.com_m));
     let heave = s * p.heave_ns_per_m;
     let mut force = sub(lift, into_world(rot, held));
@@ -173,21 +174,6 @@ fn dot<R: Real>(a: [R; 3], b: [R; 3]) -> R {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-#[inline(always)]
-fn add<R: Real>(a: [R; 3], b: [R; 3]) -> [R; 3] {
-    [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
-}
-
-#[inline(always)]
-fn sub<R: Real>(a: [R; 3], b: [R; 3]) -> [R; 3] {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-#[inline(always)]
-fn times<R: Real>(a: [R; 3], s: R) -> [R; 3] {
-    [a[0] * s, a[1] * s, a[2] * s]
-}
-
 /// Component by component.
 #[inline(always)]
 fn each<R: Real>(a: [R; 3], b: [R; 3]) -> [R; 3] {
@@ -205,18 +191,18 @@ fn damping<R: Real>(s: R, linear: [R; 3], quadratic: [R; 3], v: [R; 3]) -> [R; 3
 }
 
 #[inline(always)]
-fn cross<R: Real>(a: [R; 3], b: [R; 3]) -> [R; 3] {
+pub(crate) fn cross<R: Real>(a: [R; 3], b: [R; 3]) -> [R; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 #[inline(always)]
-fn into_world<R: Real>(rot: &[[R; 3]; 3], v: [R; 3]) -> [R; 3] {
+pub(crate) fn into_world<R: Real>(rot: &[[R; 3]; 3], v: [R; 3]) -> [R; 3] {
     [dot(rot[0], v), dot(rot[1], v), dot(rot[2], v)]
 }
 
 #[inline(always)]
 fn into_link<R: Real>(rot: &[[R; 3]; 3], v: [R; 3]) -> [R; 3] {
-    add(times(rot[0], v[0]), add(times(rot[1], v[1]), times(rot[2], v[2])))
+    add(scale(rot[0], v[0]), add(scale(rot[1], v[1]), scale(rot[2], v[2])))
 }
 
 impl WaterLink<f64> {

@@ -303,7 +303,9 @@ impl Sensors {
         }
         if let Some(imu) = &self.imu {
             let gyro = &mut readings.gyro_radps;
-            *gyro = sensors::gyro_radps(imu, bias, *gyro, self.control_period_s, stream);
+            let noise = imu.gyro_noise_radps_per_sqrt_hz;
+            let period_s = self.control_period_s;
+            *gyro = sensors::reading(*gyro, bias.gyro_radps, noise, period_s, stream);
         }
     }
 }

@@ -37,7 +37,7 @@ mod report;
 mod rounded;
 mod shared;
 pub mod smooth;
-mod vec3;
+pub(crate) mod vec3;
 mod wet;
 
 use std::sync::Arc;

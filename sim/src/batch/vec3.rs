@@ -4,7 +4,7 @@
 use crate::real::Real;
 
 /// Three numbers per lane.
-pub(super) type V3<R> = [R; 3];
+pub(crate) type V3<R> = [R; 3];
 
 #[inline(always)]
 pub(super) fn zero3<R: Real>() -> V3<R> {
@@ -12,17 +12,17 @@ pub(super) fn zero3<R: Real>() -> V3<R> {
 }
 
 #[inline(always)]
-pub(super) fn add<R: Real>(a: V3<R>, b: V3<R>) -> V3<R> {
+pub(crate) fn add<R: Real>(a: V3<R>, b: V3<R>) -> V3<R> {
     [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
 }
 
 #[inline(always)]
-pub(super) fn sub<R: Real>(a: V3<R>, b: V3<R>) -> V3<R> {
+pub(crate) fn sub<R: Real>(a: V3<R>, b: V3<R>) -> V3<R> {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
 #[inline(always)]
-pub(super) fn scale<R: Real>(a: V3<R>, s: R) -> V3<R> {
+pub(crate) fn scale<R: Real>(a: V3<R>, s: R) -> V3<R> {
     [a[0] * s, a[1] * s, a[2] * s]
 }
 

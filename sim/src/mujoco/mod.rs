@@ -105,12 +105,12 @@ impl MujocoEngine {
         request.bytes(&moving.collect::<Vec<u8>>());
         for lane in &mut self.lanes {
             lane.load(&self.shared, since_s)?;
-            lane.memory.robot.write_loads(&mut request);
+            request.numbers(&lane.memory.robot.loads);
         }
         let process = &mut self.process;
         process.ask(&request)?;
         for lane in &mut self.lanes {
-            process.read_numbers(lane.memory.robot.answer_mut())?;
+            process.read_numbers(&mut lane.memory.robot.answer)?;
             lane.account(&self.shared);
         }
         Ok(())

@@ -2,7 +2,6 @@
 
 use caudata_model::{Pose, RobotModel};
 
-use super::process::Request;
 use crate::EngineConfig;
 use crate::drive::ImplicitTorque;
 use crate::drive::lane::{JointState, Joints};
@@ -24,9 +23,9 @@ pub(super) struct Robot {
     /// How many move.
     moving: usize,
     /// Positions, velocities, MuJoCo's warm start, contacts, as in the script's answer.
-    answer: Vec<f64>,
+    pub answer: Vec<f64>,
     /// Joint torques, then a wrench on each link, world, at its centre of mass.
-    loads: Vec<f64>,
+    pub loads: Vec<f64>,
     feet: usize,
 }
 
@@ -108,16 +107,6 @@ impl Robot {
     /// What MuJoCo needs to go on from here.
     pub fn state(&self) -> &[f64] {
         &self.answer[..self.state_len()]
-    }
-
-    /// Where the script's answer goes.
-    pub fn answer_mut(&mut self) -> &mut [f64] {
-        &mut self.answer
-    }
-
-    /// Writes the loads into a request.
-    pub fn write_loads(&self, request: &mut Request) {
-        request.numbers(&self.loads);
     }
 
     /// Takes every load off.

@@ -8,16 +8,16 @@
 //! M̄)·1.5·dt·ω² too much (0.4 N·s/m for a buoy of 2.8 kg that carries as much only along the vertical, at 4
 //! ms).
 
-use rapier3d::math::Vector;
 use serde::{Deserialize, Serialize};
 
 use super::convert;
 use super::robot::Robot;
 use super::shared::Shared;
 use crate::LaneParams;
+use crate::batch::vec3::sub;
 use crate::observe::LinkMass;
 use crate::per_lane::PerLane;
-use crate::water::{self, LinkForces, LinkMotion, Surface, WaterLink};
+use crate::water::{self, LinkForces, LinkMotion, Surface, WaterLink, cross, into_world};
 
 /// A change of added mass by less than this share of a link's mass is not worth telling Rapier.
 const ADDED_STEP: f32 = 0.002;
@@ -93,8 +93,8 @@ impl Water {
         let through = sub(at.com_vel_mps, self.surface.current_mps);
         let v = into_link(at, through);
         let w = into_link(at, at.angvel_radps);
-        let back = into_world(at, [0, 1, 2].map(|i| too_much[i] * v[i]));
-        let turn_back = into_world(at, [0, 1, 2].map(|i| too_much_turn[i] * w[i]));
+        let back = into_world(&at.rotation, [0, 1, 2].map(|i| too_much[i] * v[i]));
+        let turn_back = into_world(&at.rotation, [0, 1, 2].map(|i| too_much_turn[i] * w[i]));
         for i in 0..3 {
             f.force_n[i] += back[i];
             f.torque_nm[i] += turn_back[i];
@@ -138,29 +138,13 @@ impl Water {
         let rest = [0, 1, 2].map(|i| in_body * acc[i] - f.added_mass_kg[i] * (acc[i] - turning[i]));
         // Rapier knows the gyroscopic torque of what is in its inertia.
         let spin = [0, 1, 2].map(|i| held * self.links[l].added_inertia_kgm2[i] * w[i]);
-        let force = into_world(at, rest);
-        let torque = into_world(at, cross(w, spin));
+        let force = into_world(&at.rotation, rest);
+        let torque = into_world(&at.rotation, cross(w, spin));
         for i in 0..3 {
             f.force_n[i] += force[i] - in_body * self.surface.gravity_mps2[i];
             f.torque_nm[i] += torque[i];
         }
     }
-}
-
-fn vector(v: [f32; 3]) -> Vector {
-    Vector::from_array(v)
-}
-
-fn sub(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
-    (vector(a) - vector(b)).to_array()
-}
-
-fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
-    vector(a).cross(vector(b)).to_array()
-}
-
-fn into_world(at: &LinkMotion<f32>, v: [f32; 3]) -> [f32; 3] {
-    at.rotation.map(|row| vector(row).dot(vector(v)))
 }
 
 fn into_link(at: &LinkMotion<f32>, v: [f32; 3]) -> [f32; 3] {

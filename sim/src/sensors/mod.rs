@@ -49,28 +49,17 @@ impl ImuBias {
     }
 }
 
-/// Gyroscope reading, IMU frame, rad/s.
-pub fn gyro_radps(
-    imu: &ImuParams,
-    bias: &ImuBias,
-    true_radps: [f32; 3],
+/// What a gyroscope (rad/s) or an accelerometer (specific force, m/s²) reads, IMU frame: `truth` plus `bias` plus
+/// white noise of one-sided density `noise_per_sqrt_hz`, sampled every `period_s`.
+pub fn reading(
+    truth: [f32; 3],
+    bias: [f32; 3],
+    noise_per_sqrt_hz: f64,
     period_s: f64,
     stream: &mut Stream,
 ) -> [f32; 3] {
-    let std = noise_std(imu.gyro_noise_radps_per_sqrt_hz, period_s);
-    noisy(true_radps, bias.gyro_radps, std, stream)
-}
-
-/// Accelerometer reading (specific force), IMU frame, m/s².
-pub fn acc_mps2(
-    imu: &ImuParams,
-    bias: &ImuBias,
-    true_mps2: [f32; 3],
-    period_s: f64,
-    stream: &mut Stream,
-) -> [f32; 3] {
-    let std = noise_std(imu.acc_noise_mps2_per_sqrt_hz, period_s);
-    noisy(true_mps2, bias.acc_mps2, std, stream)
+    let std = (noise_per_sqrt_hz * (0.5 / period_s).sqrt()) as f32;
+    [0, 1, 2].map(|i| truth[i] + bias[i] + std * stream.normal())
 }
 
 /// What the gyroscope (rad/s) and the accelerometer (m/s²) of the first lane's robot read, IMU frame; of a robot
@@ -91,20 +80,11 @@ pub fn imu(
     };
     match &model.sensors().imu {
         Some(imu) => (
-            gyro_radps(imu, bias, gyro, period_s, stream),
-            acc_mps2(imu, bias, acc, period_s, stream),
+            reading(gyro, bias.gyro_radps, imu.gyro_noise_radps_per_sqrt_hz, period_s, stream),
+            reading(acc, bias.acc_mps2, imu.acc_noise_mps2_per_sqrt_hz, period_s, stream),
         ),
         None => (gyro, acc),
     }
-}
-
-/// Standard deviation of white noise of one-sided density `density` sampled every `period_s`.
-fn noise_std(density: f64, period_s: f64) -> f32 {
-    (density * (0.5 / period_s).sqrt()) as f32
-}
-
-fn noisy(truth: [f32; 3], bias: [f32; 3], std: f32, stream: &mut Stream) -> [f32; 3] {
-    [0, 1, 2].map(|i| truth[i] + bias[i] + std * stream.normal())
 }
 
 #[cfg(test)]
@@ -147,19 +127,17 @@ mod tests {
     #[test]
     fn imu_noise_has_the_data_sheets_spread() {
         // at 50 Hz: gyro 6.6323e-5·√25 = 3.316e-4 rad/s, acc 6.865e-4·5 = 3.4325e-3 m/s²
-        let (imu, none) = (imu(), ImuBias::default());
+        let imu = imu();
         let mut s = stream(0);
         const N: usize = 20_000;
         let (mut gyro, mut acc) = (0.0, 0.0);
         for _ in 0..N {
-            gyro += gyro_radps(&imu, &none, [0.0; 3], 0.02, &mut s)
-                .map(|v| f64::from(v * v))
-                .iter()
-                .sum::<f64>();
-            acc += acc_mps2(&imu, &none, [0.0; 3], 0.02, &mut s)
-                .map(|v| f64::from(v * v))
-                .iter()
-                .sum::<f64>();
+            let mut square = |noise| -> f64 {
+                let read = reading([0.0; 3], [0.0; 3], noise, 0.02, &mut s);
+                read.iter().map(|v| f64::from(v * v)).sum()
+            };
+            gyro += square(imu.gyro_noise_radps_per_sqrt_hz);
+            acc += square(imu.acc_noise_mps2_per_sqrt_hz);
         }
         // the spread of 60,000 samples is known to 0.3 %
         assert!(((gyro / 6e4).sqrt() / 3.316e-4 - 1.0).abs() < 0.012);
@@ -172,7 +150,7 @@ mod tests {
         let bias = ImuBias::draw(&imu, &mut stream(1));
         assert_eq!(bias, ImuBias::draw(&imu, &mut stream(1)));
         assert_ne!(bias, ImuBias::draw(&imu, &mut stream(2)));
-        let read = gyro_radps(&imu, &bias, [1.0, 0.0, 0.0], 0.02, &mut stream(3));
+        let read = reading([1.0, 0.0, 0.0], bias.gyro_radps, 0.0, 0.02, &mut stream(3));
         assert_eq!(read, [1.0 + bias.gyro_radps[0], bias.gyro_radps[1], bias.gyro_radps[2]]);
         // spread over robots: 0.01745 rad/s
         let sum: f64 = (0..2000)
