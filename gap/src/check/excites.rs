@@ -164,8 +164,8 @@ fn joint(run: &Run<'_>, c: &Channels) -> JointExcitation {
                 .collect();
             let mean = squares.iter().sum::<f64>() / squares.len().max(1) as f64;
             out.error_rms_rad = mean.sqrt() * c.per_radian;
-            let kp = (run.log.meta.gains(&c.name).0).unwrap_or(run.robot.kp_nm_per_rad(c.index));
-            out.effort = kp * out.error_rms_rad / run.robot.servo(c.index).tau_max_nm;
+            out.effort =
+                run.gains(c.index).0 * out.error_rms_rad / run.robot.servo(c.index).tau_max_nm;
         }
     }
     out.range_rad = out.range_rad.map(|x| x * c.per_radian);

@@ -23,6 +23,15 @@ pub(super) struct Run<'a> {
     pub grid: Grid,
 }
 
+impl Run<'_> {
+    /// Gains in force at actuated joint `index`: N·m/rad, N·m·s/rad.
+    pub(super) fn gains(&self, index: usize) -> (f64, f64) {
+        let (kp, kd) = self.log.meta.gains(self.robot.actuated_names()[index]);
+        let robot = self.robot;
+        (kp.unwrap_or(robot.kp_nm_per_rad(index)), kd.unwrap_or(robot.kd_nm_s_per_rad(index)))
+    }
+}
+
 impl Finding {
     /// A fault that must be put right first.
     pub(super) fn fatal(kind: &'static str, at: impl Into<String>, detail: String) -> Self {

@@ -140,13 +140,12 @@ fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     let slow_cur = smooth(cur, run.grid.points(SLOW_S));
     let t = together(&at_rest(0.0), &slow_cur, 0);
     // a slow joint that is damped much leaves an error without a current
-    let (kp, kd) = gains(run, joint);
+    let (kp, kd) = run.gains(joint.index);
     let damping_s = if kp > 0.0 { kd / kp } else { 0.0 };
     let damped = together(&at_rest(damping_s), &slow_cur, 0);
     let asked = cmd.iter().zip(pos).zip(&speed).map(|((u, q), v)| (u - q, *v));
     if let Some((kind, detail)) = one_sided(run, joint, cur, asked) {
-        let at = format!("cur.{}", joint.name);
-        return out.push(Finding::fatal(kind, at, detail));
+        return out.push(joint.fatal(kind, "cur", detail));
     }
     // an error that hardly leaves its count, and a current that wanders meanwhile, tell nothing
     let told = t.first_sd > run.robot.servo(joint.index).encoder_lsb_rad();
@@ -159,13 +158,6 @@ fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     }
 }
 
-/// Gains in force: N·m/rad, N·m·s/rad.
-fn gains(run: &Run<'_>, joint: &Channels) -> (f64, f64) {
-    let (kp, kd) = run.log.meta.gains(&joint.name);
-    let (of, robot) = (joint.index, run.robot);
-    (kp.unwrap_or(robot.kp_nm_per_rad(of)), kd.unwrap_or(robot.kd_nm_s_per_rad(of)))
-}
-
 /// What is wrong with a current that is never negative, or always the same, although what is left of the
 /// command (rad), with the damping of the speed (rad/s) and without it, asks the servo for much torque one way and,
 /// as long, the other. (What hangs on a joint holds its torque to one way while the error goes both.)
@@ -176,7 +168,7 @@ fn one_sided(
     asked: impl Iterator<Item = (f64, f64)>,
 ) -> Option<(&'static str, String)> {
     let servo = run.robot.servo(joint.index);
-    let (kp, kd) = gains(run, joint);
+    let (kp, kd) = run.gains(joint.index);
     let idle_nm = servo.current_dead_band_a * servo.torque_per_current_nm_per_a;
     let most_nm = (PULLS * servo.tau_max_nm).max(2.0 * idle_nm);
     let much = |x: f64| kp * x > most_nm && x > 3.0 * servo.encoder_lsb_rad();
@@ -222,8 +214,7 @@ fn stuck(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
             pos[0],
             cmd.iter().map(|u| (u - pos[0]).abs()).fold(0.0, f64::max)
         );
-        let at = format!("pos.{}", joint.name);
-        return out.push(Finding::fatal("stuck", at, detail));
+        return out.push(joint.fatal("stuck", "pos", detail));
     }
     let (least, most) = ends(pos);
     let mut from = 0;

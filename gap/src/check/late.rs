@@ -51,8 +51,7 @@ struct Lag<'a> {
 /// An error that asks a servo for so much that nothing holds it back, rad. (A weak servo does not get through
 /// friction: what counts goes with its gain.)
 pub(super) fn asks_much_rad(run: &Run<'_>, joint: &Channels) -> f64 {
-    let kp = (run.log.meta.gains(&joint.name).0).unwrap_or(run.robot.kp_nm_per_rad(joint.index));
-    let servo = run.robot.servo(joint.index);
+    let (kp, servo) = (run.gains(joint.index).0, run.robot.servo(joint.index));
     (ASKS_RAD * joint.per_radian).max(ASKS_SHARE * servo.tau_max_nm / kp.max(1e-6))
 }
 
@@ -177,9 +176,7 @@ fn slow(run: &Run<'_>, joints: &[Channels], lags: &[Lag<'_>], out: &mut Vec<Find
 
 /// By how much a servo of the robot file follows a slow motion late, s: damping over gain.
 fn servo_lag_s(run: &Run<'_>, joint: &Channels) -> f64 {
-    let (servo, robot) = (run.robot.servo(joint.index), run.robot);
-    let (kp, kd) = run.log.meta.gains(&joint.name);
-    let kp = kp.unwrap_or(robot.kp_nm_per_rad(joint.index));
-    let kd = kd.unwrap_or(robot.kd_nm_s_per_rad(joint.index));
+    let servo = run.robot.servo(joint.index);
+    let (kp, kd) = run.gains(joint.index);
     (kd + servo.kd_min_nm_s_per_rad + servo.damping_nm_s_per_rad) / kp.max(1e-6)
 }

@@ -181,10 +181,8 @@ impl Off {
             let moves = |s: &f64| MOTION_SHARE * (2.0 * s).sqrt();
             pairs.map(|(d, s)| if d > moves(s) { d } else { 0.0 }).collect()
         };
-        let servo = first.robot.servo(channels[group[0]][j].index);
-        let name = &channels[group[0]][j].name;
-        let kp = (first.log.meta.gains(name).0)
-            .unwrap_or(first.robot.kp_nm_per_rad(channels[group[0]][j].index));
+        let index = channels[group[0]][j].index;
+        let (servo, kp) = (first.robot.servo(index), first.gains(index).0);
         Some(Self {
             rad: apart.into_iter().map(moved).collect(),
             threshold_rad: (TIMES * scale)
