@@ -159,7 +159,7 @@ fn secret() -> Vec<u8> {
 
 pub(crate) fn failure(e: BenchError) -> Failure {
     let code = match &e {
-        BenchError::Io { source, .. } => ExitCode::of_io(source, true),
+        BenchError::File(file) => ExitCode::of_io(&file.source, true),
         _ => ExitCode::Internal,
     };
     Failure::new(code, e)

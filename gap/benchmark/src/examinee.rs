@@ -8,6 +8,8 @@ use caudata_gap::{GapError, Options, Report, Request, Role, Run};
 use caudata_model::{ModelError, RobotModel};
 use caudata_runlog::{LogError, RunLog};
 
+use crate::file::{FileError, at};
+
 /// Runs whose folder begins so are held out.
 const HOLDOUT: &str = "holdout";
 
@@ -15,13 +17,8 @@ const HOLDOUT: &str = "holdout";
 #[derive(Debug, thiserror::Error)]
 pub enum ExamineeError {
     /// A file cannot be read or written.
-    #[error("{}: {source}", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The reason given by the system.
-        source: std::io::Error,
-    },
+    #[error(transparent)]
+    File(#[from] FileError),
     /// Something is not there.
     #[error("{} holds no {what}", folder.display())]
     Missing {
@@ -61,9 +58,9 @@ pub(crate) struct Read {
 /// Reads the case in `folder`, all of whose logs can be read: what a decoy does to one can.
 pub(crate) fn read(folder: &Path) -> Result<Read, ExamineeError> {
     let missing = |what| ExamineeError::Missing { folder: folder.to_owned(), what };
-    let entries = std::fs::read_dir(folder).map_err(failed(folder))?;
+    let entries = std::fs::read_dir(folder).map_err(at(folder))?;
     let paths = entries.map(|e| e.map(|e| e.path()));
-    let mut entries: Vec<PathBuf> = paths.collect::<Result<_, _>>().map_err(failed(folder))?;
+    let mut entries: Vec<PathBuf> = paths.collect::<Result<_, _>>().map_err(at(folder))?;
     entries.sort();
     let named = |end: &str| entries.iter().find(|p| p.to_string_lossy().ends_with(end)).cloned();
     let robot = named(".robot.toml").ok_or_else(|| missing("robot file"))?;
@@ -88,16 +85,11 @@ pub(crate) fn read(folder: &Path) -> Result<Read, ExamineeError> {
     Ok(Read { robot, mjcf, model, runs, faults })
 }
 
-fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> ExamineeError + use<> {
-    let path = path.to_owned();
-    move |source| ExamineeError::Io { path, source }
-}
-
 /// Checks and diagnoses the case in `folder`, as the command line does with a robot file, runs and held-out
 /// runs.
 pub fn diagnose(folder: &Path, options: Options) -> Result<Report, ExamineeError> {
     let case = read(folder)?;
-    let bytes = |path: &Path| std::fs::read(path).map_err(failed(path));
+    let bytes = |path: &Path| std::fs::read(path).map_err(at(path));
     let request = Request {
         robot_toml: bytes(&case.robot)?,
         mjcf: bytes(&case.mjcf)?,
@@ -113,7 +105,7 @@ pub fn diagnose(folder: &Path, options: Options) -> Result<Report, ExamineeError
 pub fn write_report(folder: &Path, options: Options) -> Result<(), ExamineeError> {
     let text = serde_json::to_vec(&diagnose(folder, options)?)?;
     let path = Path::new("report.json");
-    std::fs::write(path, text).map_err(failed(path))
+    Ok(std::fs::write(path, text).map_err(at(path))?)
 }
 
 #[cfg(test)]

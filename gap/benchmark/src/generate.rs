@@ -9,6 +9,7 @@ use caudata_runlog::{BaseHold, LogMeta, LogWriter};
 use crate::battery::{self, Amount, RATE_HZ, Trial};
 use crate::case::{Answer, Block, TrueEffect, TrueValue};
 use crate::decoy::Decoy;
+use crate::file::at;
 use crate::hidden::{Hidden, OUTSIDE, Scope, World};
 use crate::lab::{FIRST_HELD_OUT, HELD_OUT, LAWS, SIGNS, run, stream};
 use crate::sets::{Plan, below, between};
@@ -213,15 +214,11 @@ fn write(
     fit: &[Run],
     holdout: &[Run],
 ) -> Result<(), GenerateError> {
-    let io = |path: &Path| {
-        let path = path.to_owned();
-        move |source| GenerateError::Io { path, source }
-    };
-    fs::create_dir_all(folder).map_err(io(folder))?;
+    fs::create_dir_all(folder).map_err(at(folder))?;
     let robot = folder.join(format!("{}.robot.toml", rig.name));
-    fs::write(&robot, &rig.robot_toml).map_err(io(&robot))?;
+    fs::write(&robot, &rig.robot_toml).map_err(at(&robot))?;
     let mjcf = folder.join(&rig.mjcf.0);
-    fs::write(&mjcf, &rig.mjcf.1).map_err(io(&mjcf))?;
+    fs::write(&mjcf, &rig.mjcf.1).map_err(at(&mjcf))?;
     let signals = world.sensing.signals(&rig.model);
     for run in fit.iter().chain(holdout) {
         let mut log = LogWriter::create(&folder.join(&run.folder), &signals, &run.meta)?;

@@ -1,6 +1,5 @@
 //! Bench robots in a careful lab: what no lab can help, and what changes from run to run.
 
-use std::path::PathBuf;
 use std::sync::Arc;
 
 use caudata_model::RobotModel;
@@ -8,6 +7,7 @@ use caudata_random::{Key, Purpose, Stream};
 use caudata_runlog::LogError;
 
 use crate::battery::{RATE_HZ, Trial};
+use crate::file::FileError;
 use crate::hidden::World;
 use crate::truth::sensors::{self, Row, Sensing};
 use crate::truth::{Commands, Sim, Spec, Touch};
@@ -31,13 +31,8 @@ pub enum GenerateError {
     #[error("{0}")]
     Log(#[from] LogError),
     /// A file could not be written.
-    #[error("{}: {source}", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The reason given by the system.
-        source: std::io::Error,
-    },
+    #[error(transparent)]
+    File(#[from] FileError),
     /// The truth broke down.
     #[error("the truth simulator broke down on {0}; this size is too large for its step")]
     Diverged(String),

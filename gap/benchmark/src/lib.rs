@@ -11,6 +11,7 @@ pub mod calibrate;
 pub mod case;
 pub mod decoy;
 pub mod examinee;
+pub mod file;
 pub mod generate;
 pub mod hidden;
 pub mod hides;

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use caudata_gap::report::Report;
 
 use crate::case::{Answer, Answers};
+use crate::file::{FileError, at};
 use crate::generate::{self, GenerateError, Rig};
 use crate::salamander::{self, LabFile, SalamanderPlan};
 use crate::score::{Given, Outcome, judge};
@@ -22,13 +23,8 @@ pub enum BenchError {
     #[error("{0}")]
     Generate(#[from] GenerateError),
     /// A file could not be read or written.
-    #[error("{}: {source}", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The reason given by the system.
-        source: std::io::Error,
-    },
+    #[error(transparent)]
+    File(#[from] FileError),
     /// The answers do not open.
     #[error("{0}")]
     Seal(#[from] seal::SealError),
@@ -82,8 +78,7 @@ pub fn generate(
     }
     let path = root.join(SEALED_NAME);
     let text = serde_json::to_vec(&answers)?;
-    std::fs::write(&path, seal::seal(&text, secret))
-        .map_err(|source| BenchError::Io { path, source })?;
+    std::fs::write(&path, seal::seal(&text, secret)).map_err(at(&path))?;
     Ok((answers.answers.len(), left_out))
 }
 
@@ -119,7 +114,7 @@ pub fn one_case(
 /// Opens the answers of a set.
 pub fn answers(root: &Path, secret: &[u8]) -> Result<Answers, BenchError> {
     let path = root.join(SEALED_NAME);
-    let sealed = std::fs::read(&path).map_err(|source| BenchError::Io { path, source })?;
+    let sealed = std::fs::read(&path).map_err(at(&path))?;
     Ok(serde_json::from_slice(&seal::open(&sealed, secret)?)?)
 }
 

@@ -11,6 +11,7 @@ use caudata_runlog::BaseHold;
 use caudata_sim::LaneParams;
 
 use crate::case::{Answer, Block};
+use crate::file::at;
 use crate::generate::GenerateError;
 use crate::hides::{lane_of, truth};
 use crate::scripts::{swims, walks};
@@ -105,14 +106,10 @@ pub fn make(
 ) -> Result<Answer, GenerateError> {
     let (toml, mjcf, model) = lab_file(plan.file)?;
     let folder = parent.join(&plan.name);
-    let io = |path: &Path| {
-        let path = path.to_owned();
-        move |source| GenerateError::Io { path, source }
-    };
-    fs::create_dir_all(&folder).map_err(io(&folder))?;
+    fs::create_dir_all(&folder).map_err(at(&folder))?;
     for (name, text) in [("polymander.robot.toml", &toml), ("polymander.xml", &mjcf)] {
         let path = folder.join(name);
-        fs::write(&path, text).map_err(io(&path))?;
+        fs::write(&path, text).map_err(at(&path))?;
     }
     let lane = lane_of(&model, plan.hidden);
     let robot = Robot { lab: &model, model: &model, lane: &lane, seed: plan.seed, payload: &[] };

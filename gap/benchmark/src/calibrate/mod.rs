@@ -3,7 +3,7 @@
 
 pub mod fit;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use caudata_gap::report::{Grounds, Verdict};
 use caudata_random::{Key, Purpose, Stream};
@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::battery::Amount;
 use crate::case::{Answer, Block};
+use crate::file::at;
 use crate::generate::GenerateError;
 use crate::hidden::{Hidden, OUTSIDE, Scope};
 use crate::run::{self, BenchError, Diagnoser};
@@ -110,17 +111,13 @@ pub fn cases(
     let mut out = Vec::new();
     for number in 0..count {
         let path = folder.join(format!("{seed}-{number:05}.json"));
-        let io = |path: &Path| {
-            let path: PathBuf = path.to_owned();
-            move |source| BenchError::Io { path, source }
-        };
         let case = match path.exists() {
-            true => serde_json::from_slice(&std::fs::read(&path).map_err(io(&path))?)?,
+            true => serde_json::from_slice(&std::fs::read(&path).map_err(at(&path))?)?,
             false => {
                 let root = folder.join(format!("{seed}-{number:05}"));
                 // what was stopped under way leaves half a case
                 let clear = || match root.exists() {
-                    true => std::fs::remove_dir_all(&root).map_err(io(&root)),
+                    true => std::fs::remove_dir_all(&root).map_err(at(&root)),
                     false => Ok(()),
                 };
                 clear()?;
@@ -128,8 +125,8 @@ pub fn cases(
                 clear()?;
                 // whole or not at all
                 let part = path.with_extension("part");
-                std::fs::write(&part, serde_json::to_vec(&case)?).map_err(io(&part))?;
-                std::fs::rename(&part, &path).map_err(io(&path))?;
+                std::fs::write(&part, serde_json::to_vec(&case)?).map_err(at(&part))?;
+                std::fs::rename(&part, &path).map_err(at(&path))?;
                 case
             }
         };

@@ -97,7 +97,7 @@ impl<'a> Sim<'a> {
         let mut servo = Vec::new();
         let mut passive = Vec::new();
         let mut dof = vec![0; model.actuated().len()];
-        for (d, &j) in tree.model_joints().iter().enumerate() {
+        for (d, &j) in tree.model_joint.iter().enumerate() {
             let joint = &model.joints()[j];
             if let JointKind::Actuated { index } = joint.kind {
                 servo.push(Some(index));

@@ -38,7 +38,7 @@ pub struct Tree {
     bodies: Vec<Body>,
     hinges: Vec<Hinge>,
     /// Model index of each degree of freedom.
-    model_joint: Vec<usize>,
+    pub model_joint: Vec<usize>,
     gravity_mps2: V3,
     origin: pose::Pose,
 }
@@ -111,11 +111,6 @@ impl Tree {
     /// Degrees of freedom.
     pub fn dofs(&self) -> usize {
         self.hinges.len()
-    }
-
-    /// Model index of each degree of freedom.
-    pub fn model_joints(&self) -> &[usize] {
-        &self.model_joint
     }
 
     /// M and h at (q, q̇). `mass` `[n, n]` (lower triangle and diagonal are filled), `bias` `[n]`.
