@@ -91,14 +91,10 @@ pub fn run(
     let mut robot = EmulatedRobot::new(engine, &wiring, seed)
         .or_exit_with(ExitCode::BadInput, || path.display().to_string())?;
     robot.place(start).or_exit(ExitCode::BadInput)?;
-    robot.set_water_sensor(water);
+    robot.water = Some(water);
     let p = args.wire_faults;
-    robot.set_faults(WireFaults {
-        lost_byte: p,
-        flipped_bit: p,
-        noise: p,
-        ..WireFaults::default()
-    });
+    robot.bus.faults =
+        WireFaults { lost_byte: p, flipped_bit: p, noise: p, ..WireFaults::default() };
     let mut terminals = Terminals::open(&args.links)
         .or_exit_with(ExitCode::OsResource, || format!("cannot make {}", args.links.display()))?;
     tell(&Event::EmulatedRobot {

@@ -120,12 +120,12 @@ mod tests {
             servo
         };
         let mut bus = EmulatedBus::new(IDS.iter().map(servo).collect(), 7);
-        bus.set_faults(faults);
+        bus.faults = faults;
         Bus::new(EmulatedPort::new(bus), 1_000_000)
     }
 
     fn torque(bus: &mut Bus<EmulatedPort>) -> Vec<bool> {
-        let servos = bus.port_mut().bus().servos().iter();
+        let servos = bus.port_mut().bus.servos.iter();
         servos.map(EmulatedServo::torque_on).collect()
     }
 
@@ -142,8 +142,8 @@ mod tests {
     #[test]
     fn one_that_holds_and_one_that_is_silent_are_told_by_id() {
         let mut bus = bus(WireFaults::default());
-        bus.port_mut().bus().servos_mut()[1].jam(true);
-        bus.port_mut().bus().servos_mut()[3].unplug(true);
+        bus.port_mut().bus.servos[1].jammed = true;
+        bus.port_mut().bus.servos[3].unplugged = true;
         let done = let_go(&mut bus, &IDS, PATIENCE).unwrap();
         assert_eq!((done.hold.as_slice(), done.silent.as_slice()), (&[2][..], &[4][..]));
         assert!(!done.is_proved());

@@ -1,6 +1,6 @@
 //! One simulated robot behind control tables and IMU registers.
 
-use caudata_dynamixel::emulator::{EmulatedBus, EmulatedServo, Present, WireFaults};
+use caudata_dynamixel::emulator::{EmulatedBus, EmulatedServo, Present};
 use caudata_dynamixel::units::{
     CURRENT_LSB_A, VELOCITY_LSB_RADPS, VOLTAGE_LSB_V, register_of_baud,
 };
@@ -109,7 +109,8 @@ pub struct EmulatedRobot {
     pub bridge: EmulatedBridge,
     stream: Stream,
     bias: ImuBias,
-    water: Option<WaterSensor>,
+    /// Its sensor for water.
+    pub water: Option<WaterSensor>,
     torque: Vec<bool>,
     steps: u64,
     trace: Trace,
@@ -170,11 +171,6 @@ impl EmulatedRobot {
         Ok(())
     }
 
-    /// Makes the wire bad.
-    pub fn set_faults(&mut self, faults: WireFaults) {
-        self.bus.set_faults(faults);
-    }
-
     /// Time of its physics, s.
     pub fn time_s(&self) -> f64 {
         self.steps as f64 * self.step_s()
@@ -190,11 +186,6 @@ impl EmulatedRobot {
         std::array::from_fn(|i| f64::from(self.engine.state().base_pos_m[i]))
     }
 
-    /// Gives it a sensor for water.
-    pub fn set_water_sensor(&mut self, sensor: WaterSensor) {
-        self.water = Some(sensor);
-    }
-
     /// Whether its sensor says that it swims; false without one.
     pub fn in_water(&self) -> bool {
         let sensor = self.water.as_ref();
@@ -208,14 +199,14 @@ impl EmulatedRobot {
 
     /// Whether any servo has torque.
     pub fn torque_on(&self) -> bool {
-        self.bus.servos().iter().any(EmulatedServo::torque_on)
+        self.bus.servos.iter().any(EmulatedServo::torque_on)
     }
 
     /// Lets one step pass: servos pull towards their goals, sensors show what came of it.
     pub fn step(&mut self) -> Result<(), EmulationError> {
         let was_on = self.torque.iter().any(|on| *on);
         self.follow_torque()?;
-        let servos = self.bus.servos().iter();
+        let servos = self.bus.servos.iter();
         let goals: Vec<f32> = servos
             .zip(&self.joints)
             .map(|(servo, joint)| joint.joint_rad(servo.goal()) as f32)
@@ -241,7 +232,7 @@ impl EmulatedRobot {
 
     /// Servos without torque turn freely.
     fn follow_torque(&mut self) -> Result<(), EmulationError> {
-        let torque: Vec<bool> = self.bus.servos().iter().map(EmulatedServo::torque_on).collect();
+        let torque: Vec<bool> = self.bus.servos.iter().map(EmulatedServo::torque_on).collect();
         if torque == self.torque {
             return Ok(());
         }
@@ -278,7 +269,7 @@ impl EmulatedRobot {
                 voltage: (f64::from(supply_v) / VOLTAGE_LSB_V).round() as u16,
                 temperature: TEMPERATURE_C,
             };
-            if let Some(servo) = self.bus.servos_mut().get_mut(index) {
+            if let Some(servo) = self.bus.servos.get_mut(index) {
                 servo.sense(present, now_us);
             }
         }

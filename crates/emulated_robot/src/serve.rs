@@ -86,7 +86,7 @@ pub fn serve(
             Pace::RealTime => start.elapsed().as_micros() as u64,
             Pace::Goals => robot_us,
         };
-        robot.bus.set_host_baud(terminals.servos.baud()?);
+        robot.bus.host_baud = terminals.servos.baud()?;
         if pace == Pace::RealTime {
             robot.bus.hear(&buffer[..count], now_us);
         }

@@ -20,8 +20,8 @@ pub struct EmulatedImu {
     lis3: [u8; 0x80],
     /// Accelerations felt last, for the low-pass filter.
     acc_mps2: VecDeque<[f32; 3]>,
-    /// Nobody acknowledges.
-    unplugged: bool,
+    /// Its cable is cut: nobody acknowledges.
+    pub unplugged: bool,
 }
 
 impl Default for EmulatedImu {
@@ -66,11 +66,6 @@ impl EmulatedImu {
         }
         let count = self.acc_mps2.len() as f32;
         [0, 1, 2].map(|axis| self.acc_mps2.iter().map(|a| a[axis]).sum::<f32>() / count)
-    }
-
-    /// Cuts the cable, or mends it.
-    pub fn unplug(&mut self, unplugged: bool) {
-        self.unplugged = unplugged;
     }
 
     fn chip(&mut self, chip: u8) -> io::Result<&mut [u8; 0x80]> {
@@ -254,7 +249,7 @@ mod tests {
         assert!(out.is_empty());
         bridge.hear(&[b'S', 0xD4, 1, LSM6_CTRL1_XL, b'S', 0xD5, 1, b'P'], &mut out);
         assert_eq!(out, [0x58]);
-        bridge.imu.unplug(true);
+        bridge.imu.unplugged = true;
         out.clear();
         bridge.hear(&[b'S', 0xD4, 1, 0x0F, b'S', 0xD5, 1, b'P'], &mut out);
         assert!(out.is_empty(), "nobody acknowledges");

@@ -90,7 +90,7 @@ fn ticks(robot: &mut Emulated, count: u32) -> Result<Health, BusError> {
 }
 
 pub(super) fn emulated(robot: &mut Emulated, joint: usize) -> &mut EmulatedServo {
-    &mut robot.bus_mut().port_mut().bus().servos_mut()[joint]
+    &mut robot.bus_mut().port_mut().bus.servos[joint]
 }
 
 #[test]
@@ -148,7 +148,7 @@ fn a_healthy_robot_stays_so_for_ten_seconds() {
 fn fault_39_one_servo_silent_is_counted_and_its_readings_stand() {
     let mut robot = robot();
     ticks(&mut robot, 5).unwrap();
-    emulated(&mut robot, 4).unplug(true);
+    emulated(&mut robot, 4).unplugged = true;
     for tick in 1..=10 {
         let before = robot.bus_mut().port_mut().now_us;
         let readings = robot.read(DEADLINE);
@@ -206,7 +206,7 @@ fn fault_43_a_watchdog_that_fired_is_found_and_goals_are_refused() {
 fn a_bus_that_is_gone_is_lost_after_ten_ticks() {
     let mut robot = robot();
     ticks(&mut robot, 5).unwrap();
-    (0..16).for_each(|i| emulated(&mut robot, i).unplug(true));
+    (0..16).for_each(|i| emulated(&mut robot, i).unplugged = true);
     assert!(ticks(&mut robot, 9).is_ok());
     assert!(matches!(ticks(&mut robot, 1), Err(BusError::Lost { .. })));
 }
@@ -222,9 +222,9 @@ fn fault_45_a_stale_or_frozen_imu_is_counted() {
     robot.imu = {
         let mut gone = level();
         let (wiring, _) = wiring();
-        gone.unplug(false);
+        gone.unplugged = false;
         let mut chip = ImuChip::start(gone, &wiring.imu).unwrap();
-        chip.bus_mut().unplug(true);
+        chip.bus_mut().unplugged = true;
         chip
     };
     for stale in 1..=3 {
@@ -274,6 +274,6 @@ fn faults_51_and_53_a_joint_beyond_its_limits_and_a_low_battery_are_refused() {
     assert!(has(&other[1], "model", Mark::Wrong));
     let hurt = inspected(|servo| servo.raise(HardwareError(HardwareError::OVERHEATING)));
     assert!(has(&hurt[1], "hardware errors", Mark::Wrong));
-    let gone = inspected(|servo| servo.unplug(true));
+    let gone = inspected(|servo| servo.unplugged = true);
     assert!(has(&gone[1], "answers", Mark::Wrong));
 }

@@ -254,7 +254,7 @@ fn doctor_finds_factory_settings_sets_them_right_and_then_is_content() {
 fn the_program_stands_up_over_the_wire_and_lets_go() {
     // The wire is not perfect: one answer in 200 is damaged, another has noise before it.
     let faults = WireFaults { flipped_bit: 0.005, noise: 0.005, ..WireFaults::default() };
-    let bench = Bench::in_step(|r| r.set_faults(faults), None);
+    let bench = Bench::in_step(|r| r.bus.faults = faults, None);
     let log = bench.folder.path().join("log");
     let mut command = bench.run(&["--seconds", "3", "--log-dir"]);
     command.arg(&log);
@@ -351,7 +351,7 @@ fn a_robot_on_its_back_gets_up_where_its_policy_can_and_it_may() {
 fn fault_41_an_overload_stands_the_robot_down_with_its_name() {
     let overload = |robot: &mut EmulatedRobot| {
         let error = HardwareError(HardwareError::OVERLOAD);
-        robot.bus.servos_mut()[9].raise(error);
+        robot.bus.servos[9].raise(error);
     };
     let bench = Bench::in_step(|_| {}, Some((2.0, overload as Change)));
     let (code, summary, errors) = outcome(bench.run(&["--seconds", "60"]));
@@ -558,7 +558,7 @@ fn a_loop_that_does_not_end_even_by_force_has_its_servos_let_go_and_is_left() {
 
 /// Every servo's torque on, as a loop that died leaves it; servo 5 does not let go.
 fn left_standing(robot: &mut EmulatedRobot) {
-    for servo in robot.bus.servos_mut() {
+    for servo in &mut robot.bus.servos {
         servo.put(&caudata_dynamixel::xm430::TORQUE_ENABLE, 1);
     }
 }
@@ -587,7 +587,7 @@ fn limp_asks_whether_the_servos_let_go_and_names_those_that_do_not() {
 
     let jammed = |robot: &mut EmulatedRobot| {
         left_standing(robot);
-        robot.bus.servos_mut()[4].jam(true);
+        robot.bus.servos[4].jammed = true;
     };
     let robot = Emulated::start(&folder.path().join("jammed"), jammed, None);
     robot.torque_comes_to(&[false, true]);
@@ -600,7 +600,7 @@ fn limp_asks_whether_the_servos_let_go_and_names_those_that_do_not() {
 
 #[test]
 fn a_run_whose_servo_does_not_let_go_says_so_and_fails() {
-    let jam = |robot: &mut EmulatedRobot| robot.bus.servos_mut()[9].jam(true);
+    let jam = |robot: &mut EmulatedRobot| robot.bus.servos[9].jammed = true;
     let bench = Bench::in_step(|_| {}, Some((2.0, jam as Change)));
     let (code, _, errors) = outcome(bench.run(&["--seconds", "3"]));
     bench.end();

@@ -38,10 +38,13 @@ pub struct WireFaults {
 /// Emulated servos on one wire.
 #[derive(Debug)]
 pub struct EmulatedBus {
-    servos: Vec<EmulatedServo>,
-    faults: WireFaults,
+    /// The servos, to look at and to change from outside.
+    pub servos: Vec<EmulatedServo>,
+    /// How bad the wire is.
+    pub faults: WireFaults,
     stream: Stream,
-    host_baud: u32,
+    /// How fast the host sends and listens. A servo at another speed hears noise and says nothing.
+    pub host_baud: u32,
     framer: Framer,
     queue: VecDeque<(u64, Vec<u8>)>,
     free_at_us: u64,
@@ -62,26 +65,6 @@ impl EmulatedBus {
             free_at_us: 0,
             goal_writes: 0,
         }
-    }
-
-    /// Makes the wire as bad as `faults`.
-    pub fn set_faults(&mut self, faults: WireFaults) {
-        self.faults = faults;
-    }
-
-    /// How fast the host sends and listens. A servo at another speed hears noise and says nothing.
-    pub fn set_host_baud(&mut self, baud: u32) {
-        self.host_baud = baud;
-    }
-
-    /// The servos.
-    pub fn servos(&self) -> &[EmulatedServo] {
-        &self.servos
-    }
-
-    /// The servos, to change them from outside.
-    pub fn servos_mut(&mut self) -> &mut [EmulatedServo] {
-        &mut self.servos
     }
 
     /// Lets time pass: watchdogs.

@@ -13,14 +13,15 @@ const NOISE_US: u64 = 10;
 /// The host's end of an [`EmulatedBus`]. Its time moves when the host waits.
 #[derive(Debug)]
 pub struct EmulatedPort {
-    bus: EmulatedBus,
+    /// The far end.
+    pub bus: EmulatedBus,
     /// Time over there, µs.
     pub now_us: u64,
     /// When its time began, by the machine's clock, which is not looked at again.
     start: Instant,
     arrived: Vec<u8>,
     /// Noise without end: as many bytes as the host takes.
-    babbles: bool,
+    pub babbles: bool,
 }
 
 impl EmulatedPort {
@@ -29,20 +30,10 @@ impl EmulatedPort {
         Self { bus, now_us: 0, start: Instant::now(), arrived: Vec::new(), babbles: false }
     }
 
-    /// The far end.
-    pub fn bus(&mut self) -> &mut EmulatedBus {
-        &mut self.bus
-    }
-
     /// Lets time pass.
     pub fn wait_us(&mut self, us: u64) {
         self.now_us += us;
         self.bus.pass(self.now_us);
-    }
-
-    /// Noise without end from now on, or no longer.
-    pub fn babble(&mut self, babbles: bool) {
-        self.babbles = babbles;
     }
 }
 
@@ -82,7 +73,7 @@ impl Port for EmulatedPort {
     }
 
     fn set_baud(&mut self, baud: u32) -> io::Result<()> {
-        self.bus.set_host_baud(baud);
+        self.bus.host_baud = baud;
         Ok(())
     }
 }

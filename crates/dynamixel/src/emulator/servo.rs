@@ -32,8 +32,10 @@ pub struct EmulatedServo {
     heard_us: u64,
     boots_until_us: u64,
     booted_us: u64,
-    unplugged: bool,
-    jammed: bool,
+    /// Its cable is cut.
+    pub unplugged: bool,
+    /// Keeps its torque as it is, whatever it is told: a servo that does not let go.
+    pub jammed: bool,
 }
 
 impl EmulatedServo {
@@ -104,16 +106,6 @@ impl EmulatedServo {
         if all & self.get(&xm430::SHUTDOWN) != 0 {
             self.put(&xm430::TORQUE_ENABLE, 0);
         }
-    }
-
-    /// Cuts the cable, or mends it.
-    pub fn unplug(&mut self, unplugged: bool) {
-        self.unplugged = unplugged;
-    }
-
-    /// Keeps its torque as it is, whatever it is told, or obeys again: a servo that does not let go.
-    pub fn jam(&mut self, jammed: bool) {
-        self.jammed = jammed;
     }
 
     /// Restarts: what is not kept without power is as new.

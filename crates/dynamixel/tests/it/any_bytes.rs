@@ -86,7 +86,7 @@ proptest! {
     #[test]
     fn an_emulated_servo_takes_anything(garbage in spiteful(), asked in any::<u8>(), parameters in spiteful()) {
         let mut bus = EmulatedBus::new(vec![EmulatedServo::new(1, xm430::MODEL_W210)], 1);
-        bus.set_host_baud(57_600);
+        bus.host_baud = 57_600;
         bus.hear(&garbage, 0);
         for id in [1, 0xFE] {
             let mut question = Vec::new();

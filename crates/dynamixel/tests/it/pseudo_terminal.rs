@@ -26,7 +26,7 @@ fn a_servo_behind_a_pseudo_terminal_answers_at_its_own_speed_only() {
         while !stopped.load(Ordering::Relaxed) {
             let count = pty.receive(&mut buffer, Duration::from_millis(1)).unwrap();
             let now_us = start.elapsed().as_micros() as u64;
-            bus.set_host_baud(pty.baud().unwrap());
+            bus.host_baud = pty.baud().unwrap();
             bus.hear(&buffer[..count], now_us);
             out.clear();
             bus.collect(now_us, &mut out);

@@ -70,7 +70,7 @@ fn goals_of_a_group_arrive() {
         goals.set(index, 2000 + index as i32);
     }
     bus.write_group(&mut goals, DEADLINE).unwrap();
-    let held: Vec<i32> = bus.port_mut().bus().servos().iter().map(EmulatedServo::goal).collect();
+    let held: Vec<i32> = bus.port_mut().bus.servos.iter().map(EmulatedServo::goal).collect();
     assert_eq!(held, (2000..2016).collect::<Vec<_>>());
 }
 
@@ -78,9 +78,9 @@ fn goals_of_a_group_arrive() {
 fn a_goal_that_needs_stuffing_arrives() {
     // Counts −131,073 are FF FF FD FF: three bytes of a header.
     let mut bus = bus(1);
-    bus.port_mut().bus().servos_mut()[0].put(&xm430::OPERATING_MODE, 5);
+    bus.port_mut().bus.servos[0].put(&xm430::OPERATING_MODE, 5);
     bus.write(1, &xm430::GOAL_POSITION, -131_073, DEADLINE).unwrap();
-    assert_eq!(bus.port_mut().bus().servos()[0].goal(), -131_073);
+    assert_eq!(bus.port_mut().bus.servos[0].goal(), -131_073);
     let (back, _) = bus.read(1, &xm430::GOAL_POSITION, DEADLINE).unwrap();
     assert_eq!(back, -131_073);
 }
@@ -88,7 +88,7 @@ fn a_goal_that_needs_stuffing_arrives() {
 #[test]
 fn one_silent_servo_is_named_and_the_deadline_holds() {
     let mut bus = bus(16);
-    bus.port_mut().bus().servos_mut()[4].unplug(true);
+    bus.port_mut().bus.servos[4].unplugged = true;
     let mut group = GroupRead::new(&ids(16), TICK_ADDRESS, TICK_BYTES, false);
     bus.read_group(&mut group, DEADLINE).unwrap();
     // In the emulated port's own time: nothing here waits by the machine's clock.
@@ -101,7 +101,7 @@ fn one_silent_servo_is_named_and_the_deadline_holds() {
 #[test]
 fn fast_sync_read_with_a_silent_servo_falls_back_to_plain() {
     let mut bus = bus(4);
-    bus.port_mut().bus().servos_mut()[1].unplug(true);
+    bus.port_mut().bus.servos[1].unplugged = true;
     let mut fast = GroupRead::new(&ids(4), TICK_ADDRESS, TICK_BYTES, true);
     for _ in 0..3 {
         assert!(!bus.fast_is_hopeless());
@@ -118,13 +118,8 @@ fn fast_sync_read_with_a_silent_servo_falls_back_to_plain() {
 fn a_bad_wire_costs_answers_but_never_brings_wrong_ones() {
     for (seed, fast) in [(1, false), (2, true), (3, false)] {
         let mut bus = bus(16);
-        bus.port_mut().bus().set_faults(WireFaults {
-            lost_byte: 0.1,
-            flipped_bit: 0.1,
-            late: 0.02,
-            late_us: 9_000,
-            noise: 0.1,
-        });
+        bus.port_mut().bus.faults =
+            WireFaults { lost_byte: 0.1, flipped_bit: 0.1, late: 0.02, late_us: 9_000, noise: 0.1 };
         let mut group = GroupRead::new(&ids(16), TICK_ADDRESS, TICK_BYTES, fast);
         let (mut came, mut asked) = (0, 0);
         for _ in 0..200 + seed {
@@ -146,23 +141,19 @@ fn a_bad_wire_costs_answers_but_never_brings_wrong_ones() {
 #[test]
 fn a_bus_that_babbles_for_ever_does_not_hold_the_caller() {
     let mut bus = bus(1);
-    bus.port_mut().babble(true);
+    bus.port_mut().babbles = true;
     let error = bus.ping(1, Duration::from_millis(2)).unwrap_err();
     assert!(matches!(error, BusFault::Silent { id: 1, .. }));
-    bus.port_mut().babble(false);
+    bus.port_mut().babbles = false;
     assert_eq!(bus.ping(1, SLOW).unwrap().model, xm430::MODEL_W210);
 }
 
 #[test]
 fn a_late_answer_is_not_taken_for_the_next_one() {
     let mut bus = bus(2);
-    bus.port_mut().bus().set_faults(WireFaults {
-        late: 1.0,
-        late_us: 7_100,
-        ..WireFaults::default()
-    });
+    bus.port_mut().bus.faults = WireFaults { late: 1.0, late_us: 7_100, ..WireFaults::default() };
     assert!(bus.read(1, &xm430::PRESENT_POSITION, DEADLINE).is_err());
-    bus.port_mut().bus().set_faults(WireFaults::default());
+    bus.port_mut().bus.faults = WireFaults::default();
     // The answer to the first question (servo 1, 4 bytes) arrives while the bus is left quiet.
     let (goal, _) = bus.read(1, &xm430::GOAL_POSITION, SLOW).unwrap();
     assert_eq!(goal, 2048);
@@ -177,7 +168,7 @@ fn refusals_and_alerts_reach_the_caller() {
     let far = bus.write(1, &xm430::GOAL_POSITION, 4096, DEADLINE).unwrap_err();
     assert!(matches!(far, BusFault::Refused { error: ErrorNumber::DataLimit, .. }));
     // Overload: torque off, alert in every answer, good data all the same.
-    bus.port_mut().bus().servos_mut()[0].raise(HardwareError(HardwareError::OVERLOAD));
+    bus.port_mut().bus.servos[0].raise(HardwareError(HardwareError::OVERLOAD));
     let (_, error) = bus.read(1, &xm430::PRESENT_POSITION, DEADLINE).unwrap();
     assert!(error.alert());
     let mut group = GroupRead::new(&[1, 2], TICK_ADDRESS, TICK_BYTES, true);
@@ -186,7 +177,7 @@ fn refusals_and_alerts_reach_the_caller() {
         [group.answer(0), group.answer(1)],
         [Answer::Data(StatusError(0x80)), Answer::Data(StatusError(0))]
     );
-    assert!(!bus.port_mut().bus().servos()[0].torque_on());
+    assert!(!bus.port_mut().bus.servos[0].torque_on());
     assert!(bus.write(1, &xm430::TORQUE_ENABLE, 1, DEADLINE).is_err());
 }
 
@@ -198,10 +189,10 @@ fn the_watchdog_holds_the_pose_when_the_host_goes_silent_and_must_be_cleared() {
     bus.write(1, &xm430::TORQUE_ENABLE, 1, DEADLINE).unwrap();
     bus.write(1, &xm430::GOAL_POSITION, 3000, DEADLINE).unwrap();
     bus.port_mut().wait_us(99_000);
-    assert!(!bus.port_mut().bus().servos()[0].watchdog_fired());
+    assert!(!bus.port_mut().bus.servos[0].watchdog_fired());
     bus.port_mut().wait_us(2_000);
-    assert!(bus.port_mut().bus().servos()[0].watchdog_fired());
-    assert_eq!(bus.port_mut().bus().servos()[0].goal(), 1001, "where it was");
+    assert!(bus.port_mut().bus.servos[0].watchdog_fired());
+    assert_eq!(bus.port_mut().bus.servos[0].goal(), 1001, "where it was");
     let refused = bus.write(1, &xm430::GOAL_POSITION, 3000, DEADLINE).unwrap_err();
     assert!(matches!(refused, BusFault::Refused { error: ErrorNumber::DataRange, .. }));
     assert_eq!(bus.read(1, &xm430::BUS_WATCHDOG, DEADLINE).unwrap().0, 255);
@@ -228,8 +219,8 @@ fn a_reboot_forgets_torque_watchdog_and_gains() {
 #[test]
 fn a_servo_at_factory_speed_is_found_and_moved() {
     let mut bus = bus(1);
-    bus.port_mut().bus().servos_mut()[0].put(&xm430::BAUD_RATE, 1);
-    bus.port_mut().bus().servos_mut()[0].put(&xm430::RETURN_DELAY_TIME, 250);
+    bus.port_mut().bus.servos[0].put(&xm430::BAUD_RATE, 1);
+    bus.port_mut().bus.servos[0].put(&xm430::RETURN_DELAY_TIME, 250);
     assert_eq!(find_baud(&mut bus, 1).unwrap(), 57_600);
     move_to_baud(&mut bus, 1, 1_000_000).unwrap();
     let delay = Want { register: &xm430::RETURN_DELAY_TIME, value: 0 };
