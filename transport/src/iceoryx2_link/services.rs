@@ -7,10 +7,11 @@ use std::time::Duration;
 
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::prelude::{
-    Config, FileName, LogLevel, Node, NodeBuilder, SemanticString, ServiceName, SignalHandlingMode,
-    ZeroCopySend, ipc_threadsafe, set_log_level_from_env_or,
+    BackpressureStrategy, Config, FileName, LogLevel, Node, NodeBuilder, SemanticString,
+    ServiceName, SignalHandlingMode, ZeroCopySend, ipc_threadsafe, set_log_level_from_env_or,
 };
 use iceoryx2::service::builder::publish_subscribe::Builder;
+use iceoryx2::service::port_factory::publisher::PortFactoryPublisher;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 use nix::errno::Errno;
 use nix::fcntl::posix_fallocate;
@@ -115,16 +116,9 @@ impl Services {
         tag: &str,
         limits: &Limits,
     ) -> Result<Publisher<Ipc, [u8], DataHead>, TransportError> {
-        let publisher = self
-            .data
-            .publisher_builder()
-            .initial_max_slice_len(limits.max_frame_bytes)
-            .max_loaned_samples(1)
-            .backpressure_strategy(iceoryx2::prelude::BackpressureStrategy::DiscardData)
-            .create()
-            .map_err(backend)?;
-        reserve(tag, publisher.id().value())?;
-        Ok(publisher)
+        publisher(&self.data, tag, limits.max_frame_bytes, |own| {
+            own.backpressure_strategy(BackpressureStrategy::DiscardData)
+        })
     }
 
     /// The publisher of the table of answers.
@@ -133,16 +127,9 @@ impl Services {
         tag: &str,
         limits: &Limits,
     ) -> Result<Publisher<Ipc, [u8], ()>, TransportError> {
-        let publisher = self
-            .status
-            .publisher_builder()
-            .initial_max_slice_len(Status::LEN * limits.max_actors)
-            .max_loaned_samples(1)
-            .override_sample_preallocation(|_| STATUS_SAMPLES)
-            .create()
-            .map_err(backend)?;
-        reserve(tag, publisher.id().value())?;
-        Ok(publisher)
+        publisher(&self.status, tag, Status::LEN * limits.max_actors, |own| {
+            own.override_sample_preallocation(|_| STATUS_SAMPLES)
+        })
     }
 
     /// The publisher of policies.
@@ -151,17 +138,23 @@ impl Services {
         tag: &str,
         limits: &Limits,
     ) -> Result<Publisher<Ipc, [u8], PolicyHeadBytes>, TransportError> {
-        let publisher = self
-            .policy
-            .publisher_builder()
-            .initial_max_slice_len(limits.max_policy_bytes)
-            .max_loaned_samples(1)
-            .override_sample_preallocation(|_| POLICY_SAMPLES)
-            .create()
-            .map_err(backend)?;
-        reserve(tag, publisher.id().value())?;
-        Ok(publisher)
+        publisher(&self.policy, tag, limits.max_policy_bytes, |own| {
+            own.override_sample_preallocation(|_| POLICY_SAMPLES)
+        })
     }
+}
+
+/// The publisher of messages of up to `bytes`, set as `own` says; their room is set aside.
+fn publisher<H: Debug + Default + ZeroCopySend>(
+    service: &publish_subscribe::PortFactory<Ipc, [u8], H>,
+    tag: &str,
+    bytes: usize,
+    own: fn(PortFactoryPublisher<'_, Ipc, [u8], H>) -> PortFactoryPublisher<'_, Ipc, [u8], H>,
+) -> Result<Publisher<Ipc, [u8], H>, TransportError> {
+    let all = service.publisher_builder().initial_max_slice_len(bytes).max_loaned_samples(1);
+    let publisher = own(all).create().map_err(backend)?;
+    reserve(tag, publisher.id().value())?;
+    Ok(publisher)
 }
 
 /// A service of messages, each with a head beside it.
