@@ -1,8 +1,9 @@
 //! Changes of the task while a run goes on, from a learner to the actors in its process.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use caudata_task::TaskConfig;
+use parking_lot::Mutex;
 
 /// A task, and the first policy version that acts under it.
 type From = (u64, Arc<TaskConfig>);
@@ -15,14 +16,14 @@ pub struct Retunes(Arc<Mutex<Vec<From>>>);
 impl Retunes {
     /// From policy `version` on it is this task.
     pub fn add(&self, version: u64, task: TaskConfig) {
-        let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut all = self.0.lock();
         all.retain(|(from, _)| *from < version);
         all.push((version, Arc::new(task)));
     }
 
     /// The task under which `version` acts, if it is another than the configured one.
     pub(crate) fn under(&self, version: u64) -> Option<Arc<TaskConfig>> {
-        let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let all = self.0.lock();
         let until = all.iter().rfind(|(from, _)| *from <= version);
         until.map(|(_, task)| Arc::clone(task))
     }

@@ -1,7 +1,9 @@
 //! Saving an actor between two chunks, so that a resumed run goes on with the same bits.
 
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::sync::Arc;
+use std::time::Duration;
+
+use parking_lot::{Condvar, Mutex};
 
 /// Everything of an actor that outlives a chunk.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -88,35 +90,25 @@ impl SnapshotPort {
     /// # Errors
     /// One line: the actor has ended, did not answer in time, or could not save itself.
     pub fn take(&self, timeout: Duration) -> Result<ActorSnapshot, String> {
-        let deadline = Instant::now() + timeout;
-        let mut request = self.lock();
+        let mut request = self.shared.0.lock();
         if !matches!(*request, Request::Closed) {
             *request = Request::Asked;
         }
-        loop {
-            match &mut *request {
-                Request::Closed => return Err("the actor has ended".into()),
-                Request::Answered(answer) => {
-                    let answer = answer.clone();
-                    *request = Request::None;
-                    return answer;
-                }
-                Request::None | Request::Asked => {}
-            }
-            let left = deadline.saturating_duration_since(Instant::now());
-            if left.is_zero() {
-                *request = Request::None;
-                return Err(format!("the actor did not answer within {timeout:?}"));
-            }
-            request =
-                self.shared.1.wait_timeout(request, left).unwrap_or_else(PoisonError::into_inner).0;
+        let asked = |request: &mut Request| matches!(request, Request::None | Request::Asked);
+        self.shared.1.wait_while_for(&mut request, asked, timeout);
+        if matches!(*request, Request::Closed) {
+            return Err("the actor has ended".into());
+        }
+        match std::mem::take(&mut *request) {
+            Request::Answered(answer) => answer,
+            _ => Err(format!("the actor did not answer within {timeout:?}")),
         }
     }
 
     /// The actor's side: answers when asked.
     pub(crate) fn answer(&self, save: impl FnOnce() -> Result<ActorSnapshot, String>) {
         // Saving takes milliseconds and only the asker waits for the lock.
-        let mut request = self.lock();
+        let mut request = self.shared.0.lock();
         if matches!(*request, Request::Asked) {
             *request = Request::Answered(save());
             self.shared.1.notify_all();
@@ -125,12 +117,8 @@ impl SnapshotPort {
 
     /// The actor's side: it ends.
     pub(crate) fn close(&self) {
-        *self.lock() = Request::Closed;
+        *self.shared.0.lock() = Request::Closed;
         self.shared.1.notify_all();
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Request> {
-        self.shared.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -167,7 +155,7 @@ mod tests {
         let port = SnapshotPort::new();
         let asker = port.clone();
         let thread = std::thread::spawn(move || asker.take(Duration::from_secs(60)));
-        while matches!(*port.lock(), Request::None) {
+        while matches!(*port.shared.0.lock(), Request::None) {
             std::thread::yield_now();
         }
         port.answer(|| Ok(example()));

@@ -1,9 +1,10 @@
 //! What is shared out by host.
 
 use std::net::IpAddr;
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Weak};
 
 use caudata_telemetry::ConnectionLimits;
+use parking_lot::Mutex;
 
 /// Fetches at once, altogether and from one other host: each holds a few pieces of a file, and all hold one
 /// file together.
@@ -26,7 +27,7 @@ impl Shares {
 
     /// A share of `peer`, given back when dropped; `None`: there is none left.
     pub fn take(&self, peer: IpAddr) -> Option<Share> {
-        let mut taken = self.taken.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut taken = self.taken.lock();
         taken.retain(|(_, share)| share.strong_count() > 0);
         let of_peer = taken.iter().filter(|(host, _)| *host == peer).count();
         if taken.len() >= self.limits.total || self.limits.is_full(peer, of_peer) {

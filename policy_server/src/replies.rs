@@ -5,10 +5,11 @@
 //! finds when it reads on says why.
 
 use std::pin::Pin;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 
+use parking_lot::Mutex;
 use tokio::sync::mpsc;
 use tokio_stream::Stream;
 use tonic::{Code, Status};
@@ -27,10 +28,6 @@ struct Shared<T> {
 }
 
 type Ends<T> = Arc<Mutex<Shared<T>>>;
-
-fn lock<T>(ends: &Ends<T>) -> MutexGuard<'_, Shared<T>> {
-    ends.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 /// The server's end.
 pub struct Replies<T> {
@@ -74,7 +71,7 @@ impl<T> Replies<T> {
     /// Ends the answer with `status`, which the client finds behind what waits for it; waits as
     /// [`Replies::finish`] does.
     pub async fn end(self, status: Status) {
-        lock(&self.ends).end = Some(status);
+        self.ends.lock().end = Some(status);
         self.finish().await;
     }
 
@@ -103,7 +100,7 @@ impl<T> Replies<T> {
         let idle_s = self.idle.as_secs_f32();
         tracing::warn!(idle_s, "a client reads nothing of its answer and is cut off");
         let (waiting, reader) = {
-            let mut shared = lock(&self.ends);
+            let mut shared = self.ends.lock();
             let line = format!("nothing of the answer was read for {idle_s} s; ask again");
             shared.end = Some(Status::new(self.late, line));
             (shared.waiting.take(), shared.reader.take())
@@ -120,7 +117,7 @@ impl<T> Stream for ReplyStream<T> {
     type Item = Result<T, Status>;
 
     fn poll_next(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Self::Item>> {
-        let mut shared = lock(&self.0);
+        let mut shared = self.0.lock();
         let piece = match &mut shared.waiting {
             Some(waiting) => waiting.poll_recv(context),
             None => Poll::Ready(None),
@@ -138,7 +135,7 @@ impl<T> Stream for ReplyStream<T> {
 
 impl<T> Drop for ReplyStream<T> {
     fn drop(&mut self) {
-        let waiting = lock(&self.0).waiting.take();
+        let waiting = self.0.lock().waiting.take();
         drop(waiting);
     }
 }
@@ -236,7 +233,7 @@ mod tests {
         let (replies, mut stream) = replies::<u8>(NEVER, LATE);
         let reader = tokio::spawn(async move { stream.next().await });
         // It is there and waits.
-        while lock(&replies.ends).reader.is_none() {
+        while replies.ends.lock().reader.is_none() {
             tokio::task::yield_now().await;
         }
         replies.cut_off();

@@ -16,7 +16,7 @@
 //! | no key to sign freshness with | `UNIMPLEMENTED` |
 
 use std::net::{IpAddr, Ipv4Addr};
-use std::sync::{Arc, MutexGuard};
+use std::sync::Arc;
 use std::time::Duration;
 
 use caudata_proto::hex::hex;
@@ -100,10 +100,6 @@ impl RegistryService {
             Ok(changes) => changes.into_iter().for_each(|change| self.tell(change)),
             Err(status) => tracing::debug!("still no changes: {}", status.message()),
         }
-    }
-
-    fn store(&self) -> MutexGuard<'_, Store> {
-        self.store.lock()
     }
 
     /// Changes the store away from the network threads.
@@ -259,7 +255,7 @@ impl PolicyRegistry for RegistryService {
             asked => asked.min(LIST_MAX),
         };
         let below = request.below_version.unwrap_or(u64::MAX);
-        let store = self.store();
+        let store = self.store.lock();
         let mut manifests: Vec<wire::Manifest> = store
             .records(request.stream.as_ref())
             .filter(|record| record.manifest.version < below)
@@ -276,7 +272,7 @@ impl PolicyRegistry for RegistryService {
         request: Request<wire::GetManifestRequest>,
     ) -> Result<Response<wire::GetManifestResponse>, Status> {
         let request = checked::<_, ManifestRequest>(request)?;
-        let store = self.store();
+        let store = self.store.lock();
         let found = match &request.label {
             Some(label) => store.labelled(&request.stream, label),
             None => store.manifest(&request.stream, request.version),
@@ -338,7 +334,7 @@ impl PolicyRegistry for RegistryService {
         let request = checked::<_, WatchRequest>(request)?;
         // Subscribe before reading the store, so that no change falls between the two.
         let changes = self.changes.subscribe();
-        let (first, seen) = first_events(&self.store(), &request)?;
+        let (first, seen) = first_events(&self.store.lock(), &request)?;
         let (replies, answer) = replies(self.reply_idle, Code::ResourceExhausted);
         let watcher = Watcher {
             stream: request.stream,
@@ -423,7 +419,7 @@ impl PolicyRegistry for RegistryService {
             ));
         };
         let said = {
-            let store = self.store();
+            let store = self.store.lock();
             let record = store.labelled(&stream, &label).map_err(|error| Status::from(&error))?;
             Freshness {
                 nonce,
@@ -441,7 +437,7 @@ impl PolicyRegistry for RegistryService {
         request: Request<wire::OverviewRequest>,
     ) -> Result<Response<wire::OverviewResponse>, Status> {
         let stream = checked::<_, Option<StreamName>>(request)?;
-        Ok(Response::new(self.store().overview(stream.as_ref()).into()))
+        Ok(Response::new(self.store.lock().overview(stream.as_ref()).into()))
     }
 
     async fn audit(
@@ -453,7 +449,7 @@ impl PolicyRegistry for RegistryService {
             0 => AUDIT_MAX,
             asked => asked.min(AUDIT_MAX).min(ENTRIES_KEPT),
         };
-        let store = self.store();
+        let store = self.store.lock();
         let entries = store.audit.newest(before).take(limit);
         Ok(Response::new(wire::AuditResponse {
             entries: entries.cloned().map(Into::into).collect(),

@@ -1,7 +1,8 @@
 //! The store as service, page and probes share it.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
+use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::watch;
 
 use crate::store::Store;
@@ -22,7 +23,7 @@ impl SharedStore {
 
     /// Waits for it.
     pub fn lock(&self) -> MutexGuard<'_, Store> {
-        self.store.lock().unwrap_or_else(PoisonError::into_inner)
+        self.store.lock()
     }
 
     /// Does `work` on it, and tells whoever watches where that showed or ended trouble.

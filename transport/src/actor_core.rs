@@ -1,9 +1,11 @@
 //! The actor's end of a link between processes: the delivery protocol, a transmitting thread, the policy
 //! cell. What carries the messages is behind [`Uplink`].
 
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+
+use parking_lot::{Condvar, Mutex};
 
 use crate::crew::Crew;
 use crate::policy_cell::{PolicyCell, Seen};
@@ -24,7 +26,7 @@ pub(crate) struct ActorCore {
     pub(crate) limits: Limits,
     pub(crate) crew: Arc<Crew>,
     pub(crate) policy: PolicyCell,
-    outbox: Mutex<Outbox>,
+    pub(crate) outbox: Mutex<Outbox>,
     /// For callers and the carrier's threads: an answer has come.
     changed: Condvar,
     /// For the transmitting thread: something to do.
@@ -43,13 +45,9 @@ impl ActorCore {
         })
     }
 
-    pub(crate) fn outbox(&self) -> MutexGuard<'_, Outbox> {
-        self.outbox.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Takes in an answer of the learner.
     pub(crate) fn on_status(&self, status: &Status) {
-        if self.outbox().on_status(status, Instant::now()) {
+        if self.outbox.lock().on_status(status, Instant::now()) {
             self.changed.notify_all();
             self.work.notify_all();
         }
@@ -79,12 +77,9 @@ impl ActorCore {
         time: Duration,
     ) -> Option<PolicyId> {
         let news = |outbox: &Outbox| outbox.newest_policy().filter(|id| id.is_news_to(have));
-        let (outbox, _) = self
-            .changed
-            .wait_timeout_while(self.outbox(), time, |outbox| {
-                news(outbox).is_none() && !self.crew.is_closing()
-            })
-            .unwrap_or_else(PoisonError::into_inner);
+        let nothing = |outbox: &mut Outbox| news(outbox).is_none() && !self.crew.is_closing();
+        let mut outbox = self.outbox.lock();
+        self.changed.wait_while_for(&mut outbox, nothing, time);
         news(&outbox)
     }
 
@@ -93,7 +88,7 @@ impl ActorCore {
             self.policy.close();
         }
         // Under the lock, so that nobody misses it between looking and waiting.
-        let _outbox = self.outbox();
+        let _outbox = self.outbox.lock();
         self.changed.notify_all();
         self.work.notify_all();
     }
@@ -101,13 +96,13 @@ impl ActorCore {
     /// Body of the transmitting thread.
     fn transmit_until_closed(&self, uplink: &impl Uplink) {
         loop {
-            let mut outbox = self.outbox();
+            let mut outbox = self.outbox.lock();
             if self.crew.is_closing() {
                 break;
             }
             match outbox.step(Instant::now()) {
                 Step::Wait(time) => {
-                    let _ = self.work.wait_timeout(outbox, time);
+                    self.work.wait_for(&mut outbox, time);
                 }
                 Step::Transmit(head, frame) => {
                     drop(outbox);
@@ -117,15 +112,15 @@ impl ActorCore {
                 }
             }
         }
-        let bye = self.outbox().bye();
+        let bye = self.outbox.lock().bye();
         uplink.transmit(&bye, &Arc::default());
     }
 
     fn rest_after_failure(&self, head: &UpHead) {
-        let mut outbox = self.outbox();
+        let mut outbox = self.outbox.lock();
         outbox.failed(head);
         if !self.crew.is_closing() {
-            let _ = self.work.wait_timeout(outbox, RETRY);
+            self.work.wait_for(&mut outbox, RETRY);
         }
     }
 
@@ -136,7 +131,7 @@ impl ActorCore {
         mut attempt: impl FnMut(&mut Outbox, Instant) -> Result<(), SendError>,
     ) -> Result<(), SendError> {
         let deadline = Instant::now() + timeout;
-        let mut outbox = self.outbox();
+        let mut outbox = self.outbox.lock();
         loop {
             if let Some(failure) = self.crew.failure() {
                 return Err(SendError::Backend(failure));
@@ -150,8 +145,7 @@ impl ActorCore {
             }
             // The learner's falling silent is not an event: look again every heartbeat.
             let nap = (deadline - now).min(self.limits.heartbeat());
-            let woken = self.changed.wait_timeout(outbox, nap);
-            outbox = woken.unwrap_or_else(PoisonError::into_inner).0;
+            self.changed.wait_for(&mut outbox, nap);
         }
     }
 }
@@ -216,15 +210,15 @@ impl<U: Uplink> ActorLink for RemoteActor<U> {
     }
 
     fn stop_requested(&self) -> bool {
-        self.core.outbox().stop()
+        self.core.outbox.lock().stop()
     }
 
     fn is_connected(&self) -> bool {
-        self.core.outbox().is_connected(Instant::now())
+        self.core.outbox.lock().is_connected(Instant::now())
     }
 
     fn stats(&self) -> LinkStats {
-        let outbox = self.core.outbox();
+        let outbox = self.core.outbox.lock();
         LinkStats {
             retransmits: outbox.retransmits,
             depth: outbox.depth(),

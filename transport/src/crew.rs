@@ -1,9 +1,11 @@
 //! The threads of one end of a link: told to end together, and missed when one ends by itself.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+
+use parking_lot::Mutex;
 
 use crate::TransportError;
 
@@ -57,13 +59,11 @@ impl Crew {
 
     /// The first thing that broke this end for good.
     pub(crate) fn failure(&self) -> Option<String> {
-        let failure = self.failure.lock().unwrap_or_else(PoisonError::into_inner);
-        failure.clone()
+        self.failure.lock().clone()
     }
 
     pub(crate) fn fail(&self, failure: String) {
-        let mut slot = self.failure.lock().unwrap_or_else(PoisonError::into_inner);
-        slot.get_or_insert(failure);
+        self.failure.lock().get_or_insert(failure);
     }
 
     /// Starts a thread. Should it end (panic) before the end closes, that is its failure, and `alarm` is

@@ -1,8 +1,10 @@
 //! Actors as threads of the learner's process: one lock, a bounded queue and a policy cell.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
+
+use parking_lot::{Condvar, Mutex, MutexGuard};
 
 use crate::policy_cell::{PolicyCell, Seen};
 use crate::{
@@ -41,7 +43,7 @@ impl InprocHub {
     /// # Errors
     /// It has been taken before.
     pub fn learner(&self) -> Result<Box<dyn LearnerLink>, TransportError> {
-        let mut state = self.shared.lock();
+        let mut state = self.shared.state.lock();
         if state.learner != LearnerState::NotYet {
             return Err(TransportError::AlreadyRunning {
                 run_id: "in-process".to_owned(),
@@ -61,7 +63,7 @@ impl InprocHub {
     /// `max_actors` ends exist.
     pub fn actor(&self) -> Result<Box<dyn ActorLink>, TransportError> {
         let limits = &self.shared.config.limits;
-        let mut state = self.shared.lock();
+        let mut state = self.shared.state.lock();
         if state.actors >= limits.max_actors {
             return Err(TransportError::Config(format!(
                 "limits.max_actors = {} actors are connected",
@@ -126,12 +128,6 @@ struct Shared {
     policy: PolicyCell,
 }
 
-impl Shared {
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
 struct InprocActor {
     shared: Arc<Shared>,
     slot: usize,
@@ -149,11 +145,8 @@ impl InprocActor {
         let full = |state: &mut State| {
             state.learner != LearnerState::Gone && state.waiting[self.slot] >= limits.window_frames
         };
-        let (mut state, _) = self
-            .shared
-            .room
-            .wait_timeout_while(self.shared.lock(), timeout, full)
-            .unwrap_or_else(PoisonError::into_inner);
+        let mut state = self.shared.state.lock();
+        self.shared.room.wait_while_for(&mut state, full, timeout);
         if state.learner == LearnerState::Gone {
             return Err(SendError::Closed);
         }
@@ -208,7 +201,7 @@ impl ActorLink for InprocActor {
 
     /// The queue is in the learner's process: whatever was sent is there already.
     fn flush(&mut self, _timeout: Duration) -> Result<(), SendError> {
-        match self.shared.lock().learner {
+        match self.shared.state.lock().learner {
             LearnerState::Gone => Err(SendError::Closed),
             _ => Ok(()),
         }
@@ -219,18 +212,18 @@ impl ActorLink for InprocActor {
     }
 
     fn is_connected(&self) -> bool {
-        self.shared.lock().learner == LearnerState::Alive
+        self.shared.state.lock().learner == LearnerState::Alive
     }
 
     fn stats(&self) -> LinkStats {
-        let state = self.shared.lock();
+        let state = self.shared.state.lock();
         LinkStats { peers: usize::from(state.learner == LearnerState::Alive), ..self.stats }
     }
 }
 
 impl Drop for InprocActor {
     fn drop(&mut self) {
-        let mut state = self.shared.lock();
+        let mut state = self.shared.state.lock();
         state.actors -= 1;
         // What it sent stays readable; the slot is reused once that has been read.
         if state.waiting[self.slot] == 0 {
@@ -248,11 +241,9 @@ struct InprocLearner {
 
 impl LearnerLink for InprocLearner {
     fn recv(&mut self, timeout: Duration) -> Result<Option<Frame>, TransportError> {
-        let (mut state, _) = self
-            .shared
-            .arrived
-            .wait_timeout_while(self.shared.lock(), timeout, |state| state.queue.is_empty())
-            .unwrap_or_else(PoisonError::into_inner);
+        let mut state = self.shared.state.lock();
+        let nothing = |state: &mut State| state.queue.is_empty();
+        self.shared.arrived.wait_while_for(&mut state, nothing, timeout);
         let Some(frame) = state.pop() else { return Ok(None) };
         drop(state);
         self.shared.room.notify_all();
@@ -269,14 +260,14 @@ impl LearnerLink for InprocLearner {
     }
 
     fn stats(&self) -> LinkStats {
-        let state = self.shared.lock();
+        let state = self.shared.state.lock();
         LinkStats { depth: state.queue.len(), peers: state.actors, ..self.stats }
     }
 }
 
 impl Drop for InprocLearner {
     fn drop(&mut self) {
-        let mut state = self.shared.lock();
+        let mut state = self.shared.state.lock();
         state.learner = LearnerState::Gone;
         state.queue.clear();
         drop(state);
@@ -322,7 +313,7 @@ mod tests {
         assert_eq!(learner.stats().depth, 2);
         assert_eq!(learner.recv(SOON).unwrap().unwrap().bytes, b"a");
         assert_eq!(learner.recv(SOON).unwrap().unwrap().bytes, b"b");
-        assert_eq!(hub.shared.lock().free.len(), 1);
+        assert_eq!(hub.shared.state.lock().free.len(), 1);
     }
 
     #[test]

@@ -1,9 +1,11 @@
 //! The learner's end of a link between processes: the inbox, the policy cell, and the counters.
 //! What carries the messages is behind [`Downlink`].
 
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+
+use parking_lot::{Condvar, Mutex};
 
 use crate::crew::Crew;
 use crate::policy_cell::PolicyCell;
@@ -43,29 +45,25 @@ impl LearnerCore {
         })
     }
 
-    fn inbox(&self) -> MutexGuard<'_, Inbox> {
-        self.inbox.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Takes in one message of an actor.
     pub(crate) fn on_message(&self, head: &[u8], frame: Vec<u8>) {
         let Some(head) = UpHead::decode(head) else {
-            self.inbox().on_malformed();
+            self.inbox.lock().refused += 1;
             return;
         };
-        if self.inbox().on_message(&head, frame, Instant::now()) {
+        if self.inbox.lock().on_message(&head, frame, Instant::now()) {
             self.arrived.notify_one();
         }
     }
 
     /// The answers owed, or one for every actor that is there.
     pub(crate) fn answers(&self, everyone: bool) -> Vec<Status> {
-        self.inbox().answers(everyone, Instant::now())
+        self.inbox.lock().answers(everyone, Instant::now())
     }
 
     /// Whether some answer is owed before the next heartbeat.
     pub(crate) fn owes_answers(&self) -> bool {
-        self.inbox().owes_answers()
+        self.inbox.lock().owes_answers()
     }
 
     /// Starts a thread of the carrier, which ends when the crew is closing.
@@ -76,7 +74,7 @@ impl LearnerCore {
     ) -> Result<JoinHandle<()>, TransportError> {
         let core = Arc::clone(self);
         let alarm = move || {
-            let _inbox = core.inbox();
+            let _inbox = core.inbox.lock();
             core.arrived.notify_all();
         };
         self.crew.spawn(name, alarm, body)
@@ -100,11 +98,8 @@ impl<D: Downlink> RemoteLearner<D> {
 impl<D: Downlink> LearnerLink for RemoteLearner<D> {
     fn recv(&mut self, timeout: Duration) -> Result<Option<Frame>, TransportError> {
         let nothing = |inbox: &mut Inbox| inbox.depth() == 0 && self.core.crew.failure().is_none();
-        let (mut inbox, _) = self
-            .core
-            .arrived
-            .wait_timeout_while(self.core.inbox(), timeout, nothing)
-            .unwrap_or_else(PoisonError::into_inner);
+        let mut inbox = self.core.inbox.lock();
+        self.core.arrived.wait_while_for(&mut inbox, nothing, timeout);
         let Some(bytes) = inbox.pop() else {
             let failure = self.core.crew.failure();
             return failure.map_or(Ok(None), |failure| Err(TransportError::Backend(failure)));
@@ -121,7 +116,7 @@ impl<D: Downlink> LearnerLink for RemoteLearner<D> {
         }
         let stop = update.control == Control::Stop;
         let generation = self.core.policy.publish(update)?;
-        self.core.inbox().announce(generation, stop);
+        self.core.inbox.lock().announce(generation, stop);
         self.downlink.wake();
         Ok(())
     }
@@ -131,9 +126,9 @@ impl<D: Downlink> LearnerLink for RemoteLearner<D> {
     }
 
     fn stats(&self) -> LinkStats {
-        let inbox = self.core.inbox();
+        let inbox = self.core.inbox.lock();
         LinkStats {
-            refused: inbox.refused(),
+            refused: inbox.refused,
             duplicates: inbox.duplicates,
             depth: inbox.depth(),
             peers: inbox.peers(Instant::now()),

@@ -1,7 +1,8 @@
 //! The newest policy, and who has seen it: a cell that is overwritten, never queued.
 
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
+
+use parking_lot::{Condvar, Mutex};
 
 use crate::{Control, PolicyUpdate, TransportError};
 
@@ -29,10 +30,6 @@ impl PolicyCell {
         Self { max_bytes, state: Mutex::default(), changed: Condvar::new() }
     }
 
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// The learner's way in: checks size, order and finality. Returns the new generation.
     pub(crate) fn publish(&self, update: PolicyUpdate) -> Result<u64, TransportError> {
         if update.bytes.len() > self.max_bytes {
@@ -41,7 +38,7 @@ impl PolicyCell {
                 max: self.max_bytes,
             });
         }
-        let mut state = self.lock();
+        let mut state = self.state.lock();
         if let Some(last) = &state.newest {
             if last.control == Control::Stop {
                 return Err(TransportError::Stopped);
@@ -64,7 +61,7 @@ impl PolicyCell {
     /// A carrier's way in on the actor's side, where the learner has checked already. A restarted learner may
     /// begin with an older version.
     pub(crate) fn replace(&self, update: PolicyUpdate) {
-        let mut state = self.lock();
+        let mut state = self.state.lock();
         state.newest = Some(update);
         state.generation += 1;
         drop(state);
@@ -73,7 +70,7 @@ impl PolicyCell {
 
     /// The newest policy with its generation, for a carrier to hand on.
     pub(crate) fn newest(&self) -> Option<(u64, PolicyUpdate)> {
-        let state = self.lock();
+        let state = self.state.lock();
         let newest = state.newest.clone()?;
         Some((state.generation, newest))
     }
@@ -84,12 +81,9 @@ impl PolicyCell {
         seen: &mut Seen,
         timeout: Duration,
     ) -> Result<Option<PolicyUpdate>, TransportError> {
-        let (state, _) = self
-            .changed
-            .wait_timeout_while(self.lock(), timeout, |state| {
-                state.generation == seen.0 && !state.closed
-            })
-            .unwrap_or_else(PoisonError::into_inner);
+        let mut state = self.state.lock();
+        let nothing = |state: &mut State| state.generation == seen.0 && !state.closed;
+        self.changed.wait_while_for(&mut state, nothing, timeout);
         if state.generation == seen.0 {
             return if state.closed { Err(TransportError::Closed) } else { Ok(None) };
         }
@@ -98,13 +92,13 @@ impl PolicyCell {
     }
 
     pub(crate) fn stop_requested(&self) -> bool {
-        let state = self.lock();
+        let state = self.state.lock();
         matches!(&state.newest, Some(update) if update.control == Control::Stop)
     }
 
     /// Nothing more will come: readers that have seen the newest get `Closed` instead of waiting.
     pub(crate) fn close(&self) {
-        self.lock().closed = true;
+        self.state.lock().closed = true;
         self.changed.notify_all();
     }
 }

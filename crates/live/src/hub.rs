@@ -1,12 +1,12 @@
 //! The clients: what each is sent, how many there are, and when one is cut off.
 
 use std::convert::Infallible;
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use axum::body::Bytes;
 use caudata_telemetry::Connection;
 use caudata_telemetry::progress::Iteration;
+use parking_lot::{Condvar, Mutex};
 use serde::Serialize;
 use tokio::sync::mpsc::{Receiver, Sender, channel, error::TrySendError};
 
@@ -82,7 +82,7 @@ fn event(name: &str, data: &str) -> Bytes {
 impl Hub {
     /// Takes a client in, with what it must know first; `None` when there are as many as there may be.
     pub fn join(&self, connection: Connection) -> Option<Receiver<Event>> {
-        let mut inner = self.inner();
+        let mut inner = self.inner.lock();
         inner.clients.retain(|client| !client.queue.is_closed());
         if inner.clients.len() >= CLIENTS_MAX {
             return None;
@@ -104,26 +104,23 @@ impl Hub {
 
     /// Waits at most `patience` for somebody who looks.
     pub fn is_watched(&self, patience: Duration) -> bool {
-        let mut inner = self.inner();
+        let mut inner = self.inner.lock();
         inner.clients.retain(|client| !client.queue.is_closed());
         if inner.clients.is_empty() {
-            inner = match self.came.wait_timeout(inner, patience) {
-                Ok((inner, _)) => inner,
-                Err(poisoned) => poisoned.into_inner().0,
-            };
+            self.came.wait_for(&mut inner, patience);
         }
         !inner.clients.is_empty()
     }
 
     /// Sends a value to every client.
     pub fn say(&self, name: &'static str, value: &impl Serialize) {
-        self.send(&mut self.inner(), event(name, &json(value)));
+        self.send(&mut self.inner.lock(), event(name, &json(value)));
     }
 
     /// As [`Self::say`]; clients that come later are told too.
     pub fn keep(&self, name: &'static str, value: &impl Serialize) {
         let event = event(name, &json(value));
-        let mut inner = self.inner();
+        let mut inner = self.inner.lock();
         match inner.kept.iter_mut().find(|(kept, _)| *kept == name) {
             Some(kept) => kept.1 = event.clone(),
             None => inner.kept.push((name, event.clone())),
@@ -142,13 +139,13 @@ impl Hub {
             let _ = write!(text, "{comma}{value:.4}");
         }
         text.push_str("]\n\n");
-        self.send(&mut self.inner(), text.into());
+        self.send(&mut self.inner.lock(), text.into());
     }
 
     /// One iteration of training.
     pub fn training(&self, iteration: &Iteration) {
         let point = json(iteration);
-        let mut inner = self.inner();
+        let mut inner = self.inner.lock();
         inner.history.add(iteration.iteration, &point);
         let last = iteration.iteration >= iteration.iterations;
         let due = inner.history.told.is_none_or(|told| told.elapsed() >= ITERATION_EVERY);
@@ -168,10 +165,6 @@ impl Hub {
                 false
             }
         });
-    }
-
-    fn inner(&self) -> MutexGuard<'_, Inner> {
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -215,7 +208,7 @@ mod tests {
                 text(events);
             }
         }
-        assert_eq!(hub.inner().clients.len(), CLIENTS_MAX - 1);
+        assert_eq!(hub.inner.lock().clients.len(), CLIENTS_MAX - 1);
         all.clear();
         assert!(!hub.is_watched(Duration::ZERO));
     }

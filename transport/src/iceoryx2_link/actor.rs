@@ -1,13 +1,14 @@
 //! The actor's end over iceoryx2: one thread joins the learner's services, reads answers and policies, and
 //! joins anew when another learner has taken the run over.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::time::Instant;
 
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
+use parking_lot::Mutex;
 
 use super::run_dir::{Note, RunPaths, sweep_segments};
 use super::services::{
@@ -97,16 +98,10 @@ struct ShmUplink {
     session: Mutex<Option<Arc<Session>>>,
 }
 
-impl ShmUplink {
-    fn session(&self) -> MutexGuard<'_, Option<Arc<Session>>> {
-        self.session.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
 impl Uplink for ShmUplink {
     /// One copy into shared memory. Not handed on when the learner's buffer is full or there is no learner.
     fn transmit(&self, head: &UpHead, frame: &Arc<[u8]>) -> bool {
-        let Some(session) = self.session().clone() else { return false };
+        let Some(session) = self.session.lock().clone() else { return false };
         let Ok(mut sample) = session.data.loan_slice_uninit(frame.len()) else { return false };
         *sample.user_header_mut() = head.encode();
         let delivered = sample.write_from_slice(frame).send();
@@ -130,10 +125,10 @@ impl Reader {
             match self.join() {
                 Ok(Some(session)) => {
                     failures = Failures::default();
-                    *self.uplink.session() = Some(Arc::clone(&session));
+                    *self.uplink.session.lock() = Some(Arc::clone(&session));
                     self.follow(&session);
                     if !self.core.crew.is_closing() {
-                        *self.uplink.session() = None;
+                        *self.uplink.session.lock() = None;
                     }
                 }
                 Ok(None) => std::thread::sleep(WAKE),

@@ -24,7 +24,7 @@ pub(crate) struct Inbox {
     queue: VecDeque<(u64, Vec<u8>)>,
     generation: u64,
     stop: bool,
-    refused: u64,
+    pub(crate) refused: u64,
     pub(crate) duplicates: u64,
 }
 
@@ -90,11 +90,6 @@ impl Inbox {
         false
     }
 
-    /// Counts an arrival that was not a message of ours.
-    pub(crate) fn on_malformed(&mut self) {
-        self.refused += 1;
-    }
-
     /// The oldest unread frame; its link may send one more.
     pub(crate) fn pop(&mut self) -> Option<Vec<u8>> {
         let (link, frame) = self.queue.pop_front()?;
@@ -149,10 +144,6 @@ impl Inbox {
 
     pub(crate) fn depth(&self) -> usize {
         self.queue.len()
-    }
-
-    pub(crate) fn refused(&self) -> u64 {
-        self.refused
     }
 
     /// Whether the link has one of the `max_actors` seats: it is there, or what it sent is still unread. So
@@ -259,7 +250,7 @@ mod tests {
         assert!(inbox.on_message(&data(1, 2), b"b".to_vec(), now));
         // The window of two is full: an actor that keeps to its grant does not send this.
         assert!(!inbox.on_message(&data(1, 3), b"c".to_vec(), now));
-        assert_eq!((inbox.duplicates, inbox.refused()), (1, 1));
+        assert_eq!((inbox.duplicates, inbox.refused), (1, 1));
         assert_eq!(inbox.pop().as_deref(), Some(&b"a"[..]));
         // Received 2, read 1, window 2: numbers up to 3 are granted.
         let answers = inbox.answers(false, now);
@@ -286,7 +277,7 @@ mod tests {
         inbox.on_message(&probe(1, 1), Vec::new(), now);
         inbox.on_message(&probe(2, 1), Vec::new(), now);
         inbox.on_message(&probe(3, 1), Vec::new(), now);
-        assert_eq!((inbox.peers(now), inbox.refused()), (2, 1));
+        assert_eq!((inbox.peers(now), inbox.refused), (2, 1));
         let bye = UpHead { kind: UpKind::Bye, ..data(1, 0) };
         inbox.on_message(&bye, Vec::new(), now);
         assert_eq!(inbox.peers(now), 1);
@@ -322,7 +313,7 @@ mod tests {
         assert_eq!(granted(&mut inbox, 50), 2);
         // Not granted: refused, although the window has room.
         assert!(!inbox.on_message(&data(1, 3), b"a".to_vec(), start));
-        assert_eq!(inbox.refused(), 1);
+        assert_eq!(inbox.refused, 1);
         assert_eq!(granted(&mut inbox, 150), 3);
         assert!(inbox.on_message(&data(1, 3), b"a".to_vec(), start));
         inbox.pop();
@@ -344,7 +335,7 @@ mod tests {
         let later = now + Duration::from_millis(300);
         assert_eq!(inbox.peers(later), 0);
         assert!(!inbox.on_message(&data(3, 1), b"c".to_vec(), later));
-        assert_eq!((inbox.depth(), inbox.refused()), (4, 1));
+        assert_eq!((inbox.depth(), inbox.refused), (4, 1));
         // Both frames of link 1 read: its seat is free.
         inbox.pop();
         assert!(!inbox.on_message(&data(3, 1), b"c".to_vec(), later));
@@ -359,7 +350,7 @@ mod tests {
         let now = Instant::now();
         let mut inbox = inbox();
         assert!(!inbox.on_message(&data(1, 1), b"12345".to_vec(), now));
-        assert_eq!(inbox.refused(), 1);
+        assert_eq!(inbox.refused, 1);
         for link in 2..MAX_KNOWN_LINKS as u64 + 10 {
             let at = now + Duration::from_secs(link);
             inbox.on_message(&probe(link, 1), Vec::new(), at);

@@ -1,9 +1,10 @@
 //! The actor's end over zenoh: one thread opens the session, opens another beside it when nobody answers, and
 //! pulls policies.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use parking_lot::Mutex;
 use zenoh::handlers::FifoChannel;
 use zenoh::qos::CongestionControl;
 use zenoh::sample::Sample;
@@ -55,23 +56,10 @@ struct ZenohUplink {
     session: Mutex<Option<Session>>,
 }
 
-impl ZenohUplink {
-    fn session(&self) -> Option<Session> {
-        let place = self.session.lock().unwrap_or_else(PoisonError::into_inner);
-        place.clone()
-    }
-
-    /// Puts another session in place, and gives back the one before.
-    fn replace(&self, session: Option<Session>) -> Option<Session> {
-        let mut place = self.session.lock().unwrap_or_else(PoisonError::into_inner);
-        std::mem::replace(&mut place, session)
-    }
-}
-
 impl Uplink for ZenohUplink {
     /// Blocks while the connection is congested, which holds up this link's transmitting thread only.
     fn transmit(&self, head: &UpHead, frame: &Arc<[u8]>) -> bool {
-        let Some(session) = self.session() else { return false };
+        let Some(session) = self.session.lock().clone() else { return false };
         let put = session
             .put(&self.key, &frame[..])
             .attachment(head.encode())
@@ -83,7 +71,7 @@ impl Uplink for ZenohUplink {
 
 impl Drop for ZenohUplink {
     fn drop(&mut self) {
-        if let Some(session) = self.replace(None) {
+        if let Some(session) = self.session.get_mut().take() {
             session::close(session);
         }
     }
@@ -103,12 +91,12 @@ struct Puller {
 impl Puller {
     fn run(&self, endpoints: &[String]) {
         let Some(mut session) = self.open_until_closed(endpoints) else { return };
-        self.uplink.replace(Some(session.clone()));
+        *self.uplink.session.lock() = Some(session.clone());
         let closing = Arc::new(());
         let mut reconnect = Reconnect::new(&self.core.limits, self.link, Instant::now());
         let mut have = None;
         while !self.core.crew.is_closing() {
-            reconnect.heard(self.core.outbox().last_heard());
+            reconnect.heard(self.core.outbox.lock().last_heard());
             if reconnect.is_due(Instant::now()) {
                 if Arc::strong_count(&closing) > CLOSING_MAX {
                     self.core.fail("zenoh does not let go of its connections".to_owned());
@@ -116,7 +104,7 @@ impl Puller {
                 }
                 if let Some(anew) = self.open_beside(endpoints) {
                     let before = std::mem::replace(&mut session, anew);
-                    self.uplink.replace(Some(session.clone()));
+                    *self.uplink.session.lock() = Some(session.clone());
                     session::close_in_background(before, Arc::clone(&closing));
                 }
                 reconnect.tried(Instant::now());
@@ -162,7 +150,7 @@ impl Puller {
     }
 
     fn open(&self, endpoints: &[String]) -> Result<Session, TransportError> {
-        let session = session::open_actor(endpoints, &self.config)?;
+        let session = session::open("client", &[], endpoints, &self.config)?;
         let core = Arc::clone(&self.core);
         let on_answer = move |sample: Sample| {
             if let Some(status) = Status::decode(&sample.payload().to_bytes()) {
@@ -233,7 +221,11 @@ impl Puller {
         let reply = loop {
             match replies.recv_timeout(limits.heartbeat()).ok()? {
                 Some(reply) => break reply.into_result().ok()?,
-                None if super::reconnect::is_silent(limits, self.core.outbox().last_heard()) => {
+                None if super::reconnect::is_silent(
+                    limits,
+                    self.core.outbox.lock().last_heard(),
+                ) =>
+                {
                     return None;
                 }
                 None => {}

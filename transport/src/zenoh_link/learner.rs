@@ -1,9 +1,10 @@
 //! The learner's end over zenoh: arrivals on zenoh's threads, one thread for answers, one for policy pieces.
 
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use parking_lot::{Condvar, Mutex};
 use zenoh::handlers::{RingChannel, RingChannelHandler};
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{ConsolidationMode, Query, QueryTarget, Queryable};
@@ -117,16 +118,13 @@ struct Owed {
 
 impl Owed {
     fn raise(&self) {
-        *self.flag.lock().unwrap_or_else(PoisonError::into_inner) = true;
+        *self.flag.lock() = true;
         self.raised.notify_one();
     }
 
     fn wait(&self, time: Duration) {
-        let flag = self.flag.lock().unwrap_or_else(PoisonError::into_inner);
-        let (mut flag, _) = self
-            .raised
-            .wait_timeout_while(flag, time, |raised| !*raised)
-            .unwrap_or_else(PoisonError::into_inner);
+        let mut flag = self.flag.lock();
+        self.raised.wait_while_for(&mut flag, |raised| !*raised, time);
         *flag = false;
     }
 }

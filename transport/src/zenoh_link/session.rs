@@ -108,15 +108,8 @@ pub(super) fn actor_endpoints(config: &ZenohConfig) -> Result<Vec<String>, Trans
     Ok(reachable(&config.listen))
 }
 
-/// Opens an actor's session; fails when nobody answers. Once open it reconnects by itself.
-pub(super) fn open_actor(
-    endpoints: &[String],
-    config: &ZenohConfig,
-) -> Result<Session, TransportError> {
-    open("client", &[], endpoints, config)
-}
-
-fn open(
+/// Opens a session; a client fails when nobody answers. Once open it reconnects by itself.
+pub(super) fn open(
     mode: &str,
     listen: &[String],
     connect: &[String],
