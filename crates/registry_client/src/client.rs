@@ -7,8 +7,8 @@ use std::time::Duration;
 use caudata_proto::registry::question::Facts;
 use caudata_proto::registry::{
     AuditPage, LabelName, LabelState, ListPage, MAX_PUBLISH_CHUNK_BYTES, Manifest, ManifestRequest,
-    NONCE_BYTES, Overview, Published, QuarantineState, RegistryError, RobotReport, SetLabel,
-    SignedFreshness, StreamName,
+    NONCE_BYTES, Overview, Published, QuarantineState, RobotReport, SetLabel, SignedFreshness,
+    StreamName,
 };
 use caudata_proto::wire::registry as wire;
 use caudata_proto::wire::registry::policy_registry_client::PolicyRegistryClient;
@@ -44,7 +44,8 @@ pub fn is_loopback(address: &str) -> bool {
 #[derive(Clone, Debug)]
 pub struct RegistryClient {
     pub(crate) address: String,
-    pub(crate) patience: Patience,
+    /// How long it bears with the server.
+    pub patience: Patience,
     pub(crate) inner: PolicyRegistryClient<Channel>,
 }
 
@@ -107,12 +108,6 @@ impl RegistryClient {
             patience: Patience::default(),
             inner: PolicyRegistryClient::new(endpoint.connect_lazy()),
         })
-    }
-
-    /// Bears with the server for longer or shorter.
-    pub fn with_patience(mut self, patience: Patience) -> Self {
-        self.patience = patience;
-        self
     }
 
     /// Where the server is expected.
@@ -186,10 +181,7 @@ impl RegistryClient {
     ) -> Result<Manifest, ClientError> {
         let request = ManifestRequest { stream: stream.clone(), version, label: label.cloned() };
         let call = self.inner.get_manifest(wire::GetManifestRequest::from(request));
-        let answer = within("get manifest", CALL_TIMEOUT, &self.address, call).await?;
-        let manifest = answer.into_inner().manifest;
-        let manifest: Manifest =
-            manifest.ok_or(RegistryError::Missing { field: "manifest" })?.try_into()?;
+        let manifest: Manifest = answer("get manifest", &self.address, call).await?;
         // A manifest does not say which labels lead to it; `freshness` does.
         let asked = Facts { version, ..Facts::of_stream(stream) };
         asked.answered_by(&manifest)?;

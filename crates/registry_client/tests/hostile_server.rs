@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use caudata_proto::registry::{
     Freshness, LabelName, LabelState, Manifest, Overview, QuarantineState, SetLabel, Signature,
-    SignedFreshness, StreamName, WatchChange, WatchEvent,
+    SignedFreshness, StreamName,
 };
 use caudata_proto::wire::registry as wire;
 use caudata_proto::wire::registry::fetch_info::Status as Follows;
@@ -62,9 +62,9 @@ macro_rules! unknown {
             }
             // Whatever is asked, this server speaks of the stream that it likes best.
             async fn watch(&self, _: Request<wire::WatchRequest>) -> Answer<Self::WatchStream> {
-                let event = WatchChange::Published(Box::new(other()));
-                let event = WatchEvent { generation: 1, change: event };
-                Ok(Response::new(Box::pin(tokio_stream::once(Ok(event.into())))))
+                let event = Some(wire::watch_event::Event::Published(other().into()));
+                let event = wire::WatchEvent { generation: 1, event };
+                Ok(Response::new(Box::pin(tokio_stream::once(Ok(event)))))
             }
             async fn get_manifest(
                 &self,
@@ -266,7 +266,7 @@ impl Bench {
             sent: Arc::default(),
         });
         let service = PolicyRegistryServer::new(Bridge(Arc::clone(&server)));
-        let client = runtime.block_on(async {
+        let mut client = runtime.block_on(async {
             let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
             let address = listener.local_addr().unwrap();
             let serving = tonic::transport::Server::builder().add_service(service);
@@ -280,7 +280,8 @@ impl Bench {
             RegistryClient::new(&address.to_string()).unwrap()
         });
         let manifest = manifest("s", 1, &file);
-        Self { runtime, server, client: client.with_patience(patience), manifest }
+        client.patience = patience;
+        Self { runtime, server, client, manifest }
     }
 
     /// What a fetch comes to, and the offsets that were asked for.

@@ -200,12 +200,12 @@ impl TryFrom<pb::OverviewRequest> for Option<StreamName> {
     }
 }
 
-/// The manifest and the registry's change counter.
-impl TryFrom<pb::GetManifestResponse> for (Manifest, u64) {
+/// The manifest that was asked for.
+impl TryFrom<pb::GetManifestResponse> for Manifest {
     type Error = RegistryError;
 
     fn try_from(r: pb::GetManifestResponse) -> Result<Self, RegistryError> {
-        Ok((Field::read("manifest", r.manifest)?, r.generation))
+        Field::read("manifest", r.manifest)
     }
 }
 
@@ -234,25 +234,6 @@ impl TryFrom<pb::FetchResponse> for FetchPart {
     }
 }
 
-impl From<FetchPart> for pb::FetchResponse {
-    fn from(part: FetchPart) -> Self {
-        let info = |status, i: Option<FetchInfo>| {
-            pb::fetch_response::Part::Info(pb::FetchInfo {
-                status: i32::from(status),
-                sha256: i.as_ref().map(|i| i.sha256.to_vec()).unwrap_or_default(),
-                size: i.as_ref().map_or(0, |i| i.size),
-                offset: i.as_ref().map_or(0, |i| i.offset),
-            })
-        };
-        let part = match part {
-            FetchPart::Data(data) => pb::fetch_response::Part::Data(data.into()),
-            FetchPart::NotModified => info(pb::fetch_info::Status::NotModified, None),
-            FetchPart::Info(i) => info(pb::fetch_info::Status::ContentFollows, Some(i)),
-        };
-        Self { part: Some(part) }
-    }
-}
-
 impl TryFrom<pb::WatchEvent> for WatchEvent {
     type Error = RegistryError;
 
@@ -271,21 +252,6 @@ impl TryFrom<pb::WatchEvent> for WatchEvent {
             }
         };
         Ok(Self { generation: e.generation, change })
-    }
-}
-
-impl From<WatchEvent> for pb::WatchEvent {
-    fn from(e: WatchEvent) -> Self {
-        let event = match e.change {
-            WatchChange::Snapshot(manifests) => pb::watch_event::Event::Snapshot(pb::Snapshot {
-                manifests: manifests.into_iter().map(Into::into).collect(),
-            }),
-            WatchChange::Published(m) => pb::watch_event::Event::Published((*m).into()),
-            WatchChange::Progress => pb::watch_event::Event::Progress(pb::Progress {}),
-            WatchChange::LabelMoved(s) => pb::watch_event::Event::LabelMoved((*s).into()),
-            WatchChange::Quarantined(s) => pb::watch_event::Event::Quarantined((*s).into()),
-        };
-        Self { generation: e.generation, event: Some(event) }
     }
 }
 

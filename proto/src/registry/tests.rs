@@ -70,6 +70,42 @@ where
     assert_eq!(&T::try_from(W::from(value.clone())).unwrap(), value);
 }
 
+// What only the server says; it says it piece by piece.
+
+impl From<FetchPart> for pb::FetchResponse {
+    fn from(part: FetchPart) -> Self {
+        let info = |status, i: Option<FetchInfo>| {
+            pb::fetch_response::Part::Info(pb::FetchInfo {
+                status: i32::from(status),
+                sha256: i.as_ref().map(|i| i.sha256.to_vec()).unwrap_or_default(),
+                size: i.as_ref().map_or(0, |i| i.size),
+                offset: i.as_ref().map_or(0, |i| i.offset),
+            })
+        };
+        let part = match part {
+            FetchPart::Data(data) => pb::fetch_response::Part::Data(data.into()),
+            FetchPart::NotModified => info(pb::fetch_info::Status::NotModified, None),
+            FetchPart::Info(i) => info(pb::fetch_info::Status::ContentFollows, Some(i)),
+        };
+        Self { part: Some(part) }
+    }
+}
+
+impl From<WatchEvent> for pb::WatchEvent {
+    fn from(e: WatchEvent) -> Self {
+        let event = match e.change {
+            WatchChange::Snapshot(manifests) => pb::watch_event::Event::Snapshot(pb::Snapshot {
+                manifests: manifests.into_iter().map(Into::into).collect(),
+            }),
+            WatchChange::Published(m) => pb::watch_event::Event::Published((*m).into()),
+            WatchChange::Progress => pb::watch_event::Event::Progress(pb::Progress {}),
+            WatchChange::LabelMoved(s) => pb::watch_event::Event::LabelMoved((*s).into()),
+            WatchChange::Quarantined(s) => pb::watch_event::Event::Quarantined((*s).into()),
+        };
+        Self { generation: e.generation, event: Some(event) }
+    }
+}
+
 #[test]
 fn every_message_survives_the_round_trip() {
     let bare =
