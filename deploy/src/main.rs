@@ -8,7 +8,5 @@ use caudata_telemetry::{Process, parse_args};
 fn main() -> ExitCode {
     let args: Args = parse_args();
     // Neither loop nor supervisor stands still because a terminal does.
-    Process::run_without_waiting_for_readers("caudata-robot", &args.log, |process| {
-        dispatch(&args, process)
-    })
+    Process::run_as("caudata-robot", &args.log, true, |process| dispatch(&args, process))
 }

@@ -29,16 +29,8 @@ impl Process {
         Self::run_as(name, log, false, work)
     }
 
-    /// As [`Process::run`], for a process that moves something: it never waits for whoever reads its log.
-    pub fn run_without_waiting_for_readers(
-        name: &'static str,
-        log: &LogArgs,
-        work: impl FnOnce(&Process) -> Result<(), Failure>,
-    ) -> OsExitCode {
-        Self::run_as(name, log, true, work)
-    }
-
-    fn run_as(
+    /// As [`Process::run`]; `queued`, for a process that moves something: it never waits for whoever reads its log.
+    pub fn run_as(
         name: &'static str,
         log: &LogArgs,
         queued: bool,

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use crate::exit::ExitCode;
 
@@ -76,21 +76,9 @@ impl StopFlag {
 
     /// Waits until the flag is raised or `timeout` has passed; true when it is raised.
     pub fn wait(&self, timeout: Duration) -> bool {
-        let deadline = Instant::now() + timeout;
-        let mut slot = self.shared.reason.lock().unwrap_or_else(PoisonError::into_inner);
-        while slot.is_none() {
-            let left = deadline.saturating_duration_since(Instant::now());
-            if left.is_zero() {
-                return false;
-            }
-            slot = self
-                .shared
-                .raised
-                .wait_timeout(slot, left)
-                .unwrap_or_else(PoisonError::into_inner)
-                .0;
-        }
-        true
+        let slot = self.shared.reason.lock().unwrap_or_else(PoisonError::into_inner);
+        let waited = self.shared.raised.wait_timeout_while(slot, timeout, |slot| slot.is_none());
+        waited.unwrap_or_else(PoisonError::into_inner).0.is_some()
     }
 }
 
