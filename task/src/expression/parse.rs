@@ -99,29 +99,25 @@ impl<'a> Parser<'a> {
     }
 
     fn sum(&mut self) -> Result<Tree, String> {
-        let mut tree = self.product()?;
-        loop {
-            let infix = match self.peek() {
-                Some('+') => Infix::Plus,
-                Some('-') => Infix::Minus,
-                _ => return Ok(tree),
-            };
-            self.rest = &self.rest[1..];
-            tree = Tree::Binary(infix, tree.into(), self.product()?.into());
-        }
+        self.chain([('+', Infix::Plus), ('-', Infix::Minus)], Self::product)
     }
 
     fn product(&mut self) -> Result<Tree, String> {
-        let mut tree = self.unary()?;
-        loop {
-            let infix = match self.peek() {
-                Some('*') => Infix::Times,
-                Some('/') => Infix::Over,
-                _ => return Ok(tree),
-            };
+        self.chain([('*', Infix::Times), ('/', Infix::Over)], Self::unary)
+    }
+
+    /// Parts that `infixes` stand between, from the left.
+    fn chain(
+        &mut self,
+        infixes: [(char, Infix); 2],
+        part: fn(&mut Self) -> Result<Tree, String>,
+    ) -> Result<Tree, String> {
+        let mut tree = part(self)?;
+        while let Some((_, infix)) = infixes.into_iter().find(|(c, _)| self.peek() == Some(*c)) {
             self.rest = &self.rest[1..];
-            tree = Tree::Binary(infix, tree.into(), self.unary()?.into());
+            tree = Tree::Binary(infix, tree.into(), part(self)?.into());
         }
+        Ok(tree)
     }
 
     fn unary(&mut self) -> Result<Tree, String> {
