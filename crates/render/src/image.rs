@@ -11,7 +11,7 @@ const MAX_EDGE: u32 = 4096;
 pub struct Image {
     width: u32,
     height: u32,
-    rgb: Vec<u8>,
+    pub(crate) rgb: Vec<u8>,
 }
 
 impl Image {
@@ -42,10 +42,6 @@ impl Image {
     /// All bytes, `[height, width, 3]`.
     pub fn rgb(&self) -> &[u8] {
         &self.rgb
-    }
-
-    pub(crate) fn rgb_mut(&mut self) -> &mut [u8] {
-        &mut self.rgb
     }
 
     /// Where the bytes of a pixel begin.

@@ -49,7 +49,7 @@ pub fn render(scene: &Scene, camera: &Camera, quality: &Quality) -> Result<Image
         }
     };
     // Each thread takes the next row: those with a robot in them take longest.
-    let rows = Mutex::new(image.rgb_mut().chunks_mut(width as usize * 3).enumerate());
+    let rows = Mutex::new(image.rgb.chunks_mut(width as usize * 3).enumerate());
     let next = || rows.lock().unwrap_or_else(PoisonError::into_inner).next();
     let work = || {
         while let Some((number, row)) = next() {
