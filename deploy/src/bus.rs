@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use caudata_dynamixel::LetGo;
+use caudata_dynamixel::{BusFault, LetGo};
 use caudata_task::{PerFoot, PerJoint};
 
 /// What the servos report, policy order.
@@ -85,6 +85,12 @@ pub enum BusError {
     /// The connection broke, or too many answers in a row were missing.
     #[error("lost the robot: {reason}")]
     Lost { reason: String },
+}
+
+impl From<BusFault> for BusError {
+    fn from(fault: BusFault) -> Self {
+        Self::Lost { reason: fault.to_string() }
+    }
 }
 
 /// Sixteen position servos.

@@ -21,6 +21,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use caudata_proto::checks::Check;
+use caudata_signing::random_bytes;
 use caudata_task::COMMAND_DIM;
 pub use message::{DATAGRAM, KEY_MIN, Kind, LinkKey, Message};
 
@@ -345,13 +346,10 @@ impl Drop for UdpLink {
     }
 }
 
-/// Eight bytes of the system's random source.
+/// A number that nobody can guess.
 pub(crate) fn random_nonce() -> io::Result<u64> {
-    use io::Read;
-    let mut bytes = [0; 8];
-    std::fs::File::open("/dev/urandom")?.read_exact(&mut bytes)?;
     // 0 is what those send who do not know it yet.
-    Ok(u64::from_le_bytes(bytes).max(1))
+    Ok(u64::from_le_bytes(random_bytes()?).max(1))
 }
 
 #[cfg(test)]

@@ -48,13 +48,17 @@ pub struct ControlLoop<'a, R: Robot, C: Clock> {
     plan: RunPlan,
     runner: PolicyRunner,
     updates: Updates,
-    log: Option<FlightLog>,
+    /// Gets every tick.
+    pub log: Option<FlightLog>,
     last_moments: LastMoments,
-    link: Option<Box<dyn CommandLink>>,
-    notifier: Notifier,
-    /// Raised by a second signal.
-    insisted: StopFlag,
-    tap: Option<Sender<Tick>>,
+    /// Takes the place of the plan's commands.
+    pub link: Option<Box<dyn CommandLink>>,
+    /// Gives signs of life to whoever watches this process.
+    pub notifier: Notifier,
+    /// Raised by a second signal: the servos are let go at once, wherever the robot is.
+    pub insisted: StopFlag,
+    /// Shows every tick to other programs on this computer.
+    pub tap: Option<Sender<Tick>>,
     metrics: RobotMetrics,
     gravity: GravityFilter,
     gate: OutputGate,
@@ -145,31 +149,6 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
     /// What was sensed first, until [`ControlLoop::run`] begins.
     pub fn first(&self) -> Option<&Sensed> {
         self.first.as_ref()
-    }
-
-    /// Writes every tick to `log`.
-    pub fn set_log(&mut self, log: FlightLog) {
-        self.log = Some(log);
-    }
-
-    /// Takes commands from `link` instead of the plan's.
-    pub fn set_link(&mut self, link: Box<dyn CommandLink>) {
-        self.link = Some(link);
-    }
-
-    /// Shows every tick to other programs on this computer.
-    pub fn set_tap(&mut self, tap: Sender<Tick>) {
-        self.tap = Some(tap);
-    }
-
-    /// Gives signs of life to whoever watches this process.
-    pub fn set_notifier(&mut self, notifier: Notifier) {
-        self.notifier = notifier;
-    }
-
-    /// Lets the servos go at once, wherever the robot is, as soon as `insisted` is raised.
-    pub fn set_insisted(&mut self, insisted: StopFlag) {
-        self.insisted = insisted;
     }
 
     /// The last 30 s, oldest first.

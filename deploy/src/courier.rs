@@ -18,7 +18,7 @@ use crate::keeper::read_factory;
 use crate::state::PolicyRef;
 use crate::store::read_policy;
 use crate::updates::{PolicyEvent, Slot};
-use crate::verify::{Refusal, Verified, VerifyError, verify};
+use crate::verify::{Refusal, Verified, verify};
 
 /// How often it looks whether something is staged.
 const COURIER_LOOK: Duration = Duration::from_millis(100);
@@ -48,24 +48,18 @@ impl Loader {
     /// # Errors
     /// [`DeployError::Refused`] where it must not run, else what the disk says.
     pub fn load(&self, policy: &PolicyRef, proved: bool) -> Result<Verified, DeployError> {
-        let refused = |refusal: Refusal| DeployError::Refused {
-            policy: policy.clone(),
-            refusal: Box::new(refusal),
-        };
         let mut verified = match &self.factory {
             // The file that this process was started with, whatever the agent may say.
             Some(file) if policy.stream == FACTORY => read_factory(file, &self.model)?,
             _ => {
                 let bytes = read_policy(&self.state, policy, self.trust.as_deref())?;
-                verify(bytes, policy, &self.model).map_err(|error| match error {
-                    VerifyError::Runtime(error) => DeployError::Runtime(error),
-                    VerifyError::Refused(refusal) => refused(refusal),
-                })?
+                let verified = verify(bytes, policy, &self.model);
+                verified.map_err(|error| DeployError::unverified(policy, error))?
             }
         };
         let observed = &verified.file.metadata().contract.observation;
         if !self.tells_water && !observed.range(Part::Medium).is_empty() {
-            return Err(refused(Refusal::CannotTell));
+            return Err(DeployError::refused(policy, Refusal::CannotTell));
         }
         verified.proved = proved;
         Ok(verified)

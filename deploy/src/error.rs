@@ -16,7 +16,7 @@ use caudata_telemetry::{ExitCode, Failure};
 use crate::bus::BusError;
 use crate::guard::Fault;
 use crate::state::PolicyRef;
-use crate::verify::Refusal;
+use crate::verify::{Refusal, VerifyError};
 
 /// Errors of this crate.
 #[derive(Debug, thiserror::Error)]
@@ -159,6 +159,19 @@ impl DeployError {
     pub(crate) fn folder(path: impl Into<PathBuf>) -> impl FnOnce(io::Error) -> Self {
         let path = path.into();
         move |source| Self::Folder { path, source }
+    }
+
+    /// [`DeployError::Refused`] for what is wrong with `policy`.
+    pub(crate) fn refused(policy: &PolicyRef, refusal: impl Into<Refusal>) -> Self {
+        Self::Refused { policy: policy.clone(), refusal: Box::new(refusal.into()) }
+    }
+
+    /// What it comes to that `policy` did not pass its checks.
+    pub(crate) fn unverified(policy: &PolicyRef, error: VerifyError) -> Self {
+        match error {
+            VerifyError::Runtime(error) => Self::Runtime(error),
+            VerifyError::Refused(refusal) => Self::refused(policy, refusal),
+        }
     }
 
     /// The exit code that the error stands for.

@@ -313,8 +313,8 @@ mod tests {
         let text = release().trust_file() + &server_key().fresh_trust_lines();
         let metrics = AgentMetrics::register(&caudata_telemetry::Metrics::new());
         let store = PolicyStore::open(&folder.join("state")).unwrap();
-        let keeper =
-            Keeper::new(store, model(), metrics.clone()).trusting(Trust::parse(&text).unwrap());
+        let mut keeper = Keeper::new(store, model(), metrics.clone());
+        keeper.trust = Some(Arc::new(Trust::parse(&text).unwrap()));
         let run = RunFolder::open(&folder.join("run")).unwrap();
         Following {
             stage: Stage::open(keeper.clone(), run),

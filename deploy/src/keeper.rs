@@ -6,9 +6,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use caudata_model::RobotModel;
 use caudata_policy::{MAX_FILE_BYTES, PolicyFile};
 use caudata_proto::registry::question::Facts;
-use caudata_proto::registry::{LabelName, Manifest, NONCE_BYTES, RobotState as Word, StreamName};
+use caudata_proto::registry::{LabelName, Manifest, RobotState as Word, StreamName};
 use caudata_registry_client::{ClientError, RegistryClient};
-use caudata_signing::Trust;
+use caudata_signing::{Trust, random_bytes};
 use sha2::{Digest, Sha256};
 
 use crate::DeployError;
@@ -17,7 +17,7 @@ use crate::metrics::AgentMetrics;
 use crate::probe::{CHILD, ProbeProgram, Probed};
 use crate::reporter::{News, Reporter};
 use crate::state::{Blame, Decision, PolicyRef, Sha256Digest};
-use crate::store::PolicyStore;
+use crate::store::{PolicyStore, read_bounded};
 use crate::updates::PolicyEvent;
 use crate::verify::{ANNOUNCEMENT, Announcement, Refusal, Verified, VerifyError, verify};
 
@@ -26,10 +26,14 @@ use crate::verify::{ANNOUNCEMENT, Announcement, Refusal, Verified, VerifyError, 
 pub struct Keeper {
     store: Arc<Mutex<PolicyStore>>,
     model: Arc<RobotModel>,
-    trust: Option<Arc<Trust>>,
-    factory: Option<PolicyRef>,
-    probe: Option<Arc<ProbeProgram>>,
-    reporter: Option<Arc<Reporter>>,
+    /// Takes only what its keys signed.
+    pub(crate) trust: Option<Arc<Trust>>,
+    /// What came with the program: runs where nothing else may.
+    pub(crate) factory: Option<PolicyRef>,
+    /// Lets a child process try candidates first.
+    pub(crate) probe: Option<Arc<ProbeProgram>>,
+    /// Tells the policy server what becomes of policies.
+    pub(crate) reporter: Option<Arc<Reporter>>,
     metrics: AgentMetrics,
 }
 
@@ -45,34 +49,6 @@ impl Keeper {
             reporter: None,
             metrics,
         }
-    }
-
-    /// Takes only what keys of `trust` signed.
-    pub fn trusting(mut self, trust: Trust) -> Self {
-        self.trust = Some(Arc::new(trust));
-        self
-    }
-
-    /// Falls back on the policy that came with the program, where nothing else may run. It is checked here,
-    /// long before it is needed.
-    ///
-    /// # Errors
-    /// [`DeployError::BlobMissing`], [`DeployError::Refused`], [`DeployError::Runtime`].
-    pub fn falling_back_on(mut self, file: &Path) -> Result<Self, DeployError> {
-        self.factory = Some(read_factory(file, &self.model)?.policy);
-        Ok(self)
-    }
-
-    /// Lets a child process try candidates first.
-    pub fn probing(mut self, probe: ProbeProgram) -> Self {
-        self.probe = Some(Arc::new(probe));
-        self
-    }
-
-    /// Tells the policy server what becomes of policies.
-    pub fn reporting(mut self, reporter: Arc<Reporter>) -> Self {
-        self.reporter = Some(reporter);
-        self
     }
 
     /// The policy that `label` of `stream` leads to: fetched and verified, or read back where this robot has
@@ -119,7 +95,8 @@ impl Keeper {
         };
         // The proof first: what it names is then asked for by its number, so that a label that moves
         // meanwhile does no harm.
-        let nonce = new_nonce()?;
+        // Nobody can have seen it before.
+        let nonce = random_bytes().map_err(DeployError::system("random bytes"))?;
         let answer = client.freshness(nonce, stream, label).await.map_err(missing)?;
         trust.check_fresh(&answer, &nonce, stream, label).map_err(|why| stale(why.to_string()))?;
         let proved = answer.said;
@@ -398,39 +375,16 @@ impl Keeper {
 /// which it is.
 ///
 /// # Errors
-/// As [`Keeper::falling_back_on`].
+/// [`DeployError::BlobMissing`], [`DeployError::Refused`], [`DeployError::Runtime`].
 pub fn read_factory(path: &Path, model: &RobotModel) -> Result<Verified, DeployError> {
-    let missing = |source| DeployError::BlobMissing { path: path.to_owned(), source };
-    let bytes = caudata_durable::read_at_most(path, MAX_FILE_BYTES as u64);
-    let bytes: Arc<[u8]> = bytes
-        .map_err(|error| match error.kind() {
-            std::io::ErrorKind::FileTooLarge => DeployError::BlobDamaged { path: path.to_owned() },
-            _ => missing(error),
-        })?
-        .into();
+    let bytes: Arc<[u8]> = read_bounded(path, MAX_FILE_BYTES as u64)?.into();
     let mut policy = PolicyRef {
         stream: FACTORY.to_owned(),
         version: 0,
         sha256: Sha256Digest(Sha256::digest(&bytes).into()),
         reverts_to: None,
     };
-    let refused = |policy: &PolicyRef, refusal: Refusal| DeployError::Refused {
-        policy: policy.clone(),
-        refusal: Box::new(refusal),
-    };
-    let file = PolicyFile::parse(bytes.clone()).map_err(|e| refused(&policy, e.into()))?;
+    let file = PolicyFile::parse(bytes.clone()).map_err(|e| DeployError::refused(&policy, e))?;
     policy.version = file.metadata().version;
-    verify(bytes, &policy, model).map_err(|error| match error {
-        VerifyError::Runtime(error) => DeployError::Runtime(error),
-        VerifyError::Refused(refusal) => refused(&policy, refusal),
-    })
-}
-
-/// Thirty-two bytes that nobody can have seen before.
-fn new_nonce() -> Result<[u8; NONCE_BYTES], DeployError> {
-    let mut nonce = [0; NONCE_BYTES];
-    std::fs::File::open("/dev/urandom")
-        .and_then(|mut source| std::io::Read::read_exact(&mut source, &mut nonce))
-        .map_err(DeployError::system("random bytes"))?;
-    Ok(nonce)
+    verify(bytes, &policy, model).map_err(|error| DeployError::unverified(&policy, error))
 }

@@ -1,7 +1,7 @@
 //! Tells the policy server what became of versions on this robot, from a thread of its own: nobody waits for
 //! it, and a server that is away gets the news later.
 
-use std::path::PathBuf;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
@@ -23,17 +23,6 @@ const FLUSH_MAX: Duration = Duration::from_secs(2);
 const RETRY_FIRST: Duration = Duration::from_millis(500);
 /// Longest pause.
 const RETRY_MAX: Duration = Duration::from_secs(30);
-
-/// Where to report to, and as whom.
-#[derive(Clone, Debug)]
-pub struct ReportTo {
-    /// Address of the policy server.
-    pub address: String,
-    /// Certificates, where the address is an encrypted one.
-    pub tls_dir: Option<PathBuf>,
-    /// Name of this robot.
-    pub robot: String,
-}
 
 /// What is told of a version besides its name.
 #[derive(Clone, Debug, Default)]
@@ -62,8 +51,12 @@ impl Reporter {
     ///
     /// # Errors
     /// [`DeployError::System`], [`DeployError::Server`] for a wrong address or certificates.
-    pub fn start(to: &ReportTo) -> Result<Arc<Self>, DeployError> {
-        let (runtime, client) = server::connect(&to.address, to.tls_dir.as_deref())?;
+    pub fn start(
+        address: &str,
+        tls_dir: Option<&Path>,
+        robot: String,
+    ) -> Result<Arc<Self>, DeployError> {
+        let (runtime, client) = server::connect(address, tls_dir)?;
         let (queue, reports) = bounded(REPORTS_WAITING_MAX);
         let over = Arc::new(AtomicBool::new(false));
         let seen = over.clone();
@@ -71,12 +64,7 @@ impl Reporter {
             .name("reporter".into())
             .spawn(move || runtime.block_on(send(client, reports, seen)))
             .map_err(DeployError::system("a thread"))?;
-        Ok(Arc::new(Self {
-            robot: to.robot.clone(),
-            queue: Some(queue),
-            over,
-            thread: Some(thread),
-        }))
+        Ok(Arc::new(Self { robot, queue: Some(queue), over, thread: Some(thread) }))
     }
 
     /// Tells what became of `policy`. Never waits.

@@ -5,6 +5,7 @@
 mod state_file;
 
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -338,12 +339,12 @@ fn read_policy_by(
     Ok(stored.bytes.into())
 }
 
-fn read_bounded(path: &Path, bytes_max: u64) -> Result<Vec<u8>, DeployError> {
-    let missing = |source| DeployError::BlobMissing { path: path.to_owned(), source };
-    if fs::metadata(path).map_err(missing)?.len() > bytes_max {
-        return Err(DeployError::BlobDamaged { path: path.to_owned() });
-    }
-    fs::read(path).map_err(missing)
+/// The bytes of a file of the robot's folder; one that is too large is damaged.
+pub(crate) fn read_bounded(path: &Path, bytes_max: u64) -> Result<Vec<u8>, DeployError> {
+    durable::read_at_most(path, bytes_max).map_err(|source| match source.kind() {
+        ErrorKind::FileTooLarge => DeployError::BlobDamaged { path: path.to_owned() },
+        _ => DeployError::BlobMissing { path: path.to_owned(), source },
+    })
 }
 
 fn blob(folder: &Path, sha256: Sha256Digest) -> PathBuf {

@@ -163,7 +163,7 @@ fn allocations(leaks: bool) -> usize {
     let first = *control.first().unwrap();
     let meta = meta(&model, &policy, 0.02, 12.0, "");
     let log = FlightLog::create(&folder.path().join("log"), &model, &meta, &first.truth).unwrap();
-    control.set_log(log);
+    control.log = Some(log);
     COUNT.store(0, Relaxed);
     assert_eq!(control.run(&StopFlag::new()).unwrap(), Ended::Time);
     WATCHED.set(false);

@@ -59,6 +59,19 @@ pub fn freshness_bytes(said: &Freshness) -> Vec<u8> {
     out
 }
 
+/// The system's random source.
+const RANDOM: &str = "/dev/urandom";
+
+/// Bytes of the system's random source.
+///
+/// # Errors
+/// Where it cannot be read.
+pub fn random_bytes<const N: usize>() -> std::io::Result<[u8; N]> {
+    let mut bytes = [0; N];
+    std::fs::File::open(RANDOM)?.read_exact(&mut bytes)?;
+    Ok(bytes)
+}
+
 /// A key that signs.
 pub struct ReleaseKey {
     pub(crate) id: String,
@@ -71,11 +84,7 @@ impl ReleaseKey {
     /// # Errors
     /// [`SigningError::File`].
     pub fn generate(id: &str) -> Result<Self, SigningError> {
-        let source = Path::new("/dev/urandom");
-        let mut seed = [0; 32];
-        std::fs::File::open(source)
-            .and_then(|mut file| file.read_exact(&mut seed))
-            .map_err(file_error(source))?;
+        let seed = random_bytes().map_err(file_error(Path::new(RANDOM)))?;
         Ok(Self::from_seed(id, &seed))
     }
 

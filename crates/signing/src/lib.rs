@@ -16,6 +16,6 @@ mod rotation;
 mod trust;
 
 pub use error::{SigningError, check_private};
-pub use key::{ReleaseKey, TRUST_FORMAT, freshness_bytes, signed_bytes};
+pub use key::{ReleaseKey, TRUST_FORMAT, freshness_bytes, random_bytes, signed_bytes};
 pub use rotation::{NoSuccessor, TrustSignature, add_signature, read_signatures, successor_path};
 pub use trust::{Stale, Trust, Untrusted};

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use caudata_dynamixel::{BusFault, SerialPort};
+use caudata_dynamixel::SerialPort;
 use caudata_hardware::{I2c, JointWiring, Wiring};
 use caudata_model::RobotModel;
 use caudata_signing::Trust;
@@ -86,10 +86,9 @@ pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
             walk(&setting, &mut robot, plan(READ_DEADLINE, None), teller)
         }
         BusAddress::Wiring(path) => {
-            let overrides = args.ports.overrides();
-            let (wiring, joints) = read_wiring(path, &setting.model, &overrides)?;
+            let (wiring, joints) = read_wiring(path, &setting.model, &args.ports)?;
             let mut robot = open_robot(&wiring, joints, &setting.model)?;
-            if overrides.in_step {
+            if args.ports.in_step {
                 robot = robot.in_step(setting.control_period_s);
             }
             let deadline = Duration::from_millis(wiring.bus.read_deadline_ms);
@@ -108,8 +107,8 @@ fn open_robot(
     model: &RobotModel,
 ) -> Result<HardwareRobot<SerialPort, Box<dyn I2c + Send>>, DeployError> {
     let mut bus = open_bus(wiring)?;
-    let lost = |fault: BusFault| BusError::Lost { reason: fault.to_string() };
-    let servos = inspect::servos(&mut bus, wiring, &joints, model, true).map_err(lost)?;
+    let servos = inspect::servos(&mut bus, wiring, &joints, model, true);
+    let servos = servos.map_err(BusError::from)?;
     for check in &servos.checks {
         if check.mark == Mark::Fixed {
             tracing::warn!(at = check.at, what = check.what, found = check.found, "set right");
@@ -212,21 +211,21 @@ fn drive<R: Robot>(
         let meta = meta(&setting.model, policy, setting.control_period_s, supply_v, &args.terrain);
         let folder = args.of_this_start(folder);
         let log = FlightLog::create(&folder, &setting.model, &meta, &first.truth)?;
-        control.set_log(log);
+        control.log = Some(log);
     }
     // Without commands over the network it only shows that a loop is here.
     let _presence = match args.link_addr {
         Some(_) => {
-            control.set_link(Box::new(link));
+            control.link = Some(Box::new(link));
             None
         }
         None => Some(link),
     };
-    control.set_notifier(Notifier::from_environment()?);
+    control.notifier = Notifier::from_environment()?;
     // From here on there is torque, which a second signal must not leave on.
-    control.set_insisted(setting.process.insistence.claim());
+    control.insisted = setting.process.insistence.claim();
     if args.tap {
-        control.set_tap(tap::start(&setting.folder)?);
+        control.tap = Some(tap::start(&setting.folder)?);
     }
     let result = control.run(&setting.process.stop);
     if let Some(folder) = &args.recorder_dir {

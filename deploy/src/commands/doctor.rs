@@ -13,9 +13,9 @@ use crate::DeployError;
 use crate::bus::BusError;
 use crate::commands::control_loop::fit;
 use crate::commands::say::{say, say_json};
-use crate::commands::source::{PortArgs, load_model};
+use crate::commands::source::load_model;
 use crate::hardware::inspect::{self, Check, Inspection, Mark};
-use crate::hardware::{open_bus, open_imu, read_wiring};
+use crate::hardware::{PortOverrides, open_bus, open_imu, read_wiring};
 use caudata_durable::shipped_flag;
 
 /// Round trips that are timed.
@@ -44,7 +44,7 @@ pub struct DoctorArgs {
     )]
     wiring: PathBuf,
     #[command(flatten)]
-    ports: PortArgs,
+    ports: PortOverrides,
     /// Set speeds and registers of servos right
     #[arg(long)]
     fix: bool,
@@ -72,18 +72,18 @@ struct Report<'a> {
 
 pub fn run(args: &DoctorArgs) -> Result<(), DeployError> {
     let model = load_model(&args.robot)?;
-    let (wiring, joints) = read_wiring(&args.wiring, &model, &args.ports.overrides())?;
-    let lost = |fault: BusFault| BusError::Lost { reason: fault.to_string() };
+    let (wiring, joints) = read_wiring(&args.wiring, &model, &args.ports)?;
     let mut bus = open_bus(&wiring)?;
-    let mut all = inspect::servos(&mut bus, &wiring, &joints, &model, args.fix).map_err(lost)?;
+    let mut all =
+        inspect::servos(&mut bus, &wiring, &joints, &model, args.fix).map_err(BusError::from)?;
     if all.wrong().next().is_none() {
-        all.checks.extend(timing(&mut bus, &wiring, &joints).map_err(lost)?);
+        all.checks.extend(timing(&mut bus, &wiring, &joints).map_err(BusError::from)?);
         if args.nominal {
-            all.checks.extend(pose(&mut bus, &joints, &model).map_err(lost)?);
+            all.checks.extend(pose(&mut bus, &joints, &model).map_err(BusError::from)?);
         }
         if args.watch > 0 {
             let end = Instant::now() + Duration::from_secs(args.watch.min(600));
-            all.checks.extend(watch(&mut bus, &joints, &model, end).map_err(lost)?);
+            all.checks.extend(watch(&mut bus, &joints, &model, end).map_err(BusError::from)?);
         }
     }
     all.checks.extend(match open_imu(&wiring) {

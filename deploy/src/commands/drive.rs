@@ -2,9 +2,9 @@
 //! robot.
 
 use std::fs::File;
-use std::io::{BufRead, IsTerminal, Read};
+use std::io::{IsTerminal, Read};
 use std::net::{SocketAddr, UdpSocket};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 
@@ -95,16 +95,17 @@ pub fn run(args: &DriveArgs, process: &Process) -> Result<(), DeployError> {
     let mut driver = Driver::new(args);
     let _keys = match (&args.gamepad, args.hold) {
         (Some(path), _) => {
-            read_events(path, inputs)?;
+            let mut device = File::open(path).map_err(DeployError::folder(path))?;
+            read(move || event(&mut device), inputs);
             None
         }
         (None, true) => {
             let keys = Keys::at_once()?;
-            read_keys(inputs);
+            read(pressed, inputs);
             Some(keys)
         }
         (None, false) => {
-            read_lines(inputs);
+            read(typed, inputs);
             None
         }
     };
@@ -133,35 +134,25 @@ pub fn run(args: &DriveArgs, process: &Process) -> Result<(), DeployError> {
     Err(DeployError::NotHeard { robot: args.robot })
 }
 
-fn read_lines(to: SyncSender<Input>) {
-    std::thread::spawn(move || {
-        for line in std::io::stdin().lock().lines().map_while(Result::ok) {
-            if to.send(Input::Line(line)).is_err() {
-                return;
-            }
-        }
-    });
+/// Reads one input after the other in a thread of its own, until there is none, or nobody wants it.
+fn read(mut next: impl FnMut() -> Option<Input> + Send + 'static, to: SyncSender<Input>) {
+    std::thread::spawn(move || while next().is_some_and(|input| to.send(input).is_ok()) {});
 }
 
-fn read_keys(to: SyncSender<Input>) {
-    std::thread::spawn(move || {
-        for key in std::io::stdin().lock().bytes().map_while(Result::ok) {
-            if to.send(Input::Key(key)).is_err() {
-                return;
-            }
-        }
-    });
+fn typed() -> Option<Input> {
+    let line = std::io::stdin().lines().next()?;
+    line.ok().map(Input::Line)
 }
 
-fn read_events(path: &Path, to: SyncSender<Input>) -> Result<(), DeployError> {
-    let opened = File::open(path).map_err(DeployError::folder(path));
-    let mut device = opened?;
-    std::thread::spawn(move || {
-        let mut event = [0; EVENT_BYTES];
-        // A gamepad that is unplugged ends here, and with it the command.
-        while device.read_exact(&mut event).is_ok() && to.send(Input::Event(event)).is_ok() {}
-    });
-    Ok(())
+fn pressed() -> Option<Input> {
+    let key = std::io::stdin().bytes().next()?;
+    key.ok().map(Input::Key)
+}
+
+/// The next event; a gamepad that is unplugged has none, which ends the command.
+fn event(device: &mut File) -> Option<Input> {
+    let mut event = [0; EVENT_BYTES];
+    device.read_exact(&mut event).ok().map(|()| Input::Event(event))
 }
 
 /// A terminal that gives keys as they are pressed; dropped, it is as it was.

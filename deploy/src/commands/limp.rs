@@ -9,8 +9,7 @@ use caudata_hardware::Wiring;
 use crate::DeployError;
 use crate::bus::BusError;
 use crate::commands::say::say;
-use crate::commands::source::PortArgs;
-use crate::hardware::open_bus_anyway;
+use crate::hardware::{PortOverrides, open_bus_anyway};
 use caudata_durable::shipped_flag;
 
 #[derive(Debug, clap::Args)]
@@ -24,7 +23,7 @@ pub struct LimpArgs {
     )]
     wiring: PathBuf,
     #[command(flatten)]
-    ports: PortArgs,
+    ports: PortOverrides,
     /// Do nothing where another program has the servo port (exit code 73): for supervisors, whose own loop is
     /// gone by then. Without it the servos of a robot that walks are let go too
     #[arg(long)]
@@ -34,7 +33,7 @@ pub struct LimpArgs {
 pub fn run(args: &LimpArgs) -> Result<(), DeployError> {
     // Not checked against a robot file: what lets go shall not fail for what it does not need.
     let mut wiring = Wiring::read(&args.wiring)?;
-    args.ports.overrides().put_into(&mut wiring);
+    args.ports.put_into(&mut wiring);
     let (mut bus, alone) = open_bus_anyway(&wiring)?;
     if !alone {
         let address = wiring.bus.port.display().to_string();
@@ -49,8 +48,7 @@ pub fn run(args: &LimpArgs) -> Result<(), DeployError> {
     let mut ids: Vec<u8> = wiring.joint.values().map(|joint| joint.id).collect();
     ids.sort_unstable();
     let patience = bus.setup_deadline;
-    let found = let_go(&mut bus, &ids, patience)
-        .map_err(|fault| BusError::Lost { reason: fault.to_string() })?;
+    let found = let_go(&mut bus, &ids, patience).map_err(BusError::from)?;
     if !found.is_proved() {
         return Err(BusError::Holds { found }.into());
     }

@@ -10,7 +10,7 @@ use crate::DeployError;
 use crate::commands::source::load_model;
 use crate::probe::limit_this_process;
 use crate::state::{PolicyRef, Sha256Digest};
-use crate::verify::{Refusal, VerifyError, verify};
+use crate::verify::{Refusal, verify};
 
 /// Runs whose time is taken.
 const TIMED_RUNS: usize = 200;
@@ -46,27 +46,21 @@ pub fn run(args: &ProbeArgs) -> Result<(), DeployError> {
         sha256: args.sha256,
         reverts_to: (args.file_version != args.version_number).then_some(args.file_version),
     };
-    let refuse = |refusal: Refusal| DeployError::Refused {
-        policy: policy.clone(),
-        refusal: Box::new(refusal),
-    };
-    let mut verified = verify(bytes.into(), &policy, &model).map_err(|error| match error {
-        VerifyError::Runtime(error) => DeployError::Runtime(error),
-        VerifyError::Refused(refusal) => refuse(refusal),
-    })?;
+    let verified = verify(bytes.into(), &policy, &model);
+    let mut verified = verified.map_err(|error| DeployError::unverified(&policy, error))?;
     let obs = verified.file.spec().obs_mean.clone();
     let mut actions = vec![0.0; verified.file.metadata().contract.act_dim()];
     let mut took = Vec::with_capacity(TIMED_RUNS);
     for _ in 0..TIMED_RUNS {
         let begun = Instant::now();
         let ran = verified.inference.run(&obs, 1, &mut actions);
-        ran.map_err(|error| refuse(error.into()))?;
+        ran.map_err(|error| DeployError::refused(&policy, error))?;
         took.push(begun.elapsed().as_micros());
     }
     took.sort_unstable();
     let median_us = took[TIMED_RUNS / 2];
     if median_us > MEDIAN_MAX_US {
-        return Err(refuse(Refusal::TooSlow { median_us }));
+        return Err(DeployError::refused(&policy, Refusal::TooSlow { median_us }));
     }
     Ok(())
 }

@@ -10,8 +10,9 @@ use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 
 use crate::boundary::{RunFolder, Staged, alone};
 use crate::command_link::LinkKey;
-use crate::commands::source::{PortArgs, SourceArgs};
+use crate::commands::source::SourceArgs;
 use crate::control::FALLEN_FOR;
+use crate::hardware::PortOverrides;
 use crate::supervisor::{Plan, supervise};
 use crate::walk_command::{CommandTable, WalkCommand};
 use crate::{DeployError, failure};
@@ -49,7 +50,7 @@ pub struct RunArgs {
     #[arg(long, value_name = "BUS")]
     pub(super) bus: BusAddress,
     #[command(flatten)]
-    pub(super) ports: PortArgs,
+    pub(super) ports: PortOverrides,
     /// Folder for the log of this run; none when absent
     #[arg(long, value_name = "DIR")]
     pub(super) log_dir: Option<PathBuf>,
@@ -206,7 +207,7 @@ fn around_the_command(
 fn limp_arguments(args: &RunArgs) -> Option<Vec<OsString>> {
     let BusAddress::Wiring(wiring) = &args.bus else { return None };
     let mut arguments = vec!["--wiring".into(), wiring.into()];
-    if let Some(port) = args.ports.overrides().servo_port {
+    if let Some(port) = &args.ports.servo_port {
         arguments.extend(["--servo-port".into(), port.into()]);
     }
     Some(arguments)

@@ -12,11 +12,10 @@ use caudata_telemetry::Metrics;
 use crate::DeployError;
 use crate::boundary::alone_in;
 use crate::follower::Follow;
-use crate::hardware::PortOverrides;
-use crate::keeper::Keeper;
+use crate::keeper::{Keeper, read_factory};
 use crate::metrics::AgentMetrics;
 use crate::probe::{CHILD_DEADLINE, ProbeProgram};
-use crate::reporter::{ReportTo, Reporter};
+use crate::reporter::Reporter;
 use crate::server;
 use crate::store::{PolicyStore, check_without_trust};
 use caudata_durable::shipped_flag;
@@ -85,31 +84,6 @@ impl SourceArgs {
     }
 }
 
-/// Ports instead of those of the wiring file.
-#[derive(Clone, Debug, clap::Args)]
-pub struct PortArgs {
-    /// Serial port of the servos instead of the wiring file's
-    #[arg(long, value_name = "PATH")]
-    pub(super) servo_port: Option<PathBuf>,
-    /// IMU bus instead of the wiring file's: a Linux I²C bus, or `bridge:` and the serial port of a bridge
-    #[arg(long, value_name = "BUS")]
-    imu_bus: Option<String>,
-    /// The emulated robot runs in step with the goals (`caudata sim robot --bus pty --in-step`): time is
-    /// counted in goals too, so that a busy computer makes the robot slow, not wrong. Never with a real robot
-    #[arg(long)]
-    in_step: bool,
-}
-
-impl PortArgs {
-    pub(super) fn overrides(&self) -> PortOverrides {
-        PortOverrides {
-            servo_port: self.servo_port.clone(),
-            imu_bus: self.imu_bus.clone(),
-            in_step: self.in_step,
-        }
-    }
-}
-
 /// What every command that gets policies begins with.
 pub(super) struct Source {
     pub(super) model: Arc<RobotModel>,
@@ -148,26 +122,19 @@ impl Source {
             (Some(path), Some(trust)) => store.trust(path, trust.version())?,
             _ => check_without_trust(store.state(), &args.state)?,
         }
-        let reporter = Reporter::start(&ReportTo {
-            address: args.policy_server.clone(),
-            tls_dir: args.tls_dir.clone(),
-            robot: args.name.clone().unwrap_or_else(host_name),
-        })?;
-        let mut keeper = Keeper::new(store, model.clone(), metrics.clone()).reporting(reporter);
-        if let Some(trust) = trust {
-            keeper = keeper.trusting(trust);
-        }
-        if let Some(file) = factory {
-            keeper = keeper.falling_back_on(file)?;
-        }
+        let name = args.name.clone().unwrap_or_else(host_name);
+        let reporter = Reporter::start(&args.policy_server, args.tls_dir.as_deref(), name)?;
+        let mut keeper = Keeper::new(store, model.clone(), metrics.clone());
+        keeper.reporter = Some(reporter);
+        keeper.trust = trust.map(Arc::new);
+        // It is checked here, long before it is needed.
+        let factory = factory.map(|file| read_factory(file, &model)).transpose()?;
+        keeper.factory = factory.map(|verified| verified.policy);
         // Without a program of its own there is nobody to try candidates; the checks here stay.
-        if let Ok(program) = std::env::current_exe() {
-            keeper = keeper.probing(ProbeProgram {
-                program,
-                robot: args.robot.clone(),
-                deadline: CHILD_DEADLINE,
-            });
-        }
+        keeper.probe = std::env::current_exe().ok().map(|program| {
+            let robot = args.robot.clone();
+            Arc::new(ProbeProgram { program, robot, deadline: CHILD_DEADLINE })
+        });
         let source = Self {
             keeper,
             model,

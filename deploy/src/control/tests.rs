@@ -493,7 +493,7 @@ fn linked(link: FakeLink, walk_s: f64) -> (Result<Ended, DeployError>, Vec<PerJo
     let runner = PolicyRunner::new(verified(1, bytes), None).unwrap();
     let mut control =
         ControlLoop::start(&mut robot, &clock, plan, runner, updates, metrics).unwrap();
-    control.set_link(Box::new(link));
+    control.link = Some(Box::new(link));
     let result = control.run(&StopFlag::new());
     let vx = control.into_parts().1.mean_command().vx_mps;
     (result, robot.sent, vx)
@@ -606,7 +606,7 @@ fn a_second_signal_lets_go_within_a_tick_wherever_the_robot_is() {
         let runner = PolicyRunner::new(policy, None).unwrap();
         let mut control =
             ControlLoop::start(&mut robot, &clock, plan, runner, updates, metrics).unwrap();
-        control.set_insisted(insisted);
+        control.insisted = insisted;
         assert_eq!(control.run(&stop).unwrap(), Ended::Interrupted);
         assert_eq!((robot.inner.sent.len(), robot.inner.torque_off), (at[1], 1));
     }

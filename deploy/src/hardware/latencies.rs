@@ -76,7 +76,7 @@ impl Timed {
         let port = self.robot.bus_mut().port_mut();
         port.wait_us(now_us.saturating_sub(port.now_us));
         if now_us >= self.faults.0.as_micros() as u64 {
-            port.bus().set_faults(self.faults.1);
+            port.bus.faults = self.faults.1;
         }
         let done = what(&mut self.robot);
         let then_us = self.robot.bus_mut().port_mut().now_us;
@@ -95,7 +95,7 @@ impl ServoBus for Timed {
         self.at(|robot| robot.write(targets_rad))?;
         self.sent.push(self.time.now());
         let now_us = self.time.now().as_micros() as u64;
-        for servo in self.robot.bus_mut().port_mut().bus().servos_mut() {
+        for servo in &mut self.robot.bus_mut().port_mut().bus.servos {
             let present = Present {
                 position: servo.goal(),
                 velocity: 10,
@@ -222,15 +222,10 @@ fn run(event: Event, at: Duration, faults: WireFaults) -> Seen {
         ControlLoop::start(&mut timed, &time, plan, runner, updates, metrics).unwrap();
     let (insisted, stop) = (StopFlag::new(), StopFlag::new());
     let (tap, ticks) = bounded(TICKS_MAX);
-    control.set_insisted(insisted.clone());
-    control.set_tap(tap);
-    control.set_link(Box::new(Link {
-        time: time.clone(),
-        event,
-        at,
-        insisted,
-        stop: stop.clone(),
-    }));
+    control.insisted = insisted.clone();
+    control.tap = Some(tap);
+    control.link =
+        Some(Box::new(Link { time: time.clone(), event, at, insisted, stop: stop.clone() }));
     // Over a bad wire the end may not be proved: what is asked of it is asked below.
     let _ = control.run(&stop);
     let counts = control.into_parts().1;

@@ -89,8 +89,8 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
         // Known from the first tick on; then each servo tells in turn.
         let register = &xm430::PRESENT_INPUT_VOLTAGE;
         let deadline = bus.setup_deadline;
-        let (volts, _) =
-            persistently(|| bus.read(ids[0], register, deadline)).map_err(|e| lost(&e))?;
+        let volts = persistently(|| bus.read(ids[0], register, deadline));
+        let (volts, _) = volts.map_err(BusError::from)?;
         let group = |fast| GroupRead::new(&ids, xm430::TICK_ADDRESS, xm430::TICK_BYTES, fast);
         Ok(Self {
             fast: wiring.bus.fast_sync_read.then(|| group(true)),
@@ -221,7 +221,7 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
         match self.bus.read_block(self.ids[joint], address, block, deadline) {
             Ok(_) => Ok(true),
             Err(BusFault::Silent { .. } | BusFault::Refused { .. }) => Ok(false),
-            Err(error) => Err(lost(&error)),
+            Err(error) => Err(error.into()),
         }
     }
 
@@ -241,13 +241,12 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
         );
         // Written to all at once and answered by nobody: what counts is what the servos then say.
         for _ in 0..TORQUE_ON_TIMES {
-            write(&mut self.bus, &self.ids, &xm430::TORQUE_ENABLE, 1).map_err(|e| lost(&e))?;
-            self.bus.read_group(&mut torque, ARM_DEADLINE).map_err(|e| lost(&e))?;
+            write(&mut self.bus, &self.ids, &xm430::TORQUE_ENABLE, 1)?;
+            self.bus.read_group(&mut torque, ARM_DEADLINE)?;
             let on =
                 |i: &usize| matches!(torque.answer(*i), Answer::Data(_)) && torque.data(*i) == [1];
             if (0..self.ids.len()).all(|i| on(&i)) {
-                write(&mut self.bus, &self.ids, &xm430::BUS_WATCHDOG, self.watchdog_units)
-                    .map_err(|e| lost(&e))?;
+                write(&mut self.bus, &self.ids, &xm430::BUS_WATCHDOG, self.watchdog_units)?;
                 self.armed = true;
                 return Ok(());
             }
@@ -263,10 +262,6 @@ fn goal_group(ids: &[u8]) -> GroupWrite {
     GroupWrite::new(ids, xm430::GOAL_POSITION.address, xm430::GOAL_POSITION.size)
 }
 
-fn lost(fault: &BusFault) -> BusError {
-    BusError::Lost { reason: fault.to_string() }
-}
-
 impl<P: Port, B: I2c> ServoBus for HardwareRobot<P, B> {
     fn read(&mut self, deadline: Duration) -> Result<ServoReadings, BusError> {
         let end = self.bus.now() + deadline;
@@ -275,7 +270,7 @@ impl<P: Port, B: I2c> ServoBus for HardwareRobot<P, B> {
             (Some(group), true) => group,
             _ => &mut self.plain,
         };
-        self.bus.read_group(group, deadline).map_err(|e| lost(&e))?;
+        self.bus.read_group(group, deadline)?;
         let (missing, alert) = self.take(fast);
         self.health.silent_ticks = self.silent.iter().copied().max().unwrap_or_default();
         if missing == self.ids.len() {
@@ -303,7 +298,7 @@ impl<P: Port, B: I2c> ServoBus for HardwareRobot<P, B> {
         for (index, (joint, target)) in self.joints.iter().zip(targets_rad).enumerate() {
             self.goals.set(index, joint.counts(f64::from(*target)));
         }
-        self.bus.write_group(&mut self.goals, WRITE_DEADLINE).map_err(|e| lost(&e))?;
+        self.bus.write_group(&mut self.goals, WRITE_DEADLINE)?;
         self.goals_sent += 1;
         if !self.armed {
             self.arm()?;
@@ -315,7 +310,7 @@ impl<P: Port, B: I2c> ServoBus for HardwareRobot<P, B> {
         let patience = self.bus.setup_deadline;
         let found = let_go(&mut self.bus, &self.ids, patience);
         self.armed = false;
-        let found = found.map_err(|e| lost(&e))?;
+        let found = found?;
         if !found.hold.is_empty() || !found.silent.is_empty() {
             return Err(BusError::Holds { found });
         }

@@ -1,6 +1,6 @@
 //! Opening what a wiring file names: the servo bus and the IMU.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use caudata_dynamixel::setup::TRIES;
@@ -12,14 +12,18 @@ use caudata_model::RobotModel;
 use crate::DeployError;
 use crate::bus::BusError;
 
-/// Where the wiring file's ports are replaced by others, as on an emulated robot.
-#[derive(Clone, Debug, Default)]
+/// Ports instead of those of the wiring file, as on an emulated robot.
+#[derive(Clone, Debug, Default, clap::Args)]
 pub struct PortOverrides {
-    /// Serial port of the servo bus.
-    pub servo_port: Option<std::path::PathBuf>,
-    /// IMU bus, as in the wiring file.
+    /// Serial port of the servos instead of the wiring file's
+    #[arg(long, value_name = "PATH")]
+    pub servo_port: Option<PathBuf>,
+    /// IMU bus instead of the wiring file's: a Linux I²C bus, or `bridge:` and the serial port of a bridge
+    #[arg(long, value_name = "BUS")]
     pub imu_bus: Option<String>,
-    /// Time is counted in goals.
+    /// The emulated robot runs in step with the goals (`caudata sim robot --bus pty --in-step`): time is
+    /// counted in goals too, so that a busy computer makes the robot slow, not wrong. Never with a real robot
+    #[arg(long)]
     pub in_step: bool,
 }
 
