@@ -24,11 +24,12 @@ pub(super) struct Run<'a> {
 }
 
 impl Run<'_> {
-    /// Gains in force at actuated joint `index`: N·m/rad, N·m·s/rad.
+    /// Gains in force at actuated joint `index`, the motor's own damping with them: N·m/rad, N·m·s/rad.
     pub(super) fn gains(&self, index: usize) -> (f64, f64) {
         let (kp, kd) = self.log.meta.gains(self.robot.actuated_names()[index]);
         let robot = self.robot;
-        (kp.unwrap_or(robot.kp_nm_per_rad(index)), kd.unwrap_or(robot.kd_nm_s_per_rad(index)))
+        let kd = kd.unwrap_or(robot.kd_nm_s_per_rad(index));
+        (kp.unwrap_or(robot.kp_nm_per_rad(index)), kd + robot.servo(index).kd_min_nm_s_per_rad)
     }
 }
 

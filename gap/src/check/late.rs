@@ -178,5 +178,5 @@ fn slow(run: &Run<'_>, joints: &[Channels], lags: &[Lag<'_>], out: &mut Vec<Find
 fn servo_lag_s(run: &Run<'_>, joint: &Channels) -> f64 {
     let servo = run.robot.servo(joint.index);
     let (kp, kd) = run.gains(joint.index);
-    (kd + servo.kd_min_nm_s_per_rad + servo.damping_nm_s_per_rad) / kp.max(1e-6)
+    (kd + servo.damping_nm_s_per_rad) / kp.max(1e-6)
 }
