@@ -32,7 +32,9 @@ impl CriticConfig {
             let wrong = |reason: &str| TaskError::term("task.critic.sees", name, reason.to_owned());
             match Signal::named(name) {
                 None => return Err(wrong("is no signal; `caudata task terms` lists them")),
-                Some(Signal::Step) => return Err(wrong("is the same in every state")),
+                Some(Signal::Step | Signal::InTail) => {
+                    return Err(wrong("is the same in every state"));
+                }
                 Some(signal) if signal.info().known == Known::Sensed => {
                     return Err(wrong("is what the robot senses; an observation may have it"));
                 }

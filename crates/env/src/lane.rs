@@ -225,6 +225,7 @@ pub(crate) fn reward_input<'a>(
         afloat: truth.afloat,
         on_ground: truth.on_ground,
         in_leg: &body.in_leg,
+        in_tail: &body.in_tail,
         swimming_rad: &body.swimming_rad,
         target_rad,
         action: &lane.actions[0],

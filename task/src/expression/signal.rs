@@ -89,6 +89,8 @@ signals! {
     Lower = "lower", Joints, Unit::ONE, Sensed;
     /// Upper limits of the joints, rad.
     Upper = "upper", Joints, Unit::ONE, Sensed;
+    /// 1 for a joint of the tail, 0 otherwise.
+    InTail = "in_tail", Joints, Unit::ONE, Simulated;
     /// Angular velocity, rad/s, body.
     Gyro = "gyro", Three, RATE, Sensed;
     /// Direction of gravity, unit vector, body; upright is 0, 0, −1.

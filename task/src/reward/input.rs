@@ -60,6 +60,8 @@ pub struct RewardInput<'a> {
     pub on_ground: PerFoot,
     /// Which joints move a leg.
     pub in_leg: &'a [bool],
+    /// Which joints move the tail.
+    pub in_tail: &'a [bool],
     /// Joint positions of the swimming pose, rad.
     pub swimming_rad: &'a [f32],
     /// Position targets of this step before they are cut off at the limits, rad.

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::input::RewardInput;
 use crate::expression::{self, Names, Program, Shape, Signal, Source};
 use crate::observation::Truth;
-use crate::{PerFoot, TaskError};
+use crate::{PerFoot, PerJoint, TaskError};
 
 /// Most terms, and most conditions, that a task file may bring along.
 pub const OWN_MAX: usize = 32;
@@ -124,6 +124,7 @@ pub struct StateSignals<'a> {
     foot_speed_mps: PerFoot,
     foot_force_n: PerFoot,
     contact: PerFoot,
+    in_tail: PerJoint,
     standing: f32,
 }
 
@@ -141,6 +142,9 @@ impl<'a> StateSignals<'a> {
             }),
             contact: foot_force_n.map(|force| f32::from(force > contact_force_n)),
             foot_force_n,
+            in_tail: PerJoint::from_fn(input.in_tail.len(), |joint| {
+                f32::from(u8::from(input.in_tail[joint]))
+            }),
             standing: f32::from(u8::from(input.standing)),
         }
     }
@@ -156,6 +160,7 @@ impl Source for StateSignals<'_> {
             Signal::Nominal => &input.joints.nominal_rad,
             Signal::Lower => &input.joints.lower_rad,
             Signal::Upper => &input.joints.upper_rad,
+            Signal::InTail => &self.in_tail,
             Signal::Gyro => &input.gyro_radps,
             Signal::Gravity => &input.gravity,
             Signal::Phase => &input.phase_rad[..input.foot_height_m.len()],

@@ -24,6 +24,14 @@ const IN_LEG: [bool; ACT_DIM] = {
     }
     in_leg
 };
+/// The last three of the body.
+const IN_TAIL: [bool; ACT_DIM] = {
+    let mut in_tail = [false; ACT_DIM];
+    in_tail[5] = true;
+    in_tail[6] = true;
+    in_tail[7] = true;
+    in_tail
+};
 const ZEROS: [f32; ACT_DIM] = [0.0; ACT_DIM];
 const FULL: Scales = Scales { costs: 1.0, guides: 1.0 };
 
@@ -76,6 +84,7 @@ fn rest() -> RewardInput<'static> {
         afloat: 0.0,
         on_ground: PerFoot::filled(FEET, 1.0),
         in_leg: &IN_LEG,
+        in_tail: &IN_TAIL,
         swimming_rad: &ZEROS,
         target_rad: &NOMINAL,
         action: &ZEROS,
@@ -401,10 +410,11 @@ fn terms_of_ones_own_count_with_the_others() {
             { name = "crouch", value = "exp(-(height - 0.12)^2 / 0.01)", weight = 2.0 },
             { name = "knees", value = "sum(abs(joint_pos - nominal))", weight = -0.5 },
             { name = "broken", value = "1 / (height - height)", weight = 1.0 },
+            { name = "tail", value = "sum(abs(power) * in_tail)", weight = 1.0 },
         ]"#;
     let config: RewardConfig = toml::from_str(text).unwrap();
     config.validate().unwrap();
-    assert_eq!(config.term_names()[TERM_COUNT..], ["crouch", "knees", "broken"]);
+    assert_eq!(config.term_names()[TERM_COUNT..], ["crouch", "knees", "broken", "tail"]);
     let names = Names {
         joints: &std::array::from_fn::<_, ACT_DIM, _>(|i| format!("j{i}")),
         feet: &["FL", "FR", "HL", "HR"].map(str::to_owned),
@@ -412,12 +422,13 @@ fn terms_of_ones_own_count_with_the_others() {
     let mut own = config.programs(names).unwrap();
     let mut pos = NOMINAL;
     pos[3] += 0.4;
-    let input = RewardInput { joint_pos_rad: &pos, ..rest() };
+    let power = std::array::from_fn::<_, ACT_DIM, _>(|i| i as f32 - 6.0);
+    let input = RewardInput { joint_pos_rad: &pos, mech_power_w: &power, ..rest() };
     let mut parts = PerTerm::default();
     let scale = config.scales(0);
     let total = evaluate(&config, &mut own, &input, 0.02, scale, &mut parts);
-    // 0.02·2·1; a cost at half: 0.02·0.5·(−0.5)·0.4; what is not finite is 0
-    for (found, expected) in parts[TERM_COUNT..].iter().zip([0.04, -0.002, 0.0]) {
+    // 0.02·2·1; a cost at half: 0.02·0.5·(−0.5)·0.4; what is not finite is 0; 0.02·(1 + 0 + 1) of the tail
+    for (found, expected) in parts[TERM_COUNT..].iter().zip([0.04, -0.002, 0.0, 0.04]) {
         assert!((found - expected).abs() < 1e-6, "{parts:?}");
     }
     assert_eq!(total, parts.iter().sum::<f32>());
