@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use caudata_durable::read_text_at_most;
 use caudata_evaluation::Summary;
-use caudata_proto::registry::{Manifest, StreamName};
+use caudata_proto::registry::{LabelName, Manifest, StreamName};
 use caudata_signing::{
     ReleaseKey, SigningError, Trust, add_signature, read_signatures, successor_path,
 };
@@ -66,6 +66,9 @@ pub struct ReleaseArgs {
     /// Which version; the newest when absent
     #[arg(long)]
     version: Option<u64>,
+    /// The version that this label leads to, for instance `chosen`, which a training ended with
+    #[arg(long, conflicts_with = "version")]
+    label: Option<LabelName>,
     /// Stream to release into, which robots follow
     #[arg(long, value_name = "NAME")]
     to: String,
@@ -182,7 +185,10 @@ pub fn release(args: &ReleaseArgs) -> Result<(), Failure> {
     let from = args.server.one_stream()?;
     let (mut manifest, bytes) = block_on(async {
         let mut client = args.server.client()?;
-        let manifest = client.manifest(&from, args.version).await?;
+        let manifest = match &args.label {
+            Some(label) => client.labelled(&from, label).await?,
+            None => client.manifest(&from, args.version).await?,
+        };
         let bytes = client.fetch(&manifest).await?;
         Ok((manifest, bytes))
     })?;

@@ -86,9 +86,10 @@ impl Noise {
         self.difference[samples].iter_mut().for_each(|x| *x /= factor);
     }
 
-    /// What repeats of a channel differ by in the middle one of the runs that have some, SI.
-    fn typical(&self, kind: Kind, index: usize) -> Option<f64> {
-        let own = self.repeat.iter().filter(|((_, k, i), _)| (*k, *i) == (kind, index));
+    /// What repeats of a channel differ by in the middle one of those `runs` that have some, SI.
+    fn typical(&self, runs: impl Fn(usize) -> bool, kind: Kind, index: usize) -> Option<f64> {
+        let own = self.repeat.iter();
+        let own = own.filter(|((run, k, i), _)| (*k, *i) == (kind, index) && runs(*run));
         median(own.map(|(_, apart)| *apart).collect())
     }
 
@@ -109,8 +110,9 @@ impl Noise {
         let least = (self.white.entry((trial, piece.kind, piece.index))).or_insert(floor);
         *least = least.min(floor);
         let (n, members) = (values.len().max(1) as f64, own.members.len().max(1) as f64);
-        // a run without a repeat has what repeats of others show of the channel
-        let of_others = self.typical(piece.kind, piece.index);
+        // a run without a repeat has what repeats of others show of the channel, if their base is held alike
+        let alike = |other: usize| data.trials[other].base == own.base;
+        let of_others = self.typical(alike, piece.kind, piece.index);
         let shown = apart.as_ref().map(|a| (a.sum / n).sqrt()).or(of_others);
         let left = match shown {
             // no more than that: a vibration that comes again in all repeats is no noise, however fast it is
@@ -155,7 +157,7 @@ struct Apart {
 }
 
 impl Apart {
-    /// Of a run that has repeats.
+    /// What the repeats of a run differ by; `None` where it has none.
     fn of(data: &Data, trial: usize, piece: &Piece) -> Option<Self> {
         let own = &data.trials[trial];
         let members: Vec<(f64, &Channel)> = (own.members.iter())
@@ -325,8 +327,9 @@ mod tests {
         let of = |trial: usize, apart: f64| ((trial, Kind::Velocity, 1), apart);
         let noise =
             Noise { repeat: [of(0, 0.1), of(2, 0.9), of(3, 0.2)].into(), ..Noise::default() };
-        assert_eq!(noise.typical(Kind::Velocity, 1), Some(0.2));
-        assert_eq!(noise.typical(Kind::Velocity, 0), None);
+        assert_eq!(noise.typical(|_| true, Kind::Velocity, 1), Some(0.2));
+        assert_eq!(noise.typical(|_| true, Kind::Velocity, 0), None);
+        assert_eq!(noise.typical(|run| run == 1, Kind::Velocity, 1), None);
     }
 
     #[test]

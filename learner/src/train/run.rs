@@ -339,10 +339,13 @@ impl Run<'_> {
     /// behind it.
     fn first_policy(&mut self, scaling: &Scaling) -> Result<PolicyFile, LearnerError> {
         let policy = self.export(scaling)?;
-        let before = std::fs::read(self.policy_path()).ok();
-        let before = before
-            .and_then(|bytes| PolicyFile::parse(Arc::from(bytes)).ok())
-            .filter(|before| before.metadata().run_id == self.identity.run_id);
+        // policy.onnx is an older one where a training chose it; the last one lies beside it then
+        let files = [self.policy_path(), self.run_dir.join("last_policy.onnx")];
+        let before = files
+            .iter()
+            .filter_map(|path| PolicyFile::parse(Arc::from(std::fs::read(path).ok()?)).ok())
+            .filter(|before| before.metadata().run_id == self.identity.run_id)
+            .max_by_key(|before| before.metadata().version);
         let now = policy.metadata().version;
         let in_folder = before.as_ref().map(|before| before.metadata().version);
         let noted = self.versions.as_ref().and_then(Versions::highest);

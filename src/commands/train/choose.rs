@@ -1,6 +1,6 @@
 //! The end of a training: which of its last versions is its policy.
 
-use std::io::{BufRead, BufReader};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use caudata_config::Config;
@@ -17,11 +17,14 @@ use serde::Serialize;
 
 use super::folder::RunFolder;
 use super::supervise::Outcome;
-use crate::commands::policy::block_on;
+use crate::commands::policy::{block_on, hex};
 use crate::say;
 
 /// The label of the run's stream that leads to the version that was chosen.
 pub const CHOSEN: &str = "chosen";
+
+/// Most episodes of a command that a version is tried in.
+const MOST_EPISODES: u32 = 64;
 
 /// The version that was chosen.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -59,23 +62,18 @@ pub fn choose(
     outcome: &Outcome,
     stop: &StopFlag,
 ) -> Result<Choice, Failure> {
+    let last = files::policy(&folder.policy())?;
     let stream = config.policy_server.stream_of(folder.run_id());
     let stream = StreamName::new(stream).or_exit(ExitCode::BadConfig)?;
     let address = outcome.server_addr.to_string();
-    let below = Some(outcome.finished.policy_version + 1);
-    let (versions, led) = block_on(async {
-        let mut client = RegistryClient::new(&address)?;
-        let page = client.list(Some(&stream), config.evaluation.choose_from, below).await?;
-        let labels = client.overview(Some(&stream)).await?.labels;
-        let led = labels.into_iter().find(|state| state.label.as_str() == CHOSEN);
-        // labels never lead down, since robots do not go down
-        let floor = led.as_ref().map_or(0, |state| state.version);
-        let versions = page.manifests.into_iter().filter(|m| m.version >= floor);
-        Ok((versions.collect::<Vec<Manifest>>(), led))
-    })?;
+    let (versions, led) = candidates(config, folder, outcome, &stream)?;
+    let newest = versions.first().map(|manifest| manifest.version);
+    if newest != Some(outcome.finished.policy_version) {
+        return Ok(Choice::last(outcome));
+    }
     // no seed that a person would judge the policy by afterwards
     let settings = Settings {
-        episodes: config.evaluation.episodes,
+        episodes: config.evaluation.episodes.min(MOST_EPISODES),
         seed: !config.run.seed,
         ..Settings::default()
     };
@@ -99,9 +97,64 @@ pub fn choose(
     }
     let Some((_, policy)) = best else { return Ok(Choice::last(outcome)) };
     let version = policy.metadata().version;
-    files::write_whole(&folder.policy(), policy.bytes())?;
+    if version != last.metadata().version {
+        // a training that goes on counts on from the last one
+        files::write_whole(&folder.last_policy(), last.bytes())?;
+        files::write_whole(&folder.policy(), policy.bytes())?;
+    }
     label(&address, stream, version, led)?;
-    Ok(Choice { version, tried, learner_sha256: made_by_learner(folder, outcome, version)? })
+    Ok(Choice { version, tried, learner_sha256: policy.sha256_hex() })
+}
+
+/// The last published versions of this training, newest first, and where [`CHOSEN`] leads now. Left out is what
+/// another training or an abandoned branch of this one published, what was put out of use, and what lies below
+/// the label: labels never lead down, since robots do not go down.
+fn candidates(
+    config: &Config,
+    folder: &RunFolder,
+    outcome: &Outcome,
+    stream: &StreamName,
+) -> Result<(Vec<Manifest>, Option<LabelState>), Failure> {
+    let address = outcome.server_addr.to_string();
+    let below = Some(outcome.finished.policy_version + 1);
+    let (page, overview) = block_on(async {
+        let mut client = RegistryClient::new(&address)?;
+        let page = client.list(Some(stream), config.evaluation.choose_from, below).await?;
+        Ok((page, client.overview(Some(stream)).await?))
+    })?;
+    let led = overview.labels.into_iter().find(|state| state.label.as_str() == CHOSEN);
+    let floor = led.as_ref().map_or(0, |state| state.version);
+    let published = published(folder)?;
+    let of_this_training = |m: &Manifest| {
+        let told = published.get(&m.version).is_some_and(|(sha256, _)| *sha256 == hex(&m.sha256));
+        let out_of_use = overview.quarantined.iter().any(|q| q.version == m.version);
+        told && !out_of_use && m.version >= floor
+    };
+    Ok((page.manifests.into_iter().filter(of_this_training).collect(), led))
+}
+
+/// The versions that the learner told of, those of the branch that this training goes on: SHA-256 and the
+/// iteration in which it told.
+fn published(folder: &RunFolder) -> Result<BTreeMap<u64, (String, u64)>, Failure> {
+    let path = folder.progress();
+    let text = std::fs::read(&path)
+        .or_exit_with(ExitCode::NoInput, || format!("cannot read {}", path.display()))?;
+    let mut all: BTreeMap<u64, (String, u64)> = BTreeMap::new();
+    let mut iteration = 0;
+    for line in text.split(|byte| *byte == b'\n') {
+        match serde_json::from_slice(line) {
+            Ok(Event::Started(started)) => {
+                iteration = started.iteration;
+                all.retain(|_, (_, told)| *told <= iteration);
+            }
+            Ok(Event::Iteration(done)) => iteration = done.iteration,
+            Ok(Event::Published(one)) => {
+                all.insert(one.version, (one.sha256, iteration));
+            }
+            _ => {}
+        }
+    }
+    Ok(all)
 }
 
 fn fetched(address: &str, manifest: &Manifest) -> Result<PolicyFile, Failure> {
@@ -124,23 +177,6 @@ fn label(
         override_reason: None,
     };
     block_on(async { RegistryClient::new(address)?.set_label(wanted).await.map(drop) })
-}
-
-/// The hash that the learner told when it published a version.
-fn made_by_learner(folder: &RunFolder, outcome: &Outcome, version: u64) -> Result<String, Failure> {
-    let finished = &outcome.finished;
-    if version == finished.policy_version {
-        return Ok(finished.policy_sha256.clone());
-    }
-    let path = folder.progress();
-    let file = std::fs::File::open(&path)
-        .or_exit_with(ExitCode::NoInput, || format!("cannot read {}", path.display()))?;
-    let lines = BufReader::new(file).lines().map_while(Result::ok);
-    let told = lines.filter_map(|line| match serde_json::from_str(&line) {
-        Ok(Event::Published(published)) if published.version == version => Some(published.sha256),
-        _ => None,
-    });
-    Ok(told.last().unwrap_or_default())
 }
 
 /// What was tried, as lines for a person.

@@ -197,6 +197,11 @@ impl RunFolder {
         self.root.join("policy.onnx")
     }
 
+    /// The last policy, where policy.onnx is an older one that was chosen.
+    pub fn last_policy(&self) -> PathBuf {
+        self.root.join("last_policy.onnx")
+    }
+
     /// The log of the simulated robot.
     pub fn robot_log(&self) -> PathBuf {
         self.root.join("robot")

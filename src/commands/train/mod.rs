@@ -269,9 +269,10 @@ fn source(args: &TrainArgs, resumed: Option<&Path>) -> Source {
 /// Training itself went well: the policy is there.
 fn after_training(failure: Failure, folder: &RunFolder) -> Failure {
     let policy = folder.policy().display().to_string();
-    failure
-        .context("training is complete, its evaluation is not")
-        .hint(format!("the policy is {policy}; measure it with: caudata eval {policy}"))
+    failure.context("training is complete, its evaluation is not").hint(format!(
+        "the last policy is {policy}; make up for it with: caudata train --resume --out {}",
+        folder.root().display()
+    ))
 }
 
 /// Says where the run stands and how to go on.

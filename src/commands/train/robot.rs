@@ -76,7 +76,8 @@ fn run_client(
     command.args(["run", "--json", "--policy-server", server, "--label", label]);
     command.args(["--stream", config.policy_server.stream_of(folder.run_id())]);
     command.arg("--robot").arg(&config.robot);
-    command.arg("--state").arg(folder.root().join("robot_state"));
+    // a robot of its own: one that walked before would not go down to an older version
+    command.arg("--state").arg(free_name(&folder.root().join("robot_state")));
     command.args(["--bus", &format!("sim:{simulator}")]);
     command.args(["--command", &format!("{},0,0", evaluation.robot_command_mps)]);
     command.args(["--seconds", &evaluation.robot_run_s.to_string()]);
@@ -102,7 +103,7 @@ fn run_client(
         .or_exit_with(ExitCode::Protocol, || "the robot client did not print its summary")
 }
 
-/// `robot`, or `robot-2`, `robot-3` … when a resumed run has walked before.
+/// `path`, or `path-2`, `path-3` … when a resumed run has walked before.
 fn free_name(path: &Path) -> PathBuf {
     let numbered = |n: u32| PathBuf::from(format!("{}-{n}", path.display()));
     if !path.exists() {

@@ -221,7 +221,7 @@ pub fn an_encoder_on_the_motor_does_not_see_play(config: &EngineConfig) {
         })
     };
     // a rotor so light that the loop's damping would rattle it, were it not held heavier
-    let light = LaneParams { joint_armature_kgm2: vec![1e-6], ..on(1.0) };
+    let light = LaneParams { joint_armature_kgm2: vec![1e-4], ..on(1.0) };
     let mut e = lanes(config, &model, &[on(0.0), on(1.0), light]);
     run(e.as_mut(), periods(config, 8.0), &[1.0; 3], |_, _| ());
     let ahead = |lane: usize| f64::from(e.state().encoder_ahead_rad[lane]);
