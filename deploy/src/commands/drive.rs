@@ -145,8 +145,8 @@ fn typed() -> Option<Input> {
 }
 
 fn pressed() -> Option<Input> {
-    let key = std::io::stdin().bytes().next()?;
-    key.ok().map(Input::Key)
+    let mut key = [0];
+    std::io::stdin().read_exact(&mut key).ok().map(|()| Input::Key(key[0]))
 }
 
 /// The next event; a gamepad that is unplugged has none, which ends the command.

@@ -144,12 +144,15 @@ impl Services {
     }
 }
 
+/// A publisher of bytes with headers `H` that is being made.
+type Making<'a, H> = PortFactoryPublisher<'a, Ipc, [u8], H>;
+
 /// The publisher of messages of up to `bytes`, set as `own` says; their room is set aside.
 fn publisher<H: Debug + Default + ZeroCopySend>(
     service: &publish_subscribe::PortFactory<Ipc, [u8], H>,
     tag: &str,
     bytes: usize,
-    own: fn(PortFactoryPublisher<'_, Ipc, [u8], H>) -> PortFactoryPublisher<'_, Ipc, [u8], H>,
+    own: fn(Making<'_, H>) -> Making<'_, H>,
 ) -> Result<Publisher<Ipc, [u8], H>, TransportError> {
     let all = service.publisher_builder().initial_max_slice_len(bytes).max_loaned_samples(1);
     let publisher = own(all).create().map_err(backend)?;
