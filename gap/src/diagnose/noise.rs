@@ -60,23 +60,13 @@ impl Noise {
             ..Self::default()
         };
         // a run in stretches has one noise of repeats: sum of squares and samples of each channel
-        let mut repeats: BTreeMap<_, (f64, f64)> = BTreeMap::new();
-        let apart: Vec<Option<Apart>> =
-            data.parts().map(|(s, p)| Apart::of(data, s.trial, p)).collect();
-        for ((segment, piece), apart) in data.parts().zip(&apart) {
-            if let Some(apart) = apart {
-                let all = repeats.entry((segment.trial, piece.kind, piece.index)).or_default();
-                all.0 += apart.sum;
-                all.1 += apart.differences.len() as f64;
-            }
+        let mut repeats = BTreeMap::new();
+        for (segment, piece) in data.parts() {
+            noise.piece(model, data, segment.trial, piece, &mut repeats);
         }
-        noise.repeated = !repeats.is_empty();
         noise.repeat = (repeats.into_iter())
             .map(|(channel, (square, n))| (channel, (square / n).sqrt()))
             .collect();
-        for ((segment, piece), apart) in data.parts().zip(apart) {
-            noise.piece(model, data, segment.trial, piece, apart);
-        }
         noise
     }
 
@@ -86,20 +76,13 @@ impl Noise {
         self.difference[samples].iter_mut().for_each(|x| *x /= factor);
     }
 
-    /// What repeats of a channel differ by in the middle one of those `runs` that have some, SI.
-    fn typical(&self, runs: impl Fn(usize) -> bool, kind: Kind, index: usize) -> Option<f64> {
-        let own = self.repeat.iter();
-        let own = own.filter(|((run, k, i), _)| (*k, *i) == (kind, index) && runs(*run));
-        median(own.map(|(_, apart)| *apart).collect())
-    }
-
     fn piece(
         &mut self,
         model: &RobotModel,
         data: &Data,
         trial: usize,
         piece: &Piece,
-        apart: Option<Apart>,
+        repeats: &mut BTreeMap<(usize, Kind, usize), (f64, f64)>,
     ) {
         let own = &data.trials[trial];
         let channel = &own.channels[piece.channel];
@@ -109,22 +92,45 @@ impl Noise {
         let floor = counts.max(white(piece.kind, values));
         let least = (self.white.entry((trial, piece.kind, piece.index))).or_insert(floor);
         *least = least.min(floor);
-        let (n, members) = (values.len().max(1) as f64, own.members.len().max(1) as f64);
-        // a run without a repeat has what repeats of others show of the channel, if their base is held alike
-        let alike = |other: usize| data.trials[other].base == own.base;
-        let of_others = self.typical(alike, piece.kind, piece.index);
-        let shown = apart.as_ref().map(|a| (a.sum / n).sqrt()).or(of_others);
-        let left = match shown {
-            // no more than that: a vibration that comes again in all repeats is no noise, however fast it is
-            Some(apart) => spread(&unforetold(values)).min(counts.max(apart / members.sqrt())),
-            None => usual(unforetold(values)),
-        };
+        let members: Vec<(f64, &Channel)> = (own.members.iter())
+            .filter_map(|m| Some((m.span_s.0 - own.span_s.0, m.channel(piece.kind, piece.index)?)))
+            .collect();
+        // where a swimmer was when the stretch began is known of each run: repeats differ by where it goes
+        // from there
+        let swims = own.base == BaseHold::Water && piece.kind.of_place(piece.index);
+        let began: Vec<f64> = (members.iter())
+            .map(|(shift, c)| if swims { began_at(data, piece, *shift, c) } else { 0.0 })
+            .collect();
+        let (m, mut sum) = (members.len() as f64, 0.0);
+        let mut differences = vec![0.0; values.len()];
+        if members.len() > 1 {
+            for (k, difference) in differences.iter_mut().enumerate() {
+                let t = data.time_s[range.start + k];
+                let all: Vec<f64> = (members.iter().zip(&began))
+                    .map(|((shift, c), from)| c.at(t + shift) - from)
+                    .collect();
+                let mean = all.iter().sum::<f64>() / m;
+                sum += all.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (m - 1.0);
+                // one member against the mean of all: σ²·(1 − 1/m)
+                *difference = (all[0] - mean) / (1.0 - 1.0 / m).sqrt();
+            }
+            self.repeated = true;
+        }
+        let apart = (sum / values.len().max(1) as f64).sqrt();
+        let left = white_left(values, (m > 1.0).then(|| counts.max(apart / m.sqrt())));
         self.left[range.clone()].fill(left as f32);
         let time_s = &data.time_s[range.clone()];
         // what the guess holds besides noise is what its law lacks: where repeats show the noise, none is made
-        let guess = || unexplained(model, own, (piece.kind, piece.index), time_s, values);
-        let repeat = shown.unwrap_or_else(guess);
-        let differences = apart.map_or_else(|| vec![0.0; values.len()], |a| a.differences);
+        let shown = |t: &Trial| t.members.len() > 1 && t.channel(piece.kind, piece.index).is_some();
+        let repeat = match members.len() > 1 || data.trials.iter().any(shown) {
+            true => apart,
+            false => unexplained(model, own, (piece.kind, piece.index), time_s, values),
+        };
+        if members.len() > 1 && !values.is_empty() {
+            let all = repeats.entry((trial, piece.kind, piece.index)).or_default();
+            all.0 += sum;
+            all.1 += values.len() as f64;
+        }
         // stretches of a swing that dies away are measured by the whole of it, as a run in one piece is
         let size = match own.base {
             BaseHold::Fixed => spread(&in_all_stretches(data, trial, piece)),
@@ -145,45 +151,6 @@ impl Noise {
             self.sigma[range.start + k] = sigma as f32;
             self.difference[range.start + k] = (differences[k] / sigma) as f32;
         }
-    }
-}
-
-/// What repeats of a run differ by in one piece of it.
-struct Apart {
-    /// The first less the mean of all, times √(m/(m − 1)) of m repeats: as large as the noise of one. `[N]`
-    differences: Vec<f64>,
-    /// Variance of a sample among the repeats, summed.
-    sum: f64,
-}
-
-impl Apart {
-    /// What the repeats of a run differ by; `None` where it has none.
-    fn of(data: &Data, trial: usize, piece: &Piece) -> Option<Self> {
-        let own = &data.trials[trial];
-        let members: Vec<(f64, &Channel)> = (own.members.iter())
-            .filter_map(|m| Some((m.span_s.0 - own.span_s.0, m.channel(piece.kind, piece.index)?)))
-            .collect();
-        if members.len() < 2 || piece.range.is_empty() {
-            return None;
-        }
-        // where a swimmer was when the stretch began is known of each run: repeats differ by where it goes
-        // from there
-        let swims = own.base == BaseHold::Water && piece.kind.of_place(piece.index);
-        let began: Vec<f64> = (members.iter())
-            .map(|(shift, c)| if swims { began_at(data, piece, *shift, c) } else { 0.0 })
-            .collect();
-        let (m, mut sum) = (members.len() as f64, 0.0);
-        let of_sample = |t: &f64| {
-            let all: Vec<f64> = (members.iter().zip(&began))
-                .map(|((shift, c), from)| c.at(t + shift) - from)
-                .collect();
-            let mean = all.iter().sum::<f64>() / m;
-            sum += all.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (m - 1.0);
-            // one member against the mean of all: σ²·(1 − 1/m)
-            (all[0] - mean) / (1.0 - 1.0 / m).sqrt()
-        };
-        let differences = data.time_s[piece.range.clone()].iter().map(of_sample).collect();
-        Some(Self { differences, sum })
     }
 }
 
@@ -260,10 +227,16 @@ fn jitter(y: &[f64]) -> f64 {
     1.4826 * median(second.collect()).unwrap_or(0.0) / 6.0_f64.sqrt()
 }
 
-/// What the three samples on either side of one do not foretell, as large as the white noise that every model leaves.
-/// The weights are those that foretell most and hand a constant on (w = ½ − a, a − b, b of each pair), so that
+/// White noise that every model leaves of a channel, no more than the mean of repeats shows: a vibration that comes
+/// again in all of them is none, however fast it is.
+fn white_left(y: &[f64], of_mean: Option<f64>) -> f64 {
+    rough(y).min(of_mean.unwrap_or(f64::INFINITY))
+}
+
+/// White noise: 1.4826·median of what the three samples on either side do not foretell, over what their weights add
+/// to it. The weights are those that foretell most and hand a constant on (w = ½ − a, a − b, b of each pair), so that
 /// neither motion nor a vibration of one frequency, however fast, is noise.
-fn unforetold(y: &[f64]) -> Vec<f64> {
+fn rough(y: &[f64]) -> f64 {
     let pair = |w: &[f64], k: usize| w[3 - k] + w[3 + k];
     let of =
         |w: &[f64]| [w[3] - 0.5 * pair(w, 1), pair(w, 2) - pair(w, 1), pair(w, 3) - pair(w, 2)];
@@ -284,14 +257,9 @@ fn unforetold(y: &[f64]) -> Vec<f64> {
     let a = take_off(&mut left, &one);
     let b = take_off(&mut left, &two);
     let a = a - b * c;
+    let left = left.into_iter().map(f64::abs).collect();
     let added: f64 = [0.5 - a, a - b, b].iter().map(|w| 2.0 * w * w).sum();
-    left.iter().map(|x| x / (1.0 + added).sqrt()).collect()
-}
-
-/// 1.4826·median of the sizes: steps and shocks are rarer than half of the samples.
-fn usual(y: Vec<f64>) -> f64 {
-    let size = y.into_iter().map(f64::abs).collect();
-    1.4826 * median(size).unwrap_or(0.0)
+    1.4826 * median(left).unwrap_or(0.0) / (1.0 + added).sqrt()
 }
 
 /// White noise by the mean square of second differences, which outliers add to: √(Σ(y₊ − 2y + y₋)²/6n).
@@ -323,27 +291,6 @@ mod tests {
     }
 
     #[test]
-    fn a_run_without_a_repeat_has_what_the_middle_one_of_the_others_shows() {
-        let of = |trial: usize, apart: f64| ((trial, Kind::Velocity, 1), apart);
-        let noise =
-            Noise { repeat: [of(0, 0.1), of(2, 0.9), of(3, 0.2)].into(), ..Noise::default() };
-        assert_eq!(noise.typical(|_| true, Kind::Velocity, 1), Some(0.2));
-        assert_eq!(noise.typical(|_| true, Kind::Velocity, 0), None);
-        assert_eq!(noise.typical(|run| run == 1, Kind::Velocity, 1), None);
-    }
-
-    #[test]
-    fn noise_that_comes_with_motion_is_none_by_the_median() {
-        // still for two thirds of the time, then 0.05·N(0, 1): 0.05/√3
-        let mut noise = Stream::new(Key::for_run(7), Purpose::Sensor);
-        let mut reads = |k| if k < 2000 { 0.0 } else { 0.05 * noise.normal_f64() };
-        let moves: Vec<f64> = (0..3000).map(&mut reads).collect();
-        assert_eq!(usual(unforetold(&moves)), 0.0);
-        let all = spread(&unforetold(&moves));
-        assert!((all - 0.05 / 3.0_f64.sqrt()).abs() < 0.003, "{all}");
-    }
-
-    #[test]
     fn jitter_sees_noise_and_not_motion() {
         // a parabola has the constant second difference 2·a·dt²: tiny; alternating ±1 has 4: 1.4826·4/√6
         let smooth: Vec<f64> = (0..100).map(|k| (f64::from(k) * 0.01).powi(2)).collect();
@@ -352,7 +299,6 @@ mod tests {
         assert!((jitter(&rough_rows) - 1.4826 * 4.0 / 6.0_f64.sqrt()).abs() < 1e-9);
         // nor is a cube noise, nor what comes again every other row, or at a third of the rate beside a swing
         let cube: Vec<f64> = (0..100).map(|k| (f64::from(k) * 0.01).powi(3)).collect();
-        let rough = |y: &[f64]| usual(unforetold(y));
         assert!(rough(&cube) < 1e-12);
         assert!(rough(&rough_rows) < 1e-8);
         let swing = |t: f64| (0.1 * t).sin() + 0.2 * (2.1 * t).sin();
@@ -362,6 +308,8 @@ mod tests {
         let mut noise = Stream::new(Key::for_run(5), Purpose::Sensor);
         let noisy: Vec<f64> = swings.iter().map(|y| y + 0.05 * noise.normal_f64()).collect();
         assert!((rough(&noisy) - 0.05).abs() < 0.01, "{}", rough(&noisy));
+        assert_eq!(white_left(&noisy, Some(0.01)), 0.01);
+        assert_eq!(white_left(&noisy, None), rough(&noisy));
         // one spike of 3 in 102 rows: second differences 3, −6, 3: √(54/600) where the median sees nothing
         let mut rare = vec![7.0; 102];
         rare[50] = 4.0;
