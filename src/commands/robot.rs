@@ -328,6 +328,11 @@ fn import(args: &ImportArgs) -> Result<(), Failure> {
     for note in &made.notes {
         say::line(format!("note: {note}"));
     }
+    if args.out.extension().is_some_and(|end| end == "toml" || end == "xml") {
+        let why = format!("--out {} is no name of a folder", args.out.display());
+        let hint = "--out says where NAME.robot.toml goes, --name what the robot is called";
+        return Err(Failure::message(ExitCode::BadConfig, why).hint(hint));
+    }
     let written = [
         (format!("{}.xml", made.name), &made.mjcf),
         (format!("{}.robot.toml", made.name), &made.robot_toml),

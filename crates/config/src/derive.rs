@@ -14,6 +14,8 @@ use crate::ConfigError;
 const GRAVITY_MPS2: f64 = 9.81;
 /// Control rate that filters are worked out for, s.
 const PERIOD_S: f64 = 0.02;
+/// Most characters of `run.name`.
+pub(crate) const MOST_OF_A_NAME: usize = 40;
 
 /// What the rules start from.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -208,6 +210,7 @@ fn write_layer(
         out,
         include_str!("robot_preset.toml.in"),
         name = model.name(),
+        run = model.name().chars().take(MOST_OF_A_NAME).collect::<String>(),
         symmetric = symmetric(model, own_observation),
         speed = speed,
         swing_m = swing_m,
@@ -234,6 +237,7 @@ fn write_layer(
         lin_vel_sigma = round(0.5 * speed * speed),
         phase_sigma = round((0.4 * swing_m * swing_m * size.feet as f64).max(1e-4)),
         contact_n = round(0.04 * weight_n),
+        costs_full = if size.feet == 2 { 2_000_000 } else { 500_000 },
         trunk_n = round(0.2 * weight_n),
         phase_weight = 1.75 * walks * round(size.effort()),
         power_weight = -round(2e-2 * (2.6 * GRAVITY_MPS2 * 0.3) / size.carrying_w()),

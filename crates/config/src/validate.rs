@@ -82,7 +82,7 @@ impl Config {
     }
 
     fn check_run(&self) -> Check {
-        word("run.name", &self.run.name, 40, "-_")?;
+        word("run.name", &self.run.name, crate::derive::MOST_OF_A_NAME, "-_")?;
         rule!(self, run.seed in 0, i64::MAX as u64);
         rule!(self, run.iterations in 1, 10_000_000);
         rule!(self, evaluation.episodes in 0, 10_000);

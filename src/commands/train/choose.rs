@@ -49,9 +49,9 @@ impl Choice {
     }
 }
 
-/// Tries the last published versions, newest first, until one walks by every gate at the commands that it was
-/// trained for; where none does, the newest of those that miss the fewest is the one. It becomes the run's
-/// policy.onnx, and the label [`CHOSEN`] leads to it.
+/// Tries the last published versions, newest first, until one does all that it was trained for ([`Tried::of`]);
+/// where none does, the newest of those that lack the least is the one. It becomes the run's policy.onnx, and
+/// the label [`CHOSEN`] leads to it.
 ///
 /// # Errors
 /// When a version cannot be had or tried, the label or the file cannot be written, or `stop` is set.
@@ -79,19 +79,19 @@ pub fn choose(
     };
     let go_on = || stop.reason().is_none();
     let mut tried: Vec<Tried> = Vec::new();
-    let mut best: Option<(usize, PolicyFile)> = None;
+    let mut best: Option<(f64, PolicyFile)> = None;
     let mut share = say::Share::new("versions at most", versions.len());
     for manifest in &versions {
         let policy = fetched(&address, manifest)?;
         let now = Tried::of(config, model, &policy, &settings, &go_on)
             .map_err(|error| refused(error, stop))?;
         share.one_more();
-        let missed = now.missed.len();
-        tried.push(now);
-        if best.as_ref().is_none_or(|(fewest, _)| missed < *fewest) {
-            best = Some((missed, policy));
+        if best.as_ref().is_none_or(|(least, _)| now.shortfall < *least) {
+            best = Some((now.shortfall, policy));
         }
-        if missed == 0 {
+        let passes = now.passes();
+        tried.push(now);
+        if passes {
             break;
         }
     }
@@ -183,14 +183,14 @@ fn label(
 pub fn print(choice: &Choice) {
     let missed = |tried: &Tried| tried.missed.join(" | ");
     let (version, n) = (choice.version, choice.tried.len());
-    let Some(last) = choice.tried.first().filter(|last| !last.walks()) else { return };
+    let Some(last) = choice.tried.first().filter(|last| !last.passes()) else { return };
     say::line(format!("version {}, the last one, does not pass: {}", last.version, missed(last)));
     let what = match choice.tried.iter().find(|tried| tried.version == version) {
-        Some(chosen) if chosen.walks() => "the newest that walks by every gate".to_owned(),
+        Some(chosen) if chosen.passes() => "the newest that does".to_owned(),
         Some(chosen) if version != last.version => {
-            format!("none of {n} passes, it misses the fewest: {}", missed(chosen))
+            format!("none of {n} passes, it misses least: {}", missed(chosen))
         }
-        _ => format!("none of {n} passes, none misses fewer"),
+        _ => format!("none of {n} passes, none misses less"),
     };
     say::line(format!("version {version} is the policy (label `{CHOSEN}`): {what}"));
 }

@@ -34,8 +34,8 @@ settings! {
         /// Fewer: a wider standard error.
         pub episodes: u32 = 16,
         /// From how many of the last published versions the policy is chosen: the newest that walks by every
-        /// gate at the commands that it was trained for, else the one that misses fewest. 0 to 64; 0 keeps the
-        /// last one.
+        /// gate at the commands and on the ground that it was trained for, and at a shore gets there, else the
+        /// one that misses least. 0 to 64; 0 keeps the last one.
         pub choose_from: u32 = 12,
         /// Seconds that the robot client runs the pulled policy on the simulated robot. 0 to 600; 0 leaves it
         /// out.

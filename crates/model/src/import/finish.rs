@@ -1,6 +1,6 @@
 //! What is worked out of a robot that was read, and the form that the supported subset has.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
 
 use crate::geometry::Solid;
@@ -148,20 +148,25 @@ const WHEEL_RAD: f64 = 1e5;
 fn limit_actuated(robot: &mut Robot, remarks: &mut Remarks) {
     let actuated: BTreeSet<String> = robot.actuators.iter().map(|a| a.joint.clone()).collect();
     let carries: BTreeSet<usize> = robot.bodies.iter().filter_map(|b| b.parent).collect();
+    // by what is told of them, since most joints of such a file have none
+    let mut told_of: BTreeMap<&str, (Element, Vec<String>)> = BTreeMap::new();
     for (i, body) in robot.bodies.iter_mut().enumerate() {
         let rolls = !carries.contains(&i) && wheel(body);
         let unlimited = |j: &&mut Joint| j.range.is_none() && actuated.contains(&j.name);
         for joint in body.joints.iter_mut().filter(unlimited) {
             let (half, told) = match joint.motion {
-                _ if rolls => (WHEEL_RAD, "is a wheel and no foot: a policy sets its speed"),
-                JointMotion::Hinge => {
-                    (TAU, "has no limits; ±6.2832 written, where a wheel would stop")
-                }
-                JointMotion::Slide => (1.0, "has no limits; ±1.0000 written"),
+                _ if rolls => (WHEEL_RAD, "a wheel and no foot: a policy sets its speed"),
+                JointMotion::Hinge => (TAU, "no limits; ±6.2832 written, where a wheel would stop"),
+                JointMotion::Slide => (1.0, "no limits; ±1.0000 written"),
             };
             joint.range = Some((-half, half));
-            remarks.note_of(&joint.element, told);
+            let (_, names) =
+                told_of.entry(told).or_insert_with(|| (joint.element.clone(), Vec::new()));
+            names.push(format!("`{}`", joint.name));
         }
+    }
+    for (told, (element, names)) in told_of {
+        remarks.note(&element, format!("{}: {told}", names.join(", ")));
     }
 }
 

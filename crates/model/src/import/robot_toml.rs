@@ -23,7 +23,7 @@ const FULL_TORQUE_SHARE: f64 = 2.0 / 3.0;
 /// How much higher than the lowest a shape may end and still be a foot, m.
 const FOOT_LEVEL_M: f64 = 0.03;
 
-/// The same among the shapes of one foot.
+/// The same among the shapes of one foot; their middles are as level, which those of a shin are not.
 const SOLE_LEVEL_M: f64 = 0.01;
 
 /// What is taken for a foot.
@@ -327,8 +327,11 @@ pub(super) fn feet(robot: &Robot) -> Vec<Foot> {
         let stands = |&p: &usize| lowest(p).is_some_and(|(_, z, _)| z - toe_z < FOOT_LEVEL_M);
         let i = foot.filter(stands).unwrap_or(end);
         let Some((at, z, geom)) = lowest(i) else { continue };
-        let alike = |g: &&Geom| g.shape == geom.shape && bottom(i, g).1 - z < SOLE_LEVEL_M;
-        let geoms = reaching(&robot.bodies[i]).filter(alike);
+        let of_the_sole = |g: &&Geom| {
+            let (middle, low) = bottom(i, g);
+            low - z < SOLE_LEVEL_M && (middle[2] - at[2]).abs() < SOLE_LEVEL_M
+        };
+        let geoms = reaching(&robot.bodies[i]).filter(of_the_sole);
         let foot = Foot {
             name: word(&robot.bodies[i].name),
             geoms: geoms.filter_map(|g| g.name.clone()).collect(),

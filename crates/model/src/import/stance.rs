@@ -6,8 +6,10 @@ use crate::parts::{Joint, Robot};
 use crate::pose::{self, Pose};
 use crate::types::{Geom, JointMotion};
 
-/// How far a leg reaches down, of what it could: knees bent by some 80°.
+/// How far a leg reaches down, of what it could: knees bent by some 80°, those of two legs, which hold the
+/// weight of the whole robot in turn, by 50°.
 const BENT: f64 = 0.75;
+const BENT_OF_TWO: f64 = 0.9;
 /// Nearer to the middle the end of a limb is on no side, m.
 const ASIDE_LEAST_M: f64 = 1e-3;
 /// Between these a leg is bent already; beyond, it is as good as straight.
@@ -134,7 +136,8 @@ pub(super) fn find(robot: &mut Robot) -> bool {
     if legs.len() < 2 || legs.iter().all(Limb::stands) {
         return false;
     }
-    let ground_m = legs.iter().map(|l| l.hip_m[2] - BENT * l.length_m());
+    let bent = if legs.len() == 2 { BENT_OF_TWO } else { BENT };
+    let ground_m = legs.iter().map(|l| l.hip_m[2] - bent * l.length_m());
     let ground_m = ground_m.fold(f64::NEG_INFINITY, f64::max);
     let before = robot.home.clone();
     // two legs must stand below the centre of mass, which moves as they bend
@@ -201,9 +204,12 @@ fn limb(robot: &Robot, end: usize, trunk: &[bool], places: &[Pose]) -> Option<Li
     }
     // the shape farthest from the last joint
     let far = |g: &&Geom| pose::norm(g.link_from_geom.pos_m);
-    let touching = reaching(&robot.bodies[end]);
-    let tip = touching.max_by(|a, b| far(a).total_cmp(&far(b)))?;
-    limb.tip_m = tip.link_from_geom.pos_m;
+    let touching = || reaching(&robot.bodies[end]);
+    let tip = touching().max_by(|a, b| far(a).total_cmp(&far(b)))?;
+    // a sole may be of several, one at each corner
+    let alike: Vec<&Geom> = touching().filter(|g| g.shape == tip.shape).collect();
+    let sum_m = alike.iter().fold([0.0; 3], |sum, g| pose::add(sum, g.link_from_geom.pos_m));
+    limb.tip_m = sum_m.map(|x| x / alike.len() as f64);
     let nearest = |j: &Joint| j.range.map_or(0.0, |(low, high)| 0.0f64.clamp(low, high));
     let still: Vec<f64> = limb.joints(robot).map(nearest).collect();
     limb.hip_m = limb.frames(robot, &still)[0].pos_m;
@@ -223,18 +229,20 @@ fn bend(robot: &Robot, leg: &Limb, [ahead_m, ground_m]: [f64; 2], legs: usize) -
     // knees of two legs go forward, of more backward
     let forward = if legs == 2 { 1.0 } else { -1.0 };
     let count = leg.joints(robot).count();
-    let flat = leg.frames(robot, &vec![0.0; count]).pop().map(|p| p.rotate([0.0, 0.0, 1.0]));
+    let flat = leg.frames(robot, &vec![0.0; count]).pop().unwrap_or(Pose::IDENTITY);
     let cost = |q: &[f64]| {
         let frames = leg.frames(robot, q);
         let end = frames[frames.len() - 1];
         let off = pose::norm(pose::sub(end.point(leg.tip_m), target)) / length_m;
         let turned: f64 = q.iter().map(|q| q * q).sum::<f64>() / count as f64;
-        // a foot of its own joint, at the end of five or more, is a sole
-        let sole = if count < 5 {
-            0.0
-        } else {
-            1.0 - pose::dot(flat.unwrap_or_default(), end.rotate([0.0, 0.0, 1.0]))
+        // a foot of its own joint, at the end of five or more, is a sole; of two legs it points ahead, too
+        let axes: &[[f64; 3]] = match (count < 5, legs == 2) {
+            (true, _) => &[],
+            (_, true) => &[[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]],
+            (_, false) => &[[0.0, 0.0, 1.0]],
         };
+        let off_axis = |axis: &[f64; 3]| 1.0 - pose::dot(flat.rotate(*axis), end.rotate(*axis));
+        let sole = axes.iter().map(off_axis).sum::<f64>();
         let knee = frames.iter().map(|f| (f.pos_m[0] - hip_x) / length_m).sum::<f64>();
         off * off + TURN_COST * turned + SOLE_COST * sole - KNEE_COST * forward * knee
     };

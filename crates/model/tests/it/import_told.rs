@@ -128,7 +128,7 @@ fn wheels_are_no_feet_and_a_damping_ratio_becomes_a_gain() {
         )
     };
     let made = read("cart.xml", &text(position, velocity)).unwrap();
-    assert!(told(&made, "is a wheel and no foot") && told(&made, "dampratio"), "{:?}", made.notes);
+    assert!(told(&made, "a wheel and no foot") && told(&made, "dampratio"), "{:?}", made.notes);
     let m = model(&made);
     assert!(m.feet().is_empty() && !m.rolls(0) && m.rolls(1) && m.rolls(2));
     let gains = m.gains()[0];

@@ -5,6 +5,7 @@
 mod common;
 mod general;
 mod import;
+mod import_feet;
 mod import_told;
 mod mujoco;
 mod polymander;
