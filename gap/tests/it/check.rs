@@ -298,6 +298,30 @@ fn a_current_that_holds_a_weight_all_the_time_has_its_sign() {
 }
 
 #[test]
+fn a_motor_that_brakes_itself_leaves_an_error_without_a_current() {
+    // kp = 0.886 N·m/rad, back-EMF 0.0482 N·m·s/rad, q = sin 4t, 0.06 N·m held: e = (0.06 + 4·0.0482·cos 4t)/kp goes
+    // from 0.285 to −0.150 rad while the motor gives 0.06 N·m all the time; what counts as much is 0.05·0.77 N·m.
+    // With twice that in the error it gives 0.06 + 0.193·cos 4t, both ways.
+    let robot = robot("xl330_pendulum");
+    let held = |braking_nm: f64| {
+        let mut log = logs(&robot, "chirp_medium", &[3]).remove(0);
+        (log.meta.kp, log.meta.kd) = (Some(0.886), None);
+        let [cmd, pos, cur]: [Signal; 3] =
+            ["cmd", "pos", "cur"].map(|kind| format!("{kind}.swing").parse().unwrap());
+        let changed = changed(&log, |s, _, t, v| match s {
+            s if *s == cmd => Some((4.0 * t).sin() + (0.06 + braking_nm * (4.0 * t).cos()) / 0.886),
+            s if *s == pos => Some((4.0 * t).sin()),
+            s if *s == cur => Some(0.17 + 0.01 * (9.0 * t).sin()),
+            _ => v,
+        });
+        let faults = one(&robot, &changed).faults;
+        faults.iter().any(|f| f.kind == "sign" && f.location.ends_with("cur.swing"))
+    };
+    assert!(!held(0.193));
+    assert!(held(0.386));
+}
+
+#[test]
 fn a_misspelt_key_is_found_and_one_that_nobody_reads_is_named() {
     let robot = robot("xl330_pendulum");
     for (key, fault) in [("Kp", true), ("suply_v", true), ("kp_register", false)] {
