@@ -60,10 +60,18 @@ impl Noise {
             ..Self::default()
         };
         // a run in stretches has one noise of repeats: sum of squares and samples of each channel
-        let mut repeats = BTreeMap::new();
-        for (segment, piece) in data.parts() {
-            noise.piece(model, data, segment.trial, piece, &mut repeats);
+        let mut repeats: BTreeMap<_, (f64, f64)> = BTreeMap::new();
+        let apart: Vec<Option<Apart>> =
+            data.parts().map(|(s, p)| Apart::of(data, s.trial, p)).collect();
+        for ((segment, piece), own) in data.parts().zip(&apart) {
+            if let Some(own) = own {
+                let all = repeats.entry((segment.trial, piece.kind, piece.index)).or_default();
+                all.0 += own.sum;
+                all.1 += own.differences.len() as f64;
+            }
+            noise.piece(model, data, segment.trial, piece, own.as_ref(), &apart);
         }
+        noise.repeated = !repeats.is_empty();
         noise.repeat = (repeats.into_iter())
             .map(|(channel, (square, n))| (channel, (square / n).sqrt()))
             .collect();
@@ -82,7 +90,8 @@ impl Noise {
         data: &Data,
         trial: usize,
         piece: &Piece,
-        repeats: &mut BTreeMap<(usize, Kind, usize), (f64, f64)>,
+        apart: Option<&Apart>,
+        all: &[Option<Apart>],
     ) {
         let own = &data.trials[trial];
         let channel = &own.channels[piece.channel];
@@ -92,45 +101,18 @@ impl Noise {
         let floor = counts.max(white(piece.kind, values));
         let least = (self.white.entry((trial, piece.kind, piece.index))).or_insert(floor);
         *least = least.min(floor);
-        let members: Vec<(f64, &Channel)> = (own.members.iter())
-            .filter_map(|m| Some((m.span_s.0 - own.span_s.0, m.channel(piece.kind, piece.index)?)))
-            .collect();
-        // where a swimmer was when the stretch began is known of each run: repeats differ by where it goes
-        // from there
-        let swims = own.base == BaseHold::Water && piece.kind.of_place(piece.index);
-        let began: Vec<f64> = (members.iter())
-            .map(|(shift, c)| if swims { began_at(data, piece, *shift, c) } else { 0.0 })
-            .collect();
-        let (m, mut sum) = (members.len() as f64, 0.0);
-        let mut differences = vec![0.0; values.len()];
-        if members.len() > 1 {
-            for (k, difference) in differences.iter_mut().enumerate() {
-                let t = data.time_s[range.start + k];
-                let all: Vec<f64> = (members.iter().zip(&began))
-                    .map(|((shift, c), from)| c.at(t + shift) - from)
-                    .collect();
-                let mean = all.iter().sum::<f64>() / m;
-                sum += all.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (m - 1.0);
-                // one member against the mean of all: σ²·(1 − 1/m)
-                *difference = (all[0] - mean) / (1.0 - 1.0 / m).sqrt();
-            }
-            self.repeated = true;
-        }
-        let apart = (sum / values.len().max(1) as f64).sqrt();
-        let left = white_left(values, (m > 1.0).then(|| counts.max(apart / m.sqrt())));
+        // a run without a repeat has what repeats of others show of the channel, if their base is held alike
+        let others = |of| typical(all, (own.base, piece.kind, piece.index), of);
+        let shown = apart.map(Apart::sd).or_else(|| others(Apart::sd));
+        let left = match apart {
+            Some(apart) => apart.white / (own.members.len() as f64).sqrt(),
+            None => white_left(values, others(|a| a.white)),
+        };
         self.left[range.clone()].fill(left as f32);
         let time_s = &data.time_s[range.clone()];
         // what the guess holds besides noise is what its law lacks: where repeats show the noise, none is made
-        let shown = |t: &Trial| t.members.len() > 1 && t.channel(piece.kind, piece.index).is_some();
-        let repeat = match members.len() > 1 || data.trials.iter().any(shown) {
-            true => apart,
-            false => unexplained(model, own, (piece.kind, piece.index), time_s, values),
-        };
-        if members.len() > 1 && !values.is_empty() {
-            let all = repeats.entry((trial, piece.kind, piece.index)).or_default();
-            all.0 += sum;
-            all.1 += values.len() as f64;
-        }
+        let guess = || unexplained(model, own, (piece.kind, piece.index), time_s, values);
+        let repeat = shown.unwrap_or_else(guess);
         // stretches of a swing that dies away are measured by the whole of it, as a run in one piece is
         let size = match own.base {
             BaseHold::Fixed => spread(&in_all_stretches(data, trial, piece)),
@@ -149,9 +131,69 @@ impl Noise {
         for k in 0..values.len() {
             let sigma = or_idle(sigma, values[k], idle_a);
             self.sigma[range.start + k] = sigma as f32;
-            self.difference[range.start + k] = (differences[k] / sigma) as f32;
+            let difference = apart.map_or(0.0, |a| a.differences[k]);
+            self.difference[range.start + k] = (difference / sigma) as f32;
         }
     }
+}
+
+/// What repeats of a run differ by in one piece of it.
+struct Apart {
+    /// How the base is held, and which channel it is.
+    of: (BaseHold, Kind, usize),
+    /// The first less the mean of all, times √(m/(m − 1)) of m repeats: as large as the noise of one. `[N]`
+    differences: Vec<f64>,
+    /// Variance of a sample among the repeats, summed.
+    sum: f64,
+    /// White noise of one of them, standard deviation: what comes again in all, steps and shocks too, is none of it.
+    white: f64,
+}
+
+impl Apart {
+    /// What the repeats of a run differ by; `None` where it has none.
+    fn of(data: &Data, trial: usize, piece: &Piece) -> Option<Self> {
+        let own = &data.trials[trial];
+        let members: Vec<(f64, &Channel)> = (own.members.iter())
+            .filter_map(|m| Some((m.span_s.0 - own.span_s.0, m.channel(piece.kind, piece.index)?)))
+            .collect();
+        if members.len() < 2 || piece.range.is_empty() {
+            return None;
+        }
+        // where a swimmer was when the stretch began is known of each run: repeats differ by where it goes
+        // from there
+        let swims = own.base == BaseHold::Water && piece.kind.of_place(piece.index);
+        let began: Vec<f64> = (members.iter())
+            .map(|(shift, c)| if swims { began_at(data, piece, *shift, c) } else { 0.0 })
+            .collect();
+        let (m, mut sum) = (members.len() as f64, 0.0);
+        let of_sample = |t: &f64| {
+            let all: Vec<f64> = (members.iter().zip(&began))
+                .map(|((shift, c), from)| c.at(t + shift) - from)
+                .collect();
+            let mean = all.iter().sum::<f64>() / m;
+            sum += all.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (m - 1.0);
+            // one member against the mean of all: σ²·(1 − 1/m)
+            (all[0] - mean) / (1.0 - 1.0 / m).sqrt()
+        };
+        let differences: Vec<f64> =
+            data.time_s[piece.range.clone()].iter().map(of_sample).collect();
+        let white = spread(&unforetold(&differences));
+        Some(Self { of: (own.base, piece.kind, piece.index), differences, sum, white })
+    }
+
+    /// Standard deviation of one of them.
+    fn sd(&self) -> f64 {
+        (self.sum / self.differences.len() as f64).sqrt()
+    }
+}
+
+/// `sd` of a channel in the middle one of `all` that have repeats of it.
+fn typical(
+    all: &[Option<Apart>],
+    of: (BaseHold, Kind, usize),
+    sd: fn(&Apart) -> f64,
+) -> Option<f64> {
+    median(all.iter().flatten().filter(|a| a.of == of).map(sd).collect())
 }
 
 /// What the repeat `channel`, `shift_s` later, reads where the stretch of `piece` begins: the mean of a few
@@ -227,16 +269,24 @@ fn jitter(y: &[f64]) -> f64 {
     1.4826 * median(second.collect()).unwrap_or(0.0) / 6.0_f64.sqrt()
 }
 
-/// White noise that every model leaves of a channel, no more than the mean of repeats shows: a vibration that comes
-/// again in all of them is none, however fast it is.
-fn white_left(y: &[f64], of_mean: Option<f64>) -> f64 {
-    rough(y).min(of_mean.unwrap_or(f64::INFINITY))
+/// White noise that every model leaves of a run without a repeat: the mean square of what is not foretold, but no more
+/// than `of_others`; the median where none has a repeat, since steps are not foretold either.
+fn white_left(y: &[f64], of_others: Option<f64>) -> f64 {
+    match of_others {
+        Some(most) => spread(&unforetold(y)).min(most),
+        None => rough(y),
+    }
 }
 
-/// White noise: 1.4826·median of what the three samples on either side do not foretell, over what their weights add
-/// to it. The weights are those that foretell most and hand a constant on (w = ½ − a, a − b, b of each pair), so that
-/// neither motion nor a vibration of one frequency, however fast, is noise.
+/// White noise: 1.4826·median of what is not foretold.
 fn rough(y: &[f64]) -> f64 {
+    1.4826 * median(unforetold(y).into_iter().map(f64::abs).collect()).unwrap_or(0.0)
+}
+
+/// What the three samples on either side of one do not foretell, over what their weights add to white noise. The weights
+/// are those that foretell most and hand a constant on (w = ½ − a, a − b, b of each pair), so that neither motion nor
+/// a vibration of one frequency, however fast, is noise.
+fn unforetold(y: &[f64]) -> Vec<f64> {
     let pair = |w: &[f64], k: usize| w[3 - k] + w[3 + k];
     let of =
         |w: &[f64]| [w[3] - 0.5 * pair(w, 1), pair(w, 2) - pair(w, 1), pair(w, 3) - pair(w, 2)];
@@ -257,9 +307,8 @@ fn rough(y: &[f64]) -> f64 {
     let a = take_off(&mut left, &one);
     let b = take_off(&mut left, &two);
     let a = a - b * c;
-    let left = left.into_iter().map(f64::abs).collect();
     let added: f64 = [0.5 - a, a - b, b].iter().map(|w| 2.0 * w * w).sum();
-    1.4826 * median(left).unwrap_or(0.0) / (1.0 + added).sqrt()
+    left.iter().map(|x| x / (1.0 + added).sqrt()).collect()
 }
 
 /// White noise by the mean square of second differences, which outliers add to: √(Σ(y₊ − 2y + y₋)²/6n).
@@ -291,6 +340,37 @@ mod tests {
     }
 
     #[test]
+    fn a_run_without_a_repeat_has_what_the_middle_one_of_the_others_shows() {
+        let with = |index, sum| {
+            let of = (BaseHold::Fixed, Kind::Velocity, index);
+            Some(Apart { of, differences: vec![0.0; 4], sum, white: 0.1 * sum })
+        };
+        // √(0.04/4) = 0.1, √(0.16/4) = 0.2, √(3.24/4) = 0.9
+        let all = [with(1, 0.04), None, with(1, 3.24), with(0, 9.0), with(1, 0.16)];
+        let of = |base, index| (base, Kind::Velocity, index);
+        assert_eq!(typical(&all, of(BaseHold::Fixed, 1), Apart::sd), Some(0.2));
+        assert_eq!(typical(&all, of(BaseHold::Fixed, 1), |a| a.white), Some(0.016));
+        assert_eq!(typical(&all, of(BaseHold::Fixed, 2), Apart::sd), None);
+        assert_eq!(typical(&all, of(BaseHold::Water, 1), Apart::sd), None);
+    }
+
+    #[test]
+    fn noise_that_comes_with_motion_is_seen_and_steps_are_not() {
+        // still for two thirds of the time, then 0.05·N(0, 1): 0.05/√3, and a median of nothing
+        let mut noise = Stream::new(Key::for_run(7), Purpose::Sensor);
+        let mut reads = |k: usize| if k < 2000 { 0.0 } else { 0.05 * noise.normal_f64() };
+        let moves: Vec<f64> = (0..3000).map(&mut reads).collect();
+        assert_eq!(rough(&moves), 0.0);
+        let all = spread(&unforetold(&moves));
+        assert!((all - 0.05 / 3.0_f64.sqrt()).abs() < 0.003, "{all}");
+        // a step of 2 every 100 samples comes again in all repeats: it is unforetold in each, and others know no more
+        let steps: Vec<f64> =
+            moves.iter().zip(0..).map(|(y, k)| y + f64::from(k / 100 % 2 * 2)).collect();
+        assert!(spread(&unforetold(&steps)) > 2.0 * all);
+        assert_eq!(white_left(&steps, Some(all)), all);
+    }
+
+    #[test]
     fn jitter_sees_noise_and_not_motion() {
         // a parabola has the constant second difference 2·a·dt²: tiny; alternating ±1 has 4: 1.4826·4/√6
         let smooth: Vec<f64> = (0..100).map(|k| (f64::from(k) * 0.01).powi(2)).collect();
@@ -308,7 +388,6 @@ mod tests {
         let mut noise = Stream::new(Key::for_run(5), Purpose::Sensor);
         let noisy: Vec<f64> = swings.iter().map(|y| y + 0.05 * noise.normal_f64()).collect();
         assert!((rough(&noisy) - 0.05).abs() < 0.01, "{}", rough(&noisy));
-        assert_eq!(white_left(&noisy, Some(0.01)), 0.01);
         assert_eq!(white_left(&noisy, None), rough(&noisy));
         // one spike of 3 in 102 rows: second differences 3, −6, 3: √(54/600) where the median sees nothing
         let mut rare = vec![7.0; 102];
