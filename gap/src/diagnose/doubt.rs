@@ -86,6 +86,11 @@ impl<'a> Doubts<'a> {
         (self.scatter.iter()).filter(|(s, _)| s.share > self.inconstant)
     }
 
+    /// The terms that have no one size.
+    pub fn without_one_size(&self) -> Vec<usize> {
+        self.inconstant().map(|(s, _)| s.term).collect()
+    }
+
     /// What of it concerns a cause at `place`.
     pub fn grounds(&self, context: &Context, place: &Place) -> Grounds {
         let near =

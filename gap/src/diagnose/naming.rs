@@ -266,10 +266,10 @@ fn is_a_lead(quiet: f64, worth: &Worth) -> bool {
         && worth.fit < GREAT_SHARE_OF_FIT * (worth.fit_of - quiet)
 }
 
-/// Which of the causes in `order`, greatest first, are leads and no findings ([`is_a_lead`], with all others
-/// in the model): beside one that is surely greater. Of two that take as much nobody knows which makes up for
-/// the other.
-pub fn leads(context: &Context, best: &State, order: &[Named]) -> Vec<bool> {
+/// Which of the causes in `order`, greatest first, are leads and no findings ([`is_a_lead`] with all others in the
+/// model, or among the terms `inconstant`, which have no one size): beside one that is surely greater. Of two that take
+/// as much nobody knows which makes up for the other.
+pub fn leads(context: &Context, best: &State, order: &[Named], inconstant: &[usize]) -> Vec<bool> {
     let mut out: Vec<bool> = Vec::new();
     let place = |n: &Named| &best.terms[n.index].place;
     for (k, n) in order.iter().enumerate() {
@@ -278,7 +278,9 @@ pub fn leads(context: &Context, best: &State, order: &[Named]) -> Vec<bool> {
                 && greater.worth.interval.0 > n.worth.cross
                 && one_place(context, place(greater), place(n))
         });
-        out.push(greater && is_a_lead(gates::quiet(context), &n.worth));
+        let makes_up =
+            || inconstant.contains(&n.index) || is_a_lead(gates::quiet(context), &n.worth);
+        out.push(greater && makes_up());
     }
     out
 }

@@ -77,10 +77,12 @@ fn told_of<'a>(context: &Context, found: &'a Found, named: &[Named]) -> Result<T
     let doubts = Doubts::about(context, base, best, &derivatives, &indices);
     let told = named.iter().map(|n| cause(context, best, n, &spread, &doubts));
     let mut all = told.collect::<Result<Vec<_>, _>>()?;
-    let are_leads = naming::leads(context, best, named);
-    let leads = indices.iter().zip(&are_leads).filter(|(_, lead)| **lead);
-    let leads: Vec<usize> = leads.map(|(index, _)| *index).collect();
-    let doubts = doubts.without(&leads);
+    let small = naming::leads(context, best, named, &[]);
+    let small = indices.iter().zip(small).filter(|(_, lead)| *lead);
+    let small: Vec<usize> = small.map(|(index, _)| *index).collect();
+    let doubts = doubts.without(&small);
+    // what has no one size beside a greater cause makes up for what that one's law lacks: it stays a doubt
+    let are_leads = naming::leads(context, best, named, &doubts.without_one_size());
     for (cause, own) in all.iter_mut().zip(named) {
         widen(cause, &best.terms[own.index], best, named);
     }

@@ -78,8 +78,8 @@ pub fn summary(
     }
     if !leads.is_empty() {
         let which = match leads {
-            [_] => "which takes less than it leaves: a lead and no finding",
-            _ => "each of which takes less than it leaves: leads and no findings",
+            [_] => "which may make up for what another law lacks: a lead and no finding",
+            _ => "which may make up for what another law lacks: leads and no findings",
         };
         text.push_str(&format!(" The model carries {} as well, {which}.", names(leads)));
     }
