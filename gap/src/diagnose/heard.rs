@@ -24,6 +24,11 @@ const ONE_STROKE: f64 = 0.75;
 const MOST_ROWS: usize = 4;
 /// Samples of two runs that are compared lie no farther apart than this share of a frame.
 const NEAR: f64 = 0.45;
+/// Share of samples that are behind where frames are lost; a lab that loses one frame in a thousand has 0.001
+/// to 0.003, play up to 0.014.
+const LEAST_BEHIND: f64 = 0.015;
+/// A run must fall behind so often: fewer times tell a rate to no better than a third.
+const LEAST_TIMES: usize = 12;
 /// Where frames are lost, a run falls behind at one stroke in at least this share of the times: on bench rigs
 /// 0.58 to 0.76 of them, 0.5 where gears have play, 0.1
 /// where all commands are late by nearly a row, so that jitter of stamps decides which one is heard.
@@ -73,17 +78,19 @@ impl Tally {
 
     /// Whether a run that parts from its repeats is behind them and not as often ahead: what friction, play
     /// and supply make of repeats has no direction.
-    pub(super) fn lags(&self) -> bool {
+    fn lags(&self) -> bool {
         let (behind, ahead) = (self.behind_most as f64, self.ahead_of_most as f64);
         // samples of one burst are one
         let by_chance = ((behind + ahead) * self.length()).sqrt();
         behind > LEAST_BEHIND_MOST * (behind + ahead) && behind - ahead > BEYOND_CHANCE * by_chance
     }
 
-    pub(super) fn shows_losses(&self, least_times: usize, least_behind: f64) -> bool {
-        self.times >= least_times
-            && self.share_behind() >= least_behind
+    /// Whether frames are lost.
+    pub(super) fn shows_losses(&self) -> bool {
+        self.times >= LEAST_TIMES
+            && self.share_behind() >= LEAST_BEHIND
             && self.at_one_stroke as f64 >= LEAST_AT_ONE_STROKE * self.times as f64
+            && self.lags()
     }
 }
 
@@ -339,6 +346,28 @@ mod tests {
             time_s: command.time_s.clone(),
             heard_rad: (0..40).map(heard).collect(),
         }
+    }
+
+    #[test]
+    fn runs_that_part_from_their_repeats_lose_frames_if_they_fall_behind() {
+        // 4 % of the samples are behind in bursts of 4; where one of three parts from the others it is behind
+        // them 150 times
+        let lossy = Tally {
+            samples: 4000,
+            behind: 160,
+            times: 40,
+            at_one_stroke: 30,
+            behind_most: 150,
+            ahead_of_most: 10,
+        };
+        assert!(lossy.shows_losses());
+        // friction lets go sooner in one run and later in another: ahead as often; √(160·4)·3 = 76 is what
+        // chance may give
+        assert!(!Tally { behind_most: 100, ahead_of_most: 60, ..lossy }.shows_losses());
+        // it does so slowly
+        assert!(!Tally { at_one_stroke: 5, ..lossy }.shows_losses());
+        // of two repeats nobody knows which one is behind
+        assert!(!Tally { behind_most: 0, ahead_of_most: 0, ..lossy }.shows_losses());
     }
 
     #[test]

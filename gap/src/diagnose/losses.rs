@@ -19,15 +19,6 @@ use crate::replay::{Data, Replayer, SegmentOptions, Term};
 use crate::report::{Cause, Parameter, Rejected};
 use crate::trial::{Steps, Trial};
 
-/// Share of samples that are behind where frames are lost; a lab that loses one frame in a thousand has 0.001
-/// to 0.003, play up to 0.014.
-const LEAST_BEHIND: f64 = 0.015;
-/// The same in held-out runs.
-const LEAST_BEHIND_HELD_OUT: f64 = 0.008;
-/// A run must fall behind so often in the runs that are fitted, …
-const LEAST_TIMES: usize = 12;
-/// … and in held-out ones so often.
-const LEAST_TIMES_HELD_OUT: usize = 4;
 /// Shares and mean lengths of bursts that are simulated.
 const SHARES: [f64; 8] = [0.005, 0.015, 0.03, 0.06, 0.12, 0.2, 0.3, 0.45];
 const BURSTS: [f64; 6] = [1.0, 2.0, 3.0, 5.0, 8.0, 16.0];
@@ -45,28 +36,20 @@ pub struct Losses {
     at_bound: bool,
     /// In the runs that are fitted.
     fit: Tally,
-    /// In held-out runs; none where those are the same.
-    held_out: Option<Tally>,
 }
 
-/// Looks for frames that were lost in the runs `fit` and `held_out` (none: the same runs) of a robot on a
-/// stand. None where none are, where repeats, speeds or currents are missing, or where the robot file says
-/// already that it loses some.
+/// Looks for frames that were lost in the runs `fit` of a robot on a stand. None where none are, where repeats,
+/// speeds or currents are missing, or where the robot file says already that it loses some.
 ///
 /// # Errors
 /// As [`Replayer::predict`].
-pub fn find(
-    replayer: &Replayer,
-    fit: &[Trial],
-    held_out: Option<&[Trial]>,
-) -> Result<Option<Losses>, GapError> {
+pub fn find(replayer: &Replayer, fit: &[Trial]) -> Result<Option<Losses>, GapError> {
     if replayer.gives(&DROPPED_FRAMES) {
         return Ok(None);
     }
     let mut groups = watched(replayer, fit);
     let fit = tally(replayer, &groups);
-    let held_out = held_out.map(|trials| tally(replayer, &watched(replayer, trials)));
-    if !shown(&fit, held_out.as_ref()) {
+    if !fit.shows_losses() {
         return Ok(None);
     }
     let mut spent_s = 0.0;
@@ -81,17 +64,7 @@ pub fn find(
         term: Term { effect: &DROPPED_FRAMES, place, values: vec![share, burst] },
         at_bound: burst >= BURSTS[BURSTS.len() - 1],
         fit,
-        held_out,
     }))
-}
-
-/// Whether frames are lost in the runs that are fitted and in held-out ones.
-fn shown(fit: &Tally, held_out: Option<&Tally>) -> bool {
-    let mut all = *fit;
-    all.add(held_out.copied().unwrap_or_default());
-    fit.shows_losses(LEAST_TIMES, LEAST_BEHIND)
-        && held_out.is_none_or(|t| t.shows_losses(LEAST_TIMES_HELD_OUT, LEAST_BEHIND_HELD_OUT))
-        && all.lags()
 }
 
 impl Losses {
@@ -116,23 +89,18 @@ impl Losses {
             (of_share.name.to_owned(), parameter(share, half_share, of_share.low, of_share.high)),
             (of_burst.name.to_owned(), parameter(burst, half_burst, of_burst.low, of_burst.high)),
         ]);
-        let in_words = |t: &Tally, runs: &str| {
+        let evidence = vec![
             format!(
-                "in {runs} one run falls behind its repeats {} times, {} of them at one stroke by what the last frame asked for; {:.1} % of {} samples are behind (a lab that \
-                 loses a frame in a thousand has 0.3 % at most)",
-                t.times,
-                t.at_one_stroke,
-                100.0 * t.share_behind(),
-                t.samples
-            )
-        };
-        let mut evidence = vec![in_words(&self.fit, "the runs that were fitted")];
-        evidence.extend((self.held_out.iter()).map(|t| in_words(t, "held-out runs")));
-        evidence.push(format!("its mark: {}", self.term.effect.signature));
-        evidence.push(
+                "one run falls behind its repeats {} times, {} of them at one stroke by what the last frame asked for; {:.1} % of {} samples are behind (a lab that loses a frame in a thousand has 0.3 % at most)",
+                self.fit.times,
+                self.fit.at_one_stroke,
+                100.0 * self.fit.share_behind(),
+                self.fit.samples
+            ),
+            format!("its mark: {}", self.term.effect.signature),
             "it is measured by what repeats differ by, and takes next to nothing off the misfit of their mean"
                 .to_owned(),
-        );
+        ];
         Cause {
             effect: self.term.effect.id.to_owned(),
             layer: self.term.effect.layer.name().to_owned(),
@@ -292,36 +260,6 @@ mod tests {
     #![allow(clippy::unwrap_used)]
 
     use super::*;
-
-    #[test]
-    fn runs_that_part_from_their_repeats_lose_frames_if_they_fall_behind() {
-        // 4 % of the samples are behind in bursts of 4; where one of three parts from the others it is behind
-        // them 150 times
-        let lossy = Tally {
-            samples: 4000,
-            behind: 160,
-            times: 40,
-            at_one_stroke: 30,
-            behind_most: 150,
-            ahead_of_most: 10,
-        };
-        assert!(shown(&lossy, None));
-        // friction lets go sooner in one run and later in another: ahead as often; √(160·4)·3 = 76 is what
-        // chance may give
-        let either_way = Tally { behind_most: 100, ahead_of_most: 60, ..lossy };
-        assert!(!shown(&either_way, None));
-        // it does so slowly
-        let slow = Tally { at_one_stroke: 5, ..lossy };
-        assert!(!shown(&slow, None));
-        // of two repeats nobody knows which one is behind
-        let two = Tally { behind_most: 0, ahead_of_most: 0, ..lossy };
-        assert!(!shown(&two, None));
-        // but two are enough in held-out runs, where it must happen again
-        let held_out = Tally { samples: 1000, behind: 40, times: 8, at_one_stroke: 6, ..two };
-        assert!(shown(&lossy, Some(&held_out)));
-        assert!(!shown(&lossy, Some(&Tally { times: 3, ..held_out })));
-        assert!(!shown(&lossy, Some(&Tally::default())));
-    }
 
     #[test]
     fn what_is_lost_is_heard_with_the_next_frame_that_arrives() {

@@ -282,9 +282,8 @@ fn context(
     let passed = stops::find(&replayer, &Data::new(model, whole, options))?;
     let also = |replayer: Replayer, p: &stops::Passed| replayer.with_also(p.term.clone());
     let replayer = passed.iter().fold(replayer, also);
-    let same_runs = split == Split::Same;
     let losses = if effects.iter().any(|e| e.id == DROPPED_FRAMES.id) {
-        losses::find(&replayer, &fit_trials, (!same_runs).then_some(&held_out[..]))?
+        losses::find(&replayer, &fit_trials)?
     } else {
         None
     };
@@ -305,7 +304,7 @@ fn context(
         fit,
         scout,
         holdout,
-        same_runs,
+        same_runs: split == Split::Same,
         losses,
         passed,
         effects,
