@@ -1,22 +1,19 @@
 //! Which model goes into the extended file. The names of causes are one thing, the model another: it holds
 //! whatever the runs that were fitted support, named or not.
 
-use std::collections::BTreeSet;
-
 use super::extend::{entry, parameters};
 use super::fits::{fitted, penalised, single};
 use super::folds::jackknife;
 use super::gates::{self, Worth};
 use super::joints::{Angles, mean_abs};
 use super::levels::BUILT;
-use super::naming::{self, Named};
-use super::search::{Found, MOST_TERMS};
+use super::naming::Named;
+use super::search::Found;
 use super::state::{Context, State};
 use super::tracking::Tracking;
 use crate::effects::Layer;
 use crate::error::GapError;
 use crate::extension::ExtensionEffect;
-use crate::go_on::GoOn;
 use crate::replay::Term;
 use crate::report::{Carried, Cause};
 
@@ -108,72 +105,32 @@ fn is_among(term: &Term, terms: &[Term]) -> bool {
     terms.iter().any(|t| t.same(term))
 }
 
-/// The last gate: what is no nearer to held-out runs than the robot as given is not named. Causes are left out
-/// until what remains is, the one whose gain is least sure on the fitted runs first: held-out runs say how many of
-/// them there are, and not which. Naming what remains ends when `go_on` says so, and nothing is named then.
+/// The last gate: what is no nearer to held-out runs than the robot as given is not named, and not carried.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
 pub fn refuse(
     context: &mut Context,
-    go_on: &GoOn,
     found: &mut Found,
     named: &mut Vec<Named>,
 ) -> Result<(), GapError> {
-    let mut refused: BTreeSet<Vec<String>> = BTreeSet::new();
-    loop {
-        let terms = found.best.terms.clone();
-        let Found { base, best, .. } = &mut *found;
-        context.judge_held_out(&terms, &mut [base, best])?;
-        if nearer(context, base, best) {
-            return Ok(());
-        }
-        refused.insert(best.key());
-        if refused.len() == 1 {
-            let worth =
-                Worth { passed: false, why: NO_NEARER, ..gates::worth(context, base, best, None) };
-            found.refused.insert(0, (found.best.clone(), worth));
-        }
-        let least = least_sure(named);
-        found.best = least.map_or_else(|| found.base.clone(), |n| n.without.clone());
-        let may_go_on = !found.best.terms.is_empty() && refused.len() < MOST_TERMS;
-        if may_go_on
-            && name_again(context, go_on, found, named)?
-            && !refused.contains(&found.best.key())
-        {
-            continue;
-        }
-        found.best = found.base.clone();
-        named.clear();
+    let terms = found.best.terms.clone();
+    let Found { base, best, .. } = &mut *found;
+    context.judge_held_out(&terms, &mut [base, best])?;
+    if nearer(context, base, best) {
+        return Ok(());
     }
-}
-
-/// Names what is left of the model. Whether there was time for it.
-fn name_again(
-    context: &mut Context,
-    go_on: &GoOn,
-    found: &mut Found,
-    named: &mut Vec<Named>,
-) -> Result<bool, GapError> {
-    context.replayer.set_go_on(go_on.clone());
-    let ended = naming::name(context, found, named);
-    context.replayer.set_go_on(GoOn::default());
-    match ended {
-        Ok(()) => Ok(true),
-        Err(GapError::Stopped) => Ok(false),
-        Err(e) => Err(e),
-    }
+    let worth = Worth { passed: false, why: NO_NEARER, ..gates::worth(context, base, best, None) };
+    found.refused.insert(0, (found.best.clone(), worth));
+    context.judge_held_out(&[], &mut [&mut found.base])?;
+    found.best = found.base.clone();
+    named.clear();
+    Ok(())
 }
 
 /// Whether a model may be carried, by held-out runs.
 fn nearer(context: &Context, base: &State, state: &State) -> bool {
     state.terms.is_empty() || gates::nearer(context, base, state)
-}
-
-/// The cause whose gain in cross-validation is the least of the width of its interval.
-fn least_sure(named: &[Named]) -> Option<&Named> {
-    let sure = |w: &Worth| w.cross / (w.interval.1 - w.interval.0).max(f64::MIN_POSITIVE);
-    named.iter().min_by(|a, b| sure(&a.worth).total_cmp(&sure(&b.worth)))
 }
 
 /// Standard deviations of the parameters of `state` by the jackknife over the parts of the runs, SI.
@@ -248,41 +205,4 @@ fn unnamed(
         ],
         ..Cause::default()
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Takes `cross` floors off, with this interval.
-    fn named(index: usize, cross: f64, interval: (f64, f64)) -> Named {
-        Named {
-            index,
-            without: State::default(),
-            worth: Worth {
-                fit: cross,
-                fit_of: 1.0,
-                cross,
-                of: 1.0,
-                low: 0.0,
-                interval,
-                beyond_doubt: false,
-                rest: false,
-                passed: true,
-                why: "",
-            },
-            rivals: Vec::new(),
-            probability: 1.0,
-            untried: Vec::new(),
-        }
-    }
-
-    #[test]
-    fn what_the_fitted_runs_are_least_sure_of_is_left_out_first() {
-        // ten times its interval; half of its; twice its, though it takes least
-        let all =
-            [named(0, 2.0, (1.9, 2.1)), named(1, 0.6, (0.0, 1.2)), named(2, 0.2, (0.15, 0.25))];
-        assert_eq!(least_sure(&all).map(|n| n.index), Some(1));
-        assert!(least_sure(&[]).is_none());
-    }
 }

@@ -102,7 +102,6 @@ pub fn diagnose(
     let mut found = search::Found::nothing(&context)?;
     let mut named = Vec::new();
     let mut tracking = tracking::Tracking::default();
-    let began = Instant::now();
     let unfinished =
         explore(request, &mut context, &mut found, &mut named, &mut tracking, progress)?;
     progress(Progress::new(Stage::Reporting, 0, &found.best.label()));
@@ -111,11 +110,8 @@ pub fn diagnose(
         search::settle(&mut context, &mut found)?;
         naming::name_untried(&context, &found.best, &mut named)?;
     }
-    // held-out runs, for the first time; naming once more has what time is left
-    let budget = request.options.budget_s.map(|s| s.max(0.0));
-    let end = budget.map(|s| began + Duration::from_secs_f64(s));
-    let go_on = request.options.go_on.until(end);
-    carried::refuse(&mut context, &go_on, &mut found, &mut named)?;
+    // held-out runs, for the first time
+    carried::refuse(&mut context, &mut found, &mut named)?;
     let carried = carried::choose(&mut context, &mut found, &tracking)?;
     if let Some(losses) = &context.losses {
         // what was wrong before is said of the robot as its file says

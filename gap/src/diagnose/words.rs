@@ -85,15 +85,8 @@ pub fn summary(
     }
     if let Some((state, _)) = found.refused.first().filter(|(_, w)| w.why == NO_NEARER) {
         let (before, after) = (found.base.holdout.misfit, state.holdout.misfit);
-        let what = match found.best.terms.is_empty() {
-            true => "it is no finding, and the robot is taken as given.".to_owned(),
-            false => format!(
-                "causes were left out until they are nearer, the least sure first. So these runs had a say in how much of it is kept ({}), and what is gained on them flatters it.",
-                found.best.label()
-            ),
-        };
         text.push_str(&format!(
-            " Fitted to the other runs, {} does not bring held-out runs nearer ({before:.2} floors as given, {after:.2} with it): {what}",
+            " Fitted to the other runs, {} does not bring held-out runs nearer ({before:.2} floors as given, {after:.2} with it): it is no finding, and the robot is taken as given.",
             state.label()
         ));
     }
