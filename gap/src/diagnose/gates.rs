@@ -16,20 +16,8 @@ const RESAMPLES: usize = 400;
 pub const RELATIVE_GAIN: f64 = 0.06;
 /// The same in units of the floor.
 pub const ABSOLUTE_GAIN: f64 = 0.12;
-/// Misfit from which on a model is far from its data: more is allowed, in smaller steps.
-const FAR: f64 = 6.0;
-/// See [`RELATIVE_GAIN`], far from the data.
-const FAR_GAIN: f64 = 0.03;
-/// A gain that comes from so few blocks is an incident, not an effect: the largest block's share.
-const ONE_BLOCK: f64 = 0.8;
-/// A gain that is in so many blocks of the runs that were fitted is no incident ([`blocks`]) …
-const SEVERAL_BLOCKS: f64 = 2.0;
-/// … nor one that takes so much off the parts that were left out.
-const NEARLY_ALL: f64 = 0.8;
-/// Gain on the runs it was fitted to that leaves no doubt there, in what careful labs have to explain
-/// ([`quiet`]) …
-const BEYOND_DOUBT: f64 = 0.9;
-/// … and as a share of what there was: parts that hardly ask for an effect need only speak for it then, not
+/// Gain on the runs it was fitted to that leaves no doubt there, if it is more than careful labs have to explain
+/// ([`quiet`]), as a share of what there was: parts that hardly ask for an effect need only speak for it then, not
 /// prove it by themselves once more.
 const BEYOND_DOUBT_SHARE: f64 = 0.25;
 
@@ -52,8 +40,6 @@ pub struct Worth {
     pub cross: f64,
     /// Misfit in cross-validation before, on the same channels.
     pub of: f64,
-    /// Lower end of that (0.5 %; far from the data 2.5 %).
-    pub low: f64,
     /// 95 % interval of the fall in cross-validation.
     pub interval: (f64, f64),
     /// Whether the runs it was fitted to leave no doubt.
@@ -82,17 +68,11 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
     let mean = |drawn: &[usize]| drawn.iter().map(|k| gains[*k]).sum::<f64>() / samples as f64;
     let sorted = resampled(gains.len(), context.seed, mean);
     let at = |share: f64| at(&sorted, share);
-    let far = of > FAR;
-    let relative = if far { FAR_GAIN } else { RELATIVE_GAIN };
-    let low = if far { at(0.025) } else { at(0.005) };
-    let beyond_doubt = fit > BEYOND_DOUBT * quiet(context) && fit > BEYOND_DOUBT_SHARE * before;
-    // what is asked for in one second only is no incident if it is foretold there nearly to the end
-    let fitted_blocks = || blocks(&falls(&context.fit, &own, &from.fit, &to.fit));
-    let again = beyond_doubt && (cross > NEARLY_ALL * of || fitted_blocks() >= SEVERAL_BLOCKS);
+    let interval = (at(0.025), at(0.975));
+    let beyond_doubt = fit > quiet(context) && fit > BEYOND_DOUBT_SHARE * before;
     let white = (mask.iter().enumerate()).filter(|(_, m)| **m).map(|(k, _)| white(judge, k));
     let beyond = of - white.sum::<f64>() / samples as f64;
     let rest = !from.terms.is_empty() && beyond > 0.0 && cross > MOST_OF_REST * beyond;
-    let sure = if beyond_doubt { at(0.025) } else { low } > 0.0;
     let absolute = if beyond_doubt || rest { 0.5 } else { 1.0 } * ABSOLUTE_GAIN;
     let why = if fit <= 0.0 {
         "no gain on the runs it was fitted to"
@@ -102,12 +82,10 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
         && worst_within(joints, judge, &from.cross, &mask) < NOTHING_LEFT
     {
         "what it explains is within what careful labs differ by at one joint of so many"
-    } else if !sure && !rare(&gains, cross, of, again) {
+    } else if interval.0 <= 0.0 && !rare(&gains) {
         "its gain in cross-validation is within what resampling gives by chance"
-    } else if cross < relative * of || cross < absolute {
+    } else if cross < RELATIVE_GAIN * of || cross < absolute {
         "its gain in cross-validation is too small to matter"
-    } else if from_one_block(&gains) && !again {
-        "its gain comes from one second of one run"
     } else {
         ""
     };
@@ -116,8 +94,7 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
         fit_of: before,
         cross,
         of,
-        low,
-        interval: (at(0.025), at(0.975)),
+        interval,
         beyond_doubt,
         rest,
         passed: why.is_empty(),
@@ -125,14 +102,13 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
     }
 }
 
-/// An effect that acts rarely (a limit, a stop) gains in few blocks, which resampling may miss: it must gain
-/// much, in two blocks or more (unless what it does there is what it did in the runs that were fitted:
-/// `again`), and lose nearly nowhere.
-fn rare(gains: &[f64], cross: f64, of: f64, again: bool) -> bool {
+/// An effect that acts rarely (a limit, a stop) gains in few blocks, which resampling may miss: it must gain in two
+/// blocks or more (what is in one second is an incident) and lose nearly nowhere.
+fn rare(gains: &[f64]) -> bool {
     let total: f64 = gains.iter().sum();
     let lost: f64 = gains.iter().filter(|g| **g < 0.0).map(|g| -g).sum();
     let many = gains.iter().filter(|g| **g > 0.1 * total).count();
-    cross > 0.2 * of && (again || many >= 2) && lost < 0.15 * total
+    many >= 2 && lost < 0.15 * total
 }
 
 /// Fall of the sum of squares by block, on the samples in `mask`.
@@ -144,21 +120,6 @@ fn falls(judge: &Judge, mask: &[bool], from: &On, to: &On) -> Vec<f64> {
             0.0
         }
     })
-}
-
-/// In how many blocks a gain is: their participation number, (Σg)²/Σg². 1: all in one; as many as there are:
-/// in all alike.
-fn blocks(gains: &[f64]) -> f64 {
-    let positive = || gains.iter().map(|g| g.max(0.0));
-    let square: f64 = positive().map(|g| g * g).sum();
-    positive().sum::<f64>().powi(2) / square.max(f64::MIN_POSITIVE)
-}
-
-/// Whether a gain comes from one block of several.
-fn from_one_block(gains: &[f64]) -> bool {
-    let total: f64 = gains.iter().sum();
-    let largest = gains.iter().copied().fold(0.0, f64::max);
-    largest > ONE_BLOCK * total && gains.len() > 4
 }
 
 /// Misfit from which on there is something to explain. Of many joints one is always a little off.
@@ -332,25 +293,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_incident_is_in_one_block_and_a_habit_in_many() {
-        // 3, 1 and nothing: (3 + 1)²/(9 + 1)
-        assert!((blocks(&[3.0, 1.0, -2.0, 0.0]) - 1.6).abs() < 1e-12);
-        assert!((blocks(&[0.0, 7.0, 0.0]) - 1.0).abs() < 1e-12);
-        // however many they are, and however little each has of the whole
-        assert!((blocks(&[0.1; 40]) - 40.0).abs() < 1e-9);
-        assert!(blocks(&[-1.0, 0.0]).abs() < 1e-12);
-        assert!(from_one_block(&[9.0, 0.5, 0.5, 0.0, 0.0]));
-        assert!(!from_one_block(&[5.0, 4.0, 1.0, 0.0, 0.0]));
-    }
-
-    #[test]
-    fn what_acts_rarely_must_gain_in_two_blocks_or_have_done_so_often() {
-        let one = [8.0, 0.1, 0.0, 0.0, -0.2];
-        assert!(!rare(&one, 0.5, 1.0, false));
-        assert!(rare(&one, 0.5, 1.0, true));
-        assert!(rare(&[4.0, 4.0, 0.0, -0.2], 0.5, 1.0, false));
-        // too little, or with too much lost elsewhere
-        assert!(!rare(&one, 0.1, 1.0, true));
-        assert!(!rare(&[8.0, -2.0], 0.5, 1.0, true));
+    fn what_acts_rarely_must_gain_in_two_seconds() {
+        assert!(!rare(&[8.0, 0.1, 0.0, 0.0, -0.2]));
+        assert!(rare(&[4.0, 4.0, 0.0, -0.2]));
+        // too much is lost elsewhere
+        assert!(!rare(&[4.0, 4.0, -2.0]));
     }
 }

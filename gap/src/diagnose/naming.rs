@@ -246,7 +246,7 @@ fn both(context: &Context, best: &State, named: &Named) -> Result<Option<State>,
     let more = |state: &State| {
         let worth = gates::worth(context, best, state, Some(&term.place));
         worth.passed
-            && worth.low > 0.0
+            && worth.interval.0 > 0.0
             && worth.fit > MORE_TOGETHER * worth.fit_of
             && worth.cross > MORE_TOGETHER * worth.of
             && state.terms.iter().all(|t| gates::matters(context, t))
@@ -388,7 +388,6 @@ mod tests {
             fit_of: 1.0,
             cross,
             of: 1.0,
-            low: 0.0,
             interval: (0.0, 0.0),
             beyond_doubt: false,
             rest: false,
