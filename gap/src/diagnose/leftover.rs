@@ -2,6 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::levels::RIGHT_LEAVES;
 use super::motion::Motion;
 use super::product::dot;
 use super::search::Found;
@@ -9,8 +10,6 @@ use super::state::Context;
 use crate::report::Unexplained;
 use crate::trial::Kind;
 
-/// A channel whose share of the misfit is below this, floors, is no leftover.
-const LEFTOVER: f64 = 0.2;
 /// An argument matters if it explains this share of what is left.
 const MATTERS: f64 = 0.05;
 
@@ -40,7 +39,7 @@ pub fn leftover(context: &Context, found: &Found) -> Vec<Unexplained> {
         .map(|(t, _)| t.label());
     cells
         .into_iter()
-        .filter(|c| c.0 / n > LEFTOVER)
+        .filter(|c| c.0 / n > RIGHT_LEAVES)
         .take(3)
         .map(|(_, kind, index, name)| {
             let (depends_on, description) = depends(context, found, kind, index);

@@ -7,6 +7,7 @@ use super::alike::{indistinguishable, trades, wider};
 use super::doubt::one_place;
 use super::fits::{fitted, penalised, swapped};
 use super::gates::{self, Worth};
+use super::levels::RIGHT_LEAVES;
 use super::refine::refine;
 use super::screen::{Screened, look_alikes, screen};
 use super::search::{Found, MOST_TERMS};
@@ -23,8 +24,6 @@ const RIVALS: usize = 8;
 /// samples are far more, and their errors are not independent: by their number the better of two wrong laws is
 /// always certain.)
 const ERRORS_OF_LAW: f64 = 13.0;
-/// What the right model leaves as well, floors.
-const RIGHT_LEAVES: f64 = 0.24;
 /// A rival with this likelihood, that of the cause being 1, belongs to the answer set.
 const AS_LIKELY: f64 = 0.19;
 /// A rival that fails to explain this share of what the cause does explains something else that is left.
@@ -43,8 +42,6 @@ const GREAT_SHARE_OF_FIT: f64 = 0.6;
 /// Two look-alikes are both there if together they take this share off what the cause alone leaves, of the runs
 /// that are fitted and in cross-validation.
 const MORE_TOGETHER: f64 = 0.2;
-/// After so many steps causes are dropped only.
-const MOST_STEPS: usize = 2 * MOST_TERMS;
 
 /// A rival of a cause.
 pub struct Rival {
@@ -90,10 +87,9 @@ impl Named {
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
 pub fn name(context: &Context, found: &mut Found, out: &mut Vec<Named>) -> Result<(), GapError> {
-    // Ends: a step either makes the model smaller or leads to one that was not the best before, and after
-    // some steps only causes are dropped.
+    // Ends: a step either drops a cause or leads to a model that was not the best before, which is smaller or
+    // leaves far less.
     let mut seen: BTreeSet<Vec<String>> = BTreeSet::new();
-    let mut steps = 0;
     'again: loop {
         seen.insert(found.best.key());
         out.clear();
@@ -108,20 +104,16 @@ pub fn name(context: &Context, found: &mut Found, out: &mut Vec<Named>) -> Resul
         for (index, without) in withouts.into_iter().enumerate().rev() {
             let screened = screened.pop().unwrap_or_default();
             let named = rivals_of(context, &found.best, index, without, &screened)?;
-            let mut better = None;
-            if steps < MOST_STEPS {
-                better = simpler(context, &found.best, &named, &seen);
-                if better.is_none() && named.worth.cross > 0.0 {
+            let better = match simpler(context, &found.best, &named, &seen) {
+                None if named.worth.cross <= 0.0 => Some(named.without.clone()),
+                None => {
                     let new = |s: &State| !seen.contains(&s.key());
-                    better = both(context, &found.best, &named)?.filter(new);
+                    both(context, &found.best, &named)?.filter(new)
                 }
-            }
-            if better.is_none() && named.worth.cross <= 0.0 {
-                better = Some(named.without.clone());
-            }
+                simpler => simpler,
+            };
             if let Some(better) = better {
                 found.best = better;
-                steps += 1;
                 continue 'again;
             }
             out.push(named);

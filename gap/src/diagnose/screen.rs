@@ -311,9 +311,7 @@ fn weigh(
         false => shares(effect, model, place, &sizes, &neutral),
     };
     let share = (prd / pdd).clamp(low, high);
-    let projected = (2.0 * share * prd - share * share * pdd) / n;
-    let direct = (2.0 * rd - dd) / n;
-    let gain = projected.max(direct);
+    let gain = (2.0 * share * prd - share * share * pdd) / n;
     let mut start = Term { effect, place: place.clone(), values: sizes.clone() };
     scale_up(model, &mut start, share);
     let known = out.iter().position(|s| s.effect == effect && s.place == *place);

@@ -6,6 +6,7 @@ use nalgebra::DMatrix;
 
 use super::alike::wider;
 use super::extend::parameters;
+use super::levels::RIGHT_LEAVES;
 use super::naming::Named;
 use super::product::{gram, stiffen};
 use super::state::{Context, Derivatives, State};
@@ -19,13 +20,8 @@ use crate::report::{Cause, Parameter};
 /// noise of one session …
 const FINEST: f64 = 0.35;
 /// … and this part of the effect: the law that is fitted is not quite nature's (on the benchmark, whose laws
-/// are others, one error in two is larger than 4 %) …
+/// are others, one error in two is larger than 4 %), more where the model leaves more than a right one does.
 const LAW: f64 = 0.1;
-/// … and more where the model fits worse than careful labs do (misfit of nulls of the benchmark).
-const GOOD_MISFIT: f64 = 0.2;
-
-/// Fewest runs from which it is told how much parameters differ from run to run.
-const FEWEST_RUNS: usize = 3;
 
 /// Sandwich covariance of the fitted parameters.
 pub struct Spread {
@@ -51,7 +47,7 @@ pub fn intervals(
     let neutral = term.neutral(model);
     // what the model still gets wrong pulls at its parameters as well; and no interval is finer than a part of
     // what matters
-    let poor = (best.fit.misfit / GOOD_MISFIT).max(1.0).sqrt();
+    let poor = (best.fit.misfit / RIGHT_LEAVES).max(1.0).sqrt();
     parameters(model, term, |p| {
         let variance = spread.variance.get(offset + p).copied().unwrap_or(0.0);
         let sd = variance.max(wider.get(p).copied().unwrap_or(0.0)).max(0.0).sqrt();
@@ -90,7 +86,7 @@ pub fn spread(context: &Context, best: &State, derivatives: &Derivatives) -> Spr
     let covariance = scaled(&by_block.collect::<Vec<_>>());
     let mut variance: Vec<f64> = covariance.diagonal().iter().copied().collect();
     let runs = by_run.first().map_or(0, Vec::len);
-    if runs >= FEWEST_RUNS {
+    if runs > 1 {
         // scores sum to nothing at the best fit: one run of them is not free
         let few = runs as f64 / (runs as f64 - 1.0);
         let by_run = scaled(&by_run);
