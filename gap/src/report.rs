@@ -291,7 +291,7 @@ pub struct Unexplained {
 }
 
 /// What to record next.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct NextExperiment {
     /// Name of a trial of the excitation battery.
     pub trial: String,

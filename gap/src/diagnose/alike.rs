@@ -38,7 +38,7 @@ pub fn trades(context: &Context, model: &State, other: &Term) -> Result<bool, Ga
 fn spanned(own: &[Vec<f32>], others: &[Vec<f32>]) -> bool {
     const LEFT: f64 = 0.1;
     let mut among = gram(own);
-    stiffen(&mut among, 0.0);
+    stiffen(&mut among);
     let Some(among) = among.cholesky() else {
         return false;
     };

@@ -205,7 +205,7 @@ fn alone(sides: &[Side], own: &Range<usize>, amount: &[f64]) -> Option<Vec<Vec<f
     };
     let n = others.len();
     let mut gram = DMatrix::from_fn(n, n, |i, j| product(others[i], others[j]));
-    stiffen(&mut gram, 0.0);
+    stiffen(&mut gram);
     let along = |&a: &usize| -> f64 {
         let pairs = sides.iter().zip(&trace);
         pairs.map(|(s, d)| dot(&s.columns[a], d)).sum()

@@ -125,28 +125,23 @@ pub fn polished(context: &Context, state: State) -> Result<State, GapError> {
     Ok(if fitted.fit.misfit <= state.fit.misfit { fitted } else { state })
 }
 
-/// `state` with its term `index` replaced by each of `rivals`, refitted; the best fit of each. `without`: the
-/// model without the term.
+/// The model that `with` makes of each of the `chosen` at each of its starts, fitted; the best fit of each.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
-pub fn swapped(
+pub fn with_each(
     context: &Context,
-    state: &State,
-    index: usize,
-    rivals: &[&Screened],
-    without: &State,
+    chosen: &[&Screened],
+    before: Before,
+    with: impl Fn(Term) -> Variant,
 ) -> Result<Vec<State>, GapError> {
-    let mut variants = Vec::new();
-    let mut of = Vec::new();
-    for (number, rival) in rivals.iter().enumerate() {
-        for start in &rival.starts {
-            let mut terms = state.terms.clone();
-            terms[index] =
-                Term { effect: rival.effect, place: rival.place.clone(), values: start.clone() };
-            variants.push(terms);
+    let (mut variants, mut of) = (Vec::new(), Vec::new());
+    for (number, s) in chosen.iter().enumerate() {
+        for start in &s.starts {
+            let (place, values) = (s.place.clone(), start.clone());
+            variants.push(with(Term { effect: s.effect, place, values }));
             of.push(number);
         }
     }
-    best_fits(context, variants, &of, rivals.len(), Before::of(without))
+    best_fits(context, variants, &of, chosen.len(), before)
 }

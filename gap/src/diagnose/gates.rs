@@ -142,9 +142,8 @@ fn worst_within(joints: usize, judge: &Judge, on: &On, mask: &[bool]) -> f64 {
     for piece in judge.data.pieces() {
         within[group(joints, piece)] |= mask[piece.range.clone()].contains(&true);
     }
-    let sums = groups(joints, &[(judge, on)]);
-    let named = sums.iter().zip(within).filter(|(_, w)| *w);
-    named.map(|((square, n), _)| square / f64::max(*n, 1.0)).fold(0.0, f64::max)
+    let named = means(joints, &[(judge, on)]).into_iter().zip(within).filter(|(_, w)| *w);
+    named.map(|(mean, _)| mean).fold(0.0, f64::max)
 }
 
 /// Mean square on the channels that `place` concerns.
@@ -200,6 +199,11 @@ fn groups(joints: usize, parts: &[(&Judge, &On)]) -> Vec<(f64, f64)> {
     sums
 }
 
+/// Mean squares of the same.
+fn means(joints: usize, parts: &[(&Judge, &On)]) -> Vec<f64> {
+    groups(joints, parts).iter().map(|(square, n)| square / f64::max(*n, 1.0)).collect()
+}
+
 /// What white noise adds to the square of sample `k`, floors.
 fn white(judge: &Judge, k: usize) -> f64 {
     f64::from(judge.noise.left[k] / judge.noise.sigma[k]).powi(2)
@@ -228,16 +232,14 @@ pub fn worst(context: &Context, state: &State) -> f64 {
 /// The joint at which it is greatest; none where that is the body.
 pub fn worst_joint(context: &Context, state: &State) -> Option<usize> {
     let joints = context.replayer.model().actuated().len();
-    let sums = groups(joints, &[(&context.fit, &state.cross)]);
-    let mean = |a: &usize| sums[*a].0 / f64::max(sums[*a].1, 1.0);
-    let worst = (0..=joints).max_by(|a, b| mean(a).total_cmp(&mean(b)));
+    let means = means(joints, &[(&context.fit, &state.cross)]);
+    let worst = (0..=joints).max_by(|a, b| means[*a].total_cmp(&means[*b]));
     worst.filter(|a| *a < joints)
 }
 
 /// The same of any runs.
 pub fn worst_of(context: &Context, parts: &[(&Judge, &On)]) -> f64 {
-    let joints = context.replayer.model().actuated().len();
-    groups(joints, parts).iter().map(|(square, n)| square / f64::max(*n, 1.0)).fold(0.0, f64::max)
+    means(context.replayer.model().actuated().len(), parts).into_iter().fold(0.0, f64::max)
 }
 
 /// Whether held-out runs are nearer to `to` than to `from`: in the mean, or at one joint and no further in the mean,

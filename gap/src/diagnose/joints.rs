@@ -9,6 +9,7 @@
 
 use std::ops::Range;
 
+use caudata_model::RobotModel;
 use nalgebra::{DMatrix, DVector};
 
 use super::folds::{Folds, jackknife};
@@ -70,12 +71,9 @@ fn slot(terms: &[Term], slot: usize) -> Option<(usize, usize)> {
 }
 
 /// The place of joint `a` alone.
-pub fn place_of(context: &Context, a: usize) -> Place {
-    Place {
-        domain: Domain::Joints,
-        items: vec![a],
-        names: vec![context.replayer.model().actuated_names()[a].to_owned()],
-    }
+pub fn place_of(model: &RobotModel, a: usize) -> Place {
+    let name = model.actuated_names()[a].to_owned();
+    Place { domain: Domain::Joints, items: vec![a], names: vec![name] }
 }
 
 /// Angles of all joints in a set of runs.

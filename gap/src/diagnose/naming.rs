@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 
 use super::alike::{indistinguishable, trades, wider};
 use super::doubt::one_place;
-use super::fits::{fitted, penalised, swapped};
+use super::fits::{Before, fitted, penalised, with_each};
 use super::gates::{self, Worth};
 use super::levels::RIGHT_LEAVES;
 use super::refine::refine;
@@ -287,7 +287,12 @@ fn rivals_of(
 ) -> Result<Named, GapError> {
     let term = &best.terms[index];
     let chosen = rivals(term, screened);
-    let states = swapped(context, best, index, &chosen, &without)?;
+    let instead = |t| {
+        let mut terms = best.terms.clone();
+        terms[index] = t;
+        terms
+    };
+    let states = with_each(context, &chosen, Before::of(&without), instead)?;
     let gain = penalised(context, &without) - penalised(context, best);
     let mut rivals: Vec<Rival> = states
         .into_iter()

@@ -83,8 +83,7 @@ fn again(request: &Request, gap: &LocalGap) -> NextExperiment {
             "only run {} shows it, from {:.1} s to {:.1} s: a second run under the same conditions tells whether it comes again",
             gap.run, gap.from_s, gap.to_s
         ),
-        separates: Vec::new(),
-        payload: None,
+        ..NextExperiment::default()
     }
 }
 
@@ -99,7 +98,7 @@ fn between_places(open: &Cause) -> NextExperiment {
             open.rivals()
         ),
         separates: vec![open.effect.clone()],
-        payload: None,
+        ..NextExperiment::default()
     }
 }
 
@@ -215,13 +214,12 @@ fn in_the_dark<'a>(
         if let Some((trial, apart)) = most_telling(context, &pair, made_for, None)? {
             return Ok(Some(NextExperiment {
                 trial,
-                joints: Vec::new(),
                 reason: format!(
                     "{} could not be seen: {why}; in this trial one of middling size would change angles by {apart}",
                     effect.id
                 ),
                 separates: vec![effect.id.to_owned()],
-                payload: None,
+                ..NextExperiment::default()
             }));
         }
     }
@@ -257,7 +255,7 @@ fn apart(
         joints: term.place.names.clone(),
         reason: format!("{why} they would differ by {apart}"),
         separates: vec![term.effect.id.to_owned()],
-        payload: None,
+        ..NextExperiment::default()
     }))
 }
 

@@ -53,12 +53,11 @@ pub fn gram(columns: &[Vec<f32>]) -> DMatrix<f64> {
     out
 }
 
-/// Adds `of_own` of itself, and a share of the largest entry that keeps the matrix definite, to each entry of
-/// the diagonal.
-pub fn stiffen(gram: &mut DMatrix<f64>, of_own: f64) {
+/// Adds a share of the largest entry that keeps the matrix definite to each entry of the diagonal.
+pub fn stiffen(gram: &mut DMatrix<f64>) {
     let most = gram.diagonal().iter().copied().fold(1e-12, f64::max);
     for i in 0..gram.nrows() {
-        gram[(i, i)] += of_own * gram[(i, i)] + 1e-9 * most;
+        gram[(i, i)] += 1e-9 * most;
     }
 }
 
@@ -77,7 +76,7 @@ mod tests {
         // two columns that are the same
         let mut gram = gram(&[vec![1.0, 0.0], vec![1.0, 0.0]]);
         assert!(gram.clone().cholesky().is_none());
-        stiffen(&mut gram, 0.0);
+        stiffen(&mut gram);
         assert!(gram.cholesky().is_some());
     }
 }

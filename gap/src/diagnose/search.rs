@@ -4,7 +4,7 @@
 //! where much is left the search begins at the other end too: with what the angles of the worst joint ask for
 //! ([`super::tracking`]), all of it fitted at once, from which is deleted what it can do without.
 
-use super::fits::{Before, LAST_STEPS, best_fits, fitted, penalised, polished, single};
+use super::fits::{Before, LAST_STEPS, best_fits, fitted, penalised, polished, single, with_each};
 use super::gates::{self, Worth};
 use super::joints::Joints;
 use super::levels::NOTHING_LEFT;
@@ -180,8 +180,9 @@ fn children(
     found.tried += screened.len();
     let chosen = choose(&screened, if depth == 1 { FITTED } else { FITTED_LATER });
     progress(Progress::new(Stage::Fitting, depth, &best.label()));
-    let fitted = expand(context, best, &chosen)?.into_iter();
-    let mut children: Vec<(State, Worth)> = fitted
+    let fitted =
+        with_each(context, &chosen, Before::of(best), |t| [&best.terms[..], &[t]].concat())?;
+    let mut children: Vec<(State, Worth)> = (fitted.into_iter())
         .map(|child| {
             let worth = gates::worth(context, best, &child, last_place(&child));
             (child, worth)
@@ -265,21 +266,6 @@ fn choose(screened: &[Screened], most: usize) -> Vec<&Screened> {
         }
     }
     chosen
-}
-
-/// Fits `parent` with each of the chosen added, from several starts; the best fit of each.
-fn expand(context: &Context, parent: &State, chosen: &[&Screened]) -> Result<Vec<State>, GapError> {
-    let mut variants: Vec<Variant> = Vec::new();
-    let mut of: Vec<usize> = Vec::new();
-    for (number, s) in chosen.iter().enumerate() {
-        for start in &s.starts {
-            let mut terms = parent.terms.clone();
-            terms.push(Term { effect: s.effect, place: s.place.clone(), values: start.clone() });
-            variants.push(terms);
-            of.push(number);
-        }
-    }
-    best_fits(context, variants, &of, chosen.len(), Before::of(parent))
 }
 
 /// Deletes effects that the others make superfluous, one by one: those that would not be added now.

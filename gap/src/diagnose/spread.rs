@@ -68,7 +68,7 @@ pub fn spread(context: &Context, best: &State, derivatives: &Derivatives) -> Spr
     let (columns, steps) = (&derivatives.fit, &derivatives.steps);
     let n = columns.len();
     let mut gram = gram(columns);
-    stiffen(&mut gram, 0.0);
+    stiffen(&mut gram);
     let Some(bread) = gram.cholesky().map(|c| c.inverse()) else {
         return none;
     };

@@ -2,7 +2,8 @@
 //! to make up for it: such a stop is simulated nowhere, or, where a joint without it would go on and the measured
 //! one does not, where that one stops.
 
-use crate::effects::{Domain, PASSED_STOP, Place};
+use super::joints::place_of;
+use crate::effects::PASSED_STOP;
 use crate::error::GapError;
 use crate::replay::{Data, Replayer, Term, Variant};
 use crate::report::DataFault;
@@ -84,11 +85,7 @@ pub fn find(replayer: &Replayer, data: &Data) -> Result<Vec<Passed>, GapError> {
     let passed =
         |a: usize, s: usize| measured.at(a, s, SAMPLES) > simulated.at(a, s, 0) + gives_way(a);
     let term = |a: usize, out: &dyn Fn(usize) -> f64| {
-        let place = Place {
-            domain: Domain::Joints,
-            items: vec![a],
-            names: vec![model.actuated_names()[a].to_owned()],
-        };
+        let place = place_of(model, a);
         let values = [0, 1].map(|s| if passed(a, s) { out(s) } else { 0.0 });
         Term { effect: &PASSED_STOP, place, values: values.to_vec() }
     };

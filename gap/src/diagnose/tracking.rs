@@ -152,7 +152,7 @@ impl Tracking {
             };
             for a in (0..joints).filter(|&a| angles.measured(a)) {
                 let own = standard.own.iter().filter_map(|id| effects::find(id));
-                model.own[a].extend(own.map(|e| Term::nothing(robot, e, place_of(context, a))));
+                model.own[a].extend(own.map(|e| Term::nothing(robot, e, place_of(robot, a))));
             }
             for effect in standard.shared.iter().filter_map(|id| effects::find(id)) {
                 let place = effect.places(robot).swap_remove(0);
@@ -307,8 +307,8 @@ fn ranked(
     let may = |effect: &Effect, a: usize| {
         open[a]
             && !model.own[a].iter().any(|t| t.effect == effect)
-            && effect.may_be(robot, &place_of(context, a))
-            && (effect.unseen)(&context.excitation, &place_of(context, a)).is_none()
+            && effect.may_be(robot, &place_of(robot, a))
+            && (effect.unseen)(&context.excitation, &place_of(robot, a)).is_none()
             && pool.is_none_or(|p| p[a].contains(effect.id))
     };
     // what builds up over a session says nothing of the next one
@@ -324,7 +324,7 @@ fn ranked(
     let plans: Vec<_> = (0..joints).map(plan).collect();
     let most = plans.iter().map(Vec::len).max().unwrap_or(0);
     let at = |effect: &'static Effect, k: usize, a: usize| {
-        let place = place_of(context, a);
+        let place = place_of(robot, a);
         let values = effect.sizes(robot, &place, k);
         Term { effect, place, values }
     };
