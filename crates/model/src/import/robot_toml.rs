@@ -302,17 +302,7 @@ pub(super) fn feet(robot: &Robot) -> Vec<Foot> {
         return Vec::new();
     }
     let places = places(robot);
-    let bottom = |i: usize, geom: &Geom| {
-        let at = places[i].compose(&geom.link_from_geom);
-        let up = at.inverse().rotate([0.0, 0.0, 1.0]);
-        (at.pos_m, at.pos_m[2] - geom.shape.half_extent_m(up))
-    };
-    // its middle, the height of its lowest point, and itself
-    let lowest = |i: usize| {
-        let measured = reaching(&robot.bodies[i]).map(|geom| (bottom(i, geom), geom));
-        let ((at, z), geom) = measured.min_by(|a, b| a.0.1.total_cmp(&b.0.1))?;
-        Some((at, z, geom))
-    };
+    let lowest = |i: usize| lowest(robot, &places, i);
     let mut found: Vec<([f64; 3], f64, Foot)> = Vec::new();
     for end in 1..robot.bodies.len() {
         if robot.bodies.iter().any(|b| b.parent == Some(end)) {
@@ -321,14 +311,10 @@ pub(super) fn feet(robot: &Robot) -> Vec<Foot> {
         if wheel(&robot.bodies[end]) {
             continue;
         }
-        let Some((_, toe_z, _)) = lowest(end) else { continue };
-        // toes without a drive belong to the foot that stands on the ground before them
-        let foot = robot.bodies[end].parent.filter(|&p| p > 0 && !driven(robot, end));
-        let stands = |&p: &usize| lowest(p).is_some_and(|(_, z, _)| z - toe_z < FOOT_LEVEL_M);
-        let i = foot.filter(stands).unwrap_or(end);
+        let i = foot_of(robot, &places, end).unwrap_or(end);
         let Some((at, z, geom)) = lowest(i) else { continue };
         let of_the_sole = |g: &&Geom| {
-            let (middle, low) = bottom(i, g);
+            let (middle, low) = bottom(&places[i], g);
             low - z < SOLE_LEVEL_M && (middle[2] - at[2]).abs() < SOLE_LEVEL_M
         };
         let geoms = reaching(&robot.bodies[i]).filter(of_the_sole);
@@ -348,6 +334,28 @@ pub(super) fn feet(robot: &Robot) -> Vec<Foot> {
     let row = |x: f64| (-x / 0.1).round() as i64;
     found.sort_by(|(a, _, _), (b, _, _)| row(a[0]).cmp(&row(b[0])).then(b[1].total_cmp(&a[1])));
     found.into_iter().map(|(_, _, foot)| foot).collect()
+}
+
+/// The middle of a shape, and the height of its lowest point, m.
+fn bottom(place: &Pose, geom: &Geom) -> ([f64; 3], f64) {
+    let at = place.compose(&geom.link_from_geom);
+    let up = at.inverse().rotate([0.0, 0.0, 1.0]);
+    (at.pos_m, at.pos_m[2] - geom.shape.half_extent_m(up))
+}
+
+/// The lowest shape of a body: its middle, the height of its lowest point, and itself.
+fn lowest<'a>(robot: &'a Robot, places: &[Pose], body: usize) -> Option<([f64; 3], f64, &'a Geom)> {
+    let measured = reaching(&robot.bodies[body]).map(|geom| (bottom(&places[body], geom), geom));
+    let ((at, z), geom) = measured.min_by(|a, b| a.0.1.total_cmp(&b.0.1))?;
+    Some((at, z, geom))
+}
+
+/// Toes without a drive belong to the foot that stands on the ground before them: that foot.
+pub(super) fn foot_of(robot: &Robot, places: &[Pose], end: usize) -> Option<usize> {
+    let foot = robot.bodies[end].parent.filter(|&p| p > 0 && !driven(robot, end))?;
+    let [(_, foot_z, _), (_, toe_z, _)] =
+        [lowest(robot, places, foot)?, lowest(robot, places, end)?];
+    (foot_z - toe_z < FOOT_LEVEL_M).then_some(foot)
 }
 
 /// Raises a held robot that would be stuck in the ground: nothing of it that moves reaches the ground then.

@@ -1,10 +1,10 @@
 //! A pose to stand in, for a robot whose file has none: knees bent, feet below the hips, all at one height.
 
 use super::finish::reaching;
-use super::robot_toml::{moved, places};
+use super::robot_toml::{foot_of, moved, places};
 use crate::parts::{Joint, Robot};
 use crate::pose::{self, Pose};
-use crate::types::{Geom, JointMotion};
+use crate::types::{Geom, JointMotion, Shape};
 
 /// How far a leg reaches down, of what it could: knees bent by some 80°, those of two legs, which hold the
 /// weight of the whole robot in turn, by 50°.
@@ -45,6 +45,8 @@ struct Limb {
     chain: Vec<usize>,
     trunk: Pose,
     tip_m: [f64; 3],
+    /// Whether the end is wider than a point.
+    sole: bool,
     /// Where the first joint is, and the tip with all joints at zero.
     hip_m: [f64; 3],
     zero_m: [f64; 3],
@@ -189,6 +191,7 @@ fn trunk(robot: &Robot, places: &[Pose]) -> Vec<bool> {
 /// The limb that ends at a body, if it may be a leg.
 fn limb(robot: &Robot, end: usize, trunk: &[bool], places: &[Pose]) -> Option<Limb> {
     let ends = !robot.bodies.iter().any(|b| b.parent == Some(end));
+    let end = foot_of(robot, places, end).unwrap_or(end);
     let mut chain: Vec<usize> = std::iter::successors(Some(end), |&b| robot.bodies[b].parent)
         .take_while(|&b| !trunk[b])
         .collect();
@@ -196,8 +199,15 @@ fn limb(robot: &Robot, end: usize, trunk: &[bool], places: &[Pose]) -> Option<Li
     let carrier = chain.first().and_then(|&b| robot.bodies[b].parent)?;
     let trunk = places[carrier];
     let nowhere = [0.0; 3];
-    let mut limb =
-        Limb { chain, trunk, tip_m: nowhere, hip_m: nowhere, zero_m: nowhere, deepest_m: 0.0 };
+    let mut limb = Limb {
+        chain,
+        trunk,
+        tip_m: nowhere,
+        sole: false,
+        hip_m: nowhere,
+        zero_m: nowhere,
+        deepest_m: 0.0,
+    };
     let count = limb.joints(robot).count();
     if !ends || !(2..=JOINTS_MAX).contains(&count) {
         return None;
@@ -210,6 +220,7 @@ fn limb(robot: &Robot, end: usize, trunk: &[bool], places: &[Pose]) -> Option<Li
     let alike: Vec<&Geom> = touching().filter(|g| g.shape == tip.shape).collect();
     let sum_m = alike.iter().fold([0.0; 3], |sum, g| pose::add(sum, g.link_from_geom.pos_m));
     limb.tip_m = sum_m.map(|x| x / alike.len() as f64);
+    limb.sole = alike.len() > 1 || !matches!(tip.shape, Shape::Sphere { .. });
     let nearest = |j: &Joint| j.range.map_or(0.0, |(low, high)| 0.0f64.clamp(low, high));
     let still: Vec<f64> = limb.joints(robot).map(nearest).collect();
     limb.hip_m = limb.frames(robot, &still)[0].pos_m;
@@ -235,11 +246,11 @@ fn bend(robot: &Robot, leg: &Limb, [ahead_m, ground_m]: [f64; 2], legs: usize) -
         let end = frames[frames.len() - 1];
         let off = pose::norm(pose::sub(end.point(leg.tip_m), target)) / length_m;
         let turned: f64 = q.iter().map(|q| q * q).sum::<f64>() / count as f64;
-        // a foot of its own joint, at the end of five or more, is a sole; of two legs it points ahead, too
-        let axes: &[[f64; 3]] = match (count < 5, legs == 2) {
-            (true, _) => &[],
-            (_, true) => &[[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]],
-            (_, false) => &[[0.0, 0.0, 1.0]],
+        // what two legs stand on is level and points ahead; of more, a foot of its own joint is level
+        let axes: &[[f64; 3]] = match legs {
+            2 if leg.sole || count >= 5 => &[[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]],
+            _ if count >= 5 => &[[0.0, 0.0, 1.0]],
+            _ => &[],
         };
         let off_axis = |axis: &[f64; 3]| 1.0 - pose::dot(flat.rotate(*axis), end.rotate(*axis));
         let sole = axes.iter().map(off_axis).sum::<f64>();
