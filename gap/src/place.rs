@@ -31,6 +31,12 @@ pub struct Place {
 }
 
 impl Place {
+    /// Joint `a` alone, policy order.
+    pub fn of_joint(model: &RobotModel, a: usize) -> Self {
+        let name = model.actuated_names()[a].to_owned();
+        Self { domain: Domain::Joints, items: vec![a], names: vec![name] }
+    }
+
     /// Does `change` to each item.
     pub fn each(&self, change: impl FnMut(usize)) {
         self.items.iter().copied().for_each(change);

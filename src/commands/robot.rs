@@ -1,5 +1,6 @@
 //! `caudata robot`: what a robot file says.
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -307,6 +308,12 @@ const AT_STOP_RAD: f64 = 0.017;
 const LYING_MAX: f64 = 0.05;
 
 fn import(args: &ImportArgs) -> Result<(), Failure> {
+    let a_file = |end: &OsStr| ["toml", "xml"].iter().any(|&e| end.eq_ignore_ascii_case(e));
+    if !args.out.is_dir() && args.out.extension().is_some_and(a_file) {
+        let why = format!("--out {} is no name of a folder", args.out.display());
+        let hint = "--out says where NAME.robot.toml goes, --name what the robot is called";
+        return Err(Failure::message(ExitCode::BadConfig, why).hint(hint));
+    }
     let options = ImportOptions {
         name: args.name.clone(),
         free_base: args.base.map(|word| word == BaseWord::Free),
@@ -327,11 +334,6 @@ fn import(args: &ImportArgs) -> Result<(), Failure> {
     };
     for note in &made.notes {
         say::line(format!("note: {note}"));
-    }
-    if args.out.extension().is_some_and(|end| end == "toml" || end == "xml") {
-        let why = format!("--out {} is no name of a folder", args.out.display());
-        let hint = "--out says where NAME.robot.toml goes, --name what the robot is called";
-        return Err(Failure::message(ExitCode::BadConfig, why).hint(hint));
     }
     let written = [
         (format!("{}.xml", made.name), &made.mjcf),

@@ -9,7 +9,6 @@
 
 use std::ops::Range;
 
-use caudata_model::RobotModel;
 use nalgebra::{DMatrix, DVector};
 
 use super::folds::{Folds, jackknife};
@@ -17,7 +16,6 @@ use super::product::dot;
 use super::refine::{TRIES, moved};
 use super::state::{Context, frees, up_and_down};
 use crate::check::series::median;
-use crate::effects::{Domain, Place};
 use crate::error::GapError;
 use crate::replay::{Data, Term, Variant};
 use crate::trial::Kind;
@@ -68,12 +66,6 @@ fn slot(terms: &[Term], slot: usize) -> Option<(usize, usize)> {
         first += t.values.len();
     }
     None
-}
-
-/// The place of joint `a` alone.
-pub fn place_of(model: &RobotModel, a: usize) -> Place {
-    let name = model.actuated_names()[a].to_owned();
-    Place { domain: Domain::Joints, items: vec![a], names: vec![name] }
 }
 
 /// Angles of all joints in a set of runs.

@@ -2,8 +2,7 @@
 //! to make up for it: such a stop is simulated nowhere, or, where a joint without it would go on and the measured
 //! one does not, where that one stops.
 
-use super::joints::place_of;
-use crate::effects::PASSED_STOP;
+use crate::effects::{PASSED_STOP, Place};
 use crate::error::GapError;
 use crate::replay::{Data, Replayer, Term, Variant};
 use crate::report::DataFault;
@@ -85,7 +84,7 @@ pub fn find(replayer: &Replayer, data: &Data) -> Result<Vec<Passed>, GapError> {
     let passed =
         |a: usize, s: usize| measured.at(a, s, SAMPLES) > simulated.at(a, s, 0) + gives_way(a);
     let term = |a: usize, out: &dyn Fn(usize) -> f64| {
-        let place = place_of(model, a);
+        let place = Place::of_joint(model, a);
         let values = [0, 1].map(|s| if passed(a, s) { out(s) } else { 0.0 });
         Term { effect: &PASSED_STOP, place, values: values.to_vec() }
     };

@@ -16,12 +16,12 @@ use caudata_runlog::BaseHold;
 
 use super::alike::look_alike;
 use super::doubt::{meet, sizes};
-use super::joints::{Angles, Joints, Linear, mean_abs, place_of, scale, weights};
+use super::joints::{Angles, Joints, Linear, mean_abs, scale, weights};
 use super::levels::BUILT;
 use super::product::{dot, project, widen};
 use super::request::{Progress, Stage};
 use super::state::{Context, builds_up};
-use crate::effects::{self, Domain, Effect};
+use crate::effects::{self, Domain, Effect, Place};
 use crate::error::GapError;
 use crate::replay::{Term, Variant};
 use crate::report::PositionError;
@@ -152,7 +152,8 @@ impl Tracking {
             };
             for a in (0..joints).filter(|&a| angles.measured(a)) {
                 let own = standard.own.iter().filter_map(|id| effects::find(id));
-                model.own[a].extend(own.map(|e| Term::nothing(robot, e, place_of(robot, a))));
+                model.own[a]
+                    .extend(own.map(|e| Term::nothing(robot, e, Place::of_joint(robot, a))));
             }
             for effect in standard.shared.iter().filter_map(|id| effects::find(id)) {
                 let place = effect.places(robot).swap_remove(0);
@@ -307,8 +308,8 @@ fn ranked(
     let may = |effect: &Effect, a: usize| {
         open[a]
             && !model.own[a].iter().any(|t| t.effect == effect)
-            && effect.may_be(robot, &place_of(robot, a))
-            && (effect.unseen)(&context.excitation, &place_of(robot, a)).is_none()
+            && effect.may_be(robot, &Place::of_joint(robot, a))
+            && (effect.unseen)(&context.excitation, &Place::of_joint(robot, a)).is_none()
             && pool.is_none_or(|p| p[a].contains(effect.id))
     };
     // what builds up over a session says nothing of the next one
@@ -324,7 +325,7 @@ fn ranked(
     let plans: Vec<_> = (0..joints).map(plan).collect();
     let most = plans.iter().map(Vec::len).max().unwrap_or(0);
     let at = |effect: &'static Effect, k: usize, a: usize| {
-        let place = place_of(robot, a);
+        let place = Place::of_joint(robot, a);
         let values = effect.sizes(robot, &place, k);
         Term { effect, place, values }
     };

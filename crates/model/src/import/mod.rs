@@ -8,6 +8,7 @@
 mod doubts;
 mod finish;
 mod robot_toml;
+mod sole;
 mod stance;
 mod urdf;
 mod write;

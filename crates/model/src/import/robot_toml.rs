@@ -6,11 +6,12 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use super::finish::{nominal, reaching, two_digits, unsaid_torque_nm, wheel, word};
+use super::sole::{FOOT_LEVEL_M, foot_of, lowest, of_the_sole};
 use crate::error::Remark;
 use crate::parts::{Actuator, Joint, Robot};
 use crate::pose::{self, Pose};
 use crate::tree::{Element, Remarks};
-use crate::types::{Geom, JointMotion};
+use crate::types::JointMotion;
 
 /// Gains that are written where the MJCF commands torque: the whole torque at this error, as legged robots of
 /// 12 to 50 kg are run (Unitree, ANYmal), and this much damping for it.
@@ -20,16 +21,11 @@ const UNSAID_DAMPING_S: f64 = 0.025;
 /// which it has all.
 const UNSAID_SPEED_RADPS: f64 = 30.0;
 const FULL_TORQUE_SHARE: f64 = 2.0 / 3.0;
-/// How much higher than the lowest a shape may end and still be a foot, m.
-const FOOT_LEVEL_M: f64 = 0.03;
-
-/// The same among the shapes of one foot; their middles are as level, which those of a shin are not.
-const SOLE_LEVEL_M: f64 = 0.01;
 
 /// What is taken for a foot.
 pub(super) struct Foot {
     name: String,
-    /// Its lowest shape, and those that are alike and end as low: the balls under the corners of a sole.
+    /// The shapes of its sole.
     geoms: Vec<String>,
     friction: f64,
 }
@@ -88,7 +84,7 @@ pub(super) fn write(name: &str, file: &Path, robot: &Robot, notes: &[Remark]) ->
     if !feet.is_empty() {
         let _ = writeln!(
             w,
-            "\n# [ours] the lowest shape at the end of each leg, front to hind, left before right"
+            "\n# [ours] the lowest shapes at the end of each leg, front to hind, left before right"
         );
     }
     for foot in &feet {
@@ -313,11 +309,7 @@ pub(super) fn feet(robot: &Robot) -> Vec<Foot> {
         }
         let i = foot_of(robot, &places, end).unwrap_or(end);
         let Some((at, z, geom)) = lowest(i) else { continue };
-        let of_the_sole = |g: &&Geom| {
-            let (middle, low) = bottom(&places[i], g);
-            low - z < SOLE_LEVEL_M && (middle[2] - at[2]).abs() < SOLE_LEVEL_M
-        };
-        let geoms = reaching(&robot.bodies[i]).filter(of_the_sole);
+        let geoms = reaching(&robot.bodies[i]).filter(|g| of_the_sole(&places[i], geom, g));
         let foot = Foot {
             name: word(&robot.bodies[i].name),
             geoms: geoms.filter_map(|g| g.name.clone()).collect(),
@@ -334,28 +326,6 @@ pub(super) fn feet(robot: &Robot) -> Vec<Foot> {
     let row = |x: f64| (-x / 0.1).round() as i64;
     found.sort_by(|(a, _, _), (b, _, _)| row(a[0]).cmp(&row(b[0])).then(b[1].total_cmp(&a[1])));
     found.into_iter().map(|(_, _, foot)| foot).collect()
-}
-
-/// The middle of a shape, and the height of its lowest point, m.
-fn bottom(place: &Pose, geom: &Geom) -> ([f64; 3], f64) {
-    let at = place.compose(&geom.link_from_geom);
-    let up = at.inverse().rotate([0.0, 0.0, 1.0]);
-    (at.pos_m, at.pos_m[2] - geom.shape.half_extent_m(up))
-}
-
-/// The lowest shape of a body: its middle, the height of its lowest point, and itself.
-fn lowest<'a>(robot: &'a Robot, places: &[Pose], body: usize) -> Option<([f64; 3], f64, &'a Geom)> {
-    let measured = reaching(&robot.bodies[body]).map(|geom| (bottom(&places[body], geom), geom));
-    let ((at, z), geom) = measured.min_by(|a, b| a.0.1.total_cmp(&b.0.1))?;
-    Some((at, z, geom))
-}
-
-/// Toes without a drive belong to the foot that stands on the ground before them: that foot.
-pub(super) fn foot_of(robot: &Robot, places: &[Pose], end: usize) -> Option<usize> {
-    let foot = robot.bodies[end].parent.filter(|&p| p > 0 && !driven(robot, end))?;
-    let [(_, foot_z, _), (_, toe_z, _)] =
-        [lowest(robot, places, foot)?, lowest(robot, places, end)?];
-    (foot_z - toe_z < FOOT_LEVEL_M).then_some(foot)
 }
 
 /// Raises a held robot that would be stuck in the ground: nothing of it that moves reaches the ground then.

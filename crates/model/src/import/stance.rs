@@ -1,10 +1,10 @@
 //! A pose to stand in, for a robot whose file has none: knees bent, feet below the hips, all at one height.
 
-use super::finish::reaching;
-use super::robot_toml::{foot_of, moved, places};
+use super::robot_toml::{moved, places};
+use super::sole::{foot_of, middle};
 use crate::parts::{Joint, Robot};
 use crate::pose::{self, Pose};
-use crate::types::{Geom, JointMotion, Shape};
+use crate::types::JointMotion;
 
 /// How far a leg reaches down, of what it could: knees bent by some 80°, those of two legs, which hold the
 /// weight of the whole robot in turn, by 50°.
@@ -32,6 +32,8 @@ const ALIKE: f64 = 0.02;
 const MARGIN: f64 = 0.08;
 /// Where the search begins, rad, at each joint.
 const BEGIN_RAD: [f64; 3] = [0.0, 0.7, -0.7];
+/// A joint this near to the end of a leg is an ankle, of its length.
+const ANKLE_SHARE: f64 = 0.3;
 /// More joints than this are no leg: the search is 3 to this power.
 const JOINTS_MAX: usize = 7;
 /// What a turn of a joint, a turned foot, and a knee on the wrong side cost beside a foot that is off by the
@@ -45,7 +47,7 @@ struct Limb {
     chain: Vec<usize>,
     trunk: Pose,
     tip_m: [f64; 3],
-    /// Whether the end is wider than a point.
+    /// Whether the end is wider than a point, with a joint near by that can level it.
     sole: bool,
     /// Where the first joint is, and the tip with all joints at zero.
     hip_m: [f64; 3],
@@ -191,7 +193,10 @@ fn trunk(robot: &Robot, places: &[Pose]) -> Vec<bool> {
 /// The limb that ends at a body, if it may be a leg.
 fn limb(robot: &Robot, end: usize, trunk: &[bool], places: &[Pose]) -> Option<Limb> {
     let ends = !robot.bodies.iter().any(|b| b.parent == Some(end));
-    let end = foot_of(robot, places, end).unwrap_or(end);
+    let (toe, end) = match foot_of(robot, places, end) {
+        Some(foot) => (Some(end), foot),
+        None => (None, end),
+    };
     let mut chain: Vec<usize> = std::iter::successors(Some(end), |&b| robot.bodies[b].parent)
         .take_while(|&b| !trunk[b])
         .collect();
@@ -212,21 +217,16 @@ fn limb(robot: &Robot, end: usize, trunk: &[bool], places: &[Pose]) -> Option<Li
     if !ends || !(2..=JOINTS_MAX).contains(&count) {
         return None;
     }
-    // the shape farthest from the last joint
-    let far = |g: &&Geom| pose::norm(g.link_from_geom.pos_m);
-    let touching = || reaching(&robot.bodies[end]);
-    let tip = touching().max_by(|a, b| far(a).total_cmp(&far(b)))?;
-    // a sole may be of several, one at each corner
-    let alike: Vec<&Geom> = touching().filter(|g| g.shape == tip.shape).collect();
-    let sum_m = alike.iter().fold([0.0; 3], |sum, g| pose::add(sum, g.link_from_geom.pos_m));
-    limb.tip_m = sum_m.map(|x| x / alike.len() as f64);
-    limb.sole = alike.len() > 1 || !matches!(tip.shape, Shape::Sphere { .. });
+    let (tip_m, wide) = middle(robot, places, end, toe)?;
+    limb.tip_m = tip_m;
     let nearest = |j: &Joint| j.range.map_or(0.0, |(low, high)| 0.0f64.clamp(low, high));
     let still: Vec<f64> = limb.joints(robot).map(nearest).collect();
     limb.hip_m = limb.frames(robot, &still)[0].pos_m;
     limb.zero_m = limb.tip(robot, &still);
     let q = search(robot, &limb, |q| limb.tip(robot, q)[2]);
     limb.deepest_m = limb.tip(robot, &q)[2];
+    let ankle_m = limb.joints(robot).last().map_or([0.0; 3], |j| j.anchor_m);
+    limb.sole = wide && pose::norm(pose::sub(tip_m, ankle_m)) < ANKLE_SHARE * limb.length_m();
     Some(limb)
 }
 

@@ -1,5 +1,7 @@
 //! Feet of several shapes, and what stands on them.
 
+use caudata_model::RobotModel;
+
 use crate::import::{model, read};
 
 #[test]
@@ -17,17 +19,13 @@ fn boxes_of_one_sole_are_one_foot_and_a_shin_is_none() {
     assert_eq!(sole, ["long", "wide"]);
 }
 
-/// Two legs of six joints, a ball at each corner of their soles: thighs and shanks of 0.3 m.
-#[test]
-fn two_legs_stand_on_the_middle_of_their_soles_knees_ahead() {
+/// Two legs of six joints that end in `sole`: thighs and shanks of 0.3 m, ankles 5 cm above the ground.
+fn two_legs(sole: &str) -> RobotModel {
     let joint = |name: &str, axis: &str, side: &str| {
         format!("<joint name=\"{name}_{side}\" axis=\"{axis}\" range=\"-150 150\"/>")
     };
     let inertia = "<inertial pos=\"0 0 0\" mass=\"1\" diaginertia=\"0.01 0.01 0.01\"/>";
     let leg = |side: &str, y: f64| {
-        let corner = |x: &str, y: &str| format!("<geom size=\"0.005\" pos=\"{x} {y} -0.05\"/>");
-        let sole = [("-0.05", "0.03"), ("-0.05", "-0.03"), ("0.12", "0.03"), ("0.12", "-0.03")];
-        let sole: String = sole.iter().map(|(x, y)| corner(x, y)).collect();
         let [yaw, roll, hip] =
             [("yaw", "0 0 1"), ("roll", "1 0 0"), ("hip", "0 1 0")].map(|(n, a)| joint(n, a, side));
         let [knee, pitch, tilt] = [("knee", "0 1 0"), ("pitch", "0 1 0"), ("tilt", "1 0 0")]
@@ -50,15 +48,34 @@ fn two_legs_stand_on_the_middle_of_their_soles_knees_ahead() {
         leg("l", 0.1),
         leg("r", -0.1)
     );
-    let m = model(&read("two.xml", &text).unwrap());
-    let q = |name: &str| m.nominal_pos_rad()[m.joint_index(name).unwrap()];
-    for side in ["l", "r"] {
-        for still in ["yaw", "roll", "tilt"] {
-            assert!(q(&format!("{still}_{side}")).abs() < 0.05, "{:?}", m.nominal_pos_rad());
+    model(&read("two.xml", &text).unwrap())
+}
+
+/// A ball at each corner; a thick heel and a thin forefoot; a heel and a ball of the toes: 35 mm ahead of the ankle
+/// in the middle.
+#[test]
+fn two_legs_stand_on_the_middle_of_their_soles_knees_ahead() {
+    let ball = |x: f64, y: f64| format!("<geom size=\"0.005\" pos=\"{x} {y} -0.05\"/>");
+    let corners = [ball(-0.05, 0.03), ball(-0.05, -0.03), ball(0.12, 0.03), ball(0.12, -0.03)];
+    let heel = "<geom type=\"box\" size=\"0.03 0.03 0.02\" pos=\"-0.025 0 -0.035\"/>";
+    let fore = "<geom type=\"box\" size=\"0.06 0.03 0.005\" pos=\"0.065 0 -0.05\"/>";
+    for (sole, shapes) in [
+        (corners.concat(), 4),
+        (format!("{heel}{fore}"), 2),
+        (format!("{heel}{}", ball(0.12, 0.0)), 2),
+    ] {
+        let m = two_legs(&sole);
+        assert!(m.feet().iter().all(|f| f.geoms.len() == shapes), "{sole}");
+        let q = |name: &str| m.nominal_pos_rad()[m.joint_index(name).unwrap()];
+        for side in ["l", "r"] {
+            for still in ["yaw", "roll", "tilt"] {
+                assert!(q(&format!("{still}_{side}")).abs() < 0.05, "{:?}", m.nominal_pos_rad());
+            }
+            // a leg that reaches 0.9 of its length: 2 acos(0.9) = 52°
+            let knee = q(&format!("knee_{side}"));
+            assert!((0.75..1.05).contains(&knee), "{sole}: {knee}");
+            let level = q(&format!("hip_{side}")) + knee + q(&format!("pitch_{side}"));
+            assert!(level.abs() < 0.05, "{sole}: {level}");
         }
-        // a leg that reaches 0.9 of its length: 2 acos(0.9) = 52°, and the middle of the sole 35 mm before the ankle
-        let knee = q(&format!("knee_{side}"));
-        assert!((0.75..1.05).contains(&knee), "{knee}");
-        assert!((q(&format!("hip_{side}")) + knee + q(&format!("pitch_{side}"))).abs() < 0.05);
     }
 }
