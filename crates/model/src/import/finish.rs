@@ -170,6 +170,12 @@ fn limit_actuated(robot: &mut Robot, remarks: &mut Remarks) {
     }
 }
 
+/// Whether a drive moves a body against its parent.
+pub(super) fn driven(robot: &Robot, body: usize) -> bool {
+    let joints = robot.bodies[body].joints.iter();
+    joints.into_iter().any(|j| robot.actuators.iter().any(|a| a.joint == j.name))
+}
+
 /// Whether a body rolls on its joint: all of it round about an axis that it can turn about by more than once.
 pub(super) fn wheel(body: &Body) -> bool {
     let [joint] = body.joints.as_slice() else { return false };

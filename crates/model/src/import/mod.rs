@@ -101,7 +101,7 @@ pub fn import(file: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
     let limbs = robot.bodies.iter().filter(|body| body.parent == Some(0)).count();
     let held = match base.joints.len() {
         0 if root.tag == "mujoco" && limbs > 1 => Some("has no joint"),
-        2.. if !robot_toml::driven(&robot, 0) => Some("moves on joints without a drive"),
+        2.. if !finish::driven(&robot, 0) => Some("moves on joints without a drive"),
         _ => None,
     };
     if let Some(why) = held.filter(|_| !robot.free_base) {

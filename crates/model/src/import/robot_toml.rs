@@ -368,12 +368,6 @@ pub(super) fn raise(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
     remarks.note(root, message);
 }
 
-/// Whether a drive moves a body against its parent.
-pub(super) fn driven(robot: &Robot, body: usize) -> bool {
-    let joints = robot.bodies[body].joints.iter();
-    joints.into_iter().any(|j| robot.actuators.iter().any(|a| a.joint == j.name))
-}
-
 /// Where each body is in the nominal pose.
 pub(super) fn places(robot: &Robot) -> Vec<Pose> {
     let mut out: Vec<Pose> = Vec::new();

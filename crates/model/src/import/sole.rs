@@ -1,7 +1,6 @@
 //! What a leg stands on: the shapes of its sole.
 
-use super::finish::reaching;
-use super::robot_toml::driven;
+use super::finish::{driven, reaching};
 use crate::parts::Robot;
 use crate::pose::{self, Pose};
 use crate::types::{Geom, Shape};
