@@ -186,7 +186,7 @@ pub fn print(choice: &Choice) {
     let Some(last) = choice.tried.first().filter(|last| !last.passes()) else { return };
     say::line(format!("version {}, the last one, does not pass: {}", last.version, missed(last)));
     let what = match choice.tried.iter().find(|tried| tried.version == version) {
-        Some(chosen) if chosen.passes() => "the newest that does".to_owned(),
+        Some(chosen) if chosen.passes() => "the newest that passes".to_owned(),
         Some(chosen) if version != last.version => {
             format!("none of {n} passes, it misses least: {}", missed(chosen))
         }

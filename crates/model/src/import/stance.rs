@@ -6,9 +6,9 @@ use crate::parts::{Joint, Robot};
 use crate::pose::{self, Pose};
 use crate::types::JointMotion;
 
-/// How far a leg reaches down, of what it could: knees bent by some 80°, those of two legs, which hold the
-/// weight of the whole robot in turn, by 50°.
+/// How far a leg reaches down, of what it could: knees bent by some 80°.
 const BENT: f64 = 0.75;
+/// The same of two legs, each of which holds the whole robot in turn: knees bent by 50°.
 const BENT_OF_TWO: f64 = 0.9;
 /// Nearer to the middle the end of a limb is on no side, m.
 const ASIDE_LEAST_M: f64 = 1e-3;
