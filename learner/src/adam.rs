@@ -38,9 +38,7 @@ impl Adam {
         rates: &[(usize, f64)],
     ) {
         debug_assert_eq!(rates.iter().map(|part| part.0).sum::<usize>(), self.m.len());
-        self.steps += 1;
-        let t = self.steps as f64;
-        let bias1 = 1.0 - BETA1.powf(t);
+        let (bias1, bias2_root) = self.count();
         let mut first = 0;
         for &(len, rate) in rates {
             let part = first..first + len;
@@ -51,10 +49,17 @@ impl Adam {
                 v: &mut self.v[part],
                 gradient_scale,
                 rate: rate / bias1,
-                bias2_root: (1.0 - BETA2.powf(t)).sqrt(),
+                bias2_root,
             });
             first += len;
         }
+    }
+
+    /// Counts a step, and answers what its moments are divided by: 1 − β₁ᵗ and √(1 − β₂ᵗ).
+    pub fn count(&mut self) -> (f64, f64) {
+        self.steps += 1;
+        let t = self.steps as f64;
+        (1.0 - BETA1.powf(t), (1.0 - BETA2.powf(t)).sqrt())
     }
 
     /// Forgets every step.

@@ -67,7 +67,7 @@ impl Layout {
 }
 
 /// Where the parameters of the networks lie in the flat vector.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Place {
     /// The policy's layers, input side first.
     pub policy: Vec<LayerPlace>,
@@ -75,8 +75,30 @@ pub struct Place {
     pub value: Vec<LayerPlace>,
     /// First of the parameters of the log-std, `[A]`.
     pub raw_log_std: usize,
+    /// A.
+    pub act_dim: usize,
+    /// Logarithms of the least and the greatest standard deviation.
+    pub log_std_bounds: (f64, f64),
+    /// Parameters of the policy, its log-std included; the value function's come behind them.
+    pub policy_len: usize,
     /// P, padding included.
     pub len: usize,
+}
+
+impl Place {
+    /// The log-std `[A]` of `parameters` `[P]`.
+    pub fn log_std_of(&self, parameters: &[f32]) -> Vec<f32> {
+        self.log_std_and_slope(&parameters[self.raw_log_std..][..self.act_dim]).0
+    }
+
+    /// The log-std `[A]` of its parameters `raw` `[A]`, and its slope with respect to them: d log_std / d raw =
+    /// (log_std − lo)(hi − log_std)/(hi − lo).
+    pub fn log_std_and_slope(&self, raw: &[f32]) -> (Vec<f32>, Vec<f32>) {
+        let (lo, hi) = self.log_std_bounds;
+        let value = |raw: &f32| lo + (hi - lo) / (1.0 + (-f64::from(*raw)).exp());
+        let values = raw.iter().map(value);
+        values.map(|x| (x as f32, ((x - lo) * (hi - x) / (hi - lo)) as f32)).unzip()
+    }
 }
 
 /// One layer.

@@ -248,19 +248,16 @@ impl ActorCritic {
             policy: layers(&self.indices.policy),
             value: layers(&self.indices.value),
             raw_log_std: self.layout.parameters()[self.indices.raw_log_std].offset,
+            act_dim: self.spec.act_dim,
+            log_std_bounds: self.log_std_bounds(),
+            policy_len: self.policy_len(),
             len: self.layout.len(),
         }
     }
 
-    /// The log-std `[A]` of `parameters` `[P]`, and its slope with respect to its parameters: d log_std / d raw
-    /// = (log_std − lo)(hi − log_std)/(hi − lo).
-    pub fn log_std_of(&self, parameters: &[f32]) -> (Vec<f32>, Vec<f32>) {
-        let (lo, hi) = self.log_std_bounds();
-        let first = self.layout.parameters()[self.indices.raw_log_std].offset;
-        let raw = &parameters[first..][..self.spec.act_dim];
-        let value = |raw: &f32| lo + (hi - lo) / (1.0 + (-f64::from(*raw)).exp());
-        let values = raw.iter().map(value);
-        values.map(|x| (x as f32, ((x - lo) * (hi - x) / (hi - lo)) as f32)).unzip()
+    /// Where the counterpart of each parameter lies and its sign, if the network is symmetric.
+    pub fn counterparts(&self) -> Option<&SignedPermutation> {
+        self.symmetry.as_ref().map(|symmetry| &symmetry.0)
     }
 
     /// Sizes and bounds.
@@ -343,15 +340,6 @@ impl ActorCritic {
     pub fn log_std(&self) -> Tensor {
         let (lo, hi) = self.log_std_bounds();
         self.raw_log_std.sigmoid() * (hi - lo) + lo
-    }
-
-    /// Turns a gradient with respect to the log-std, `[A]`, into one with respect to its parameter and writes
-    /// it into `gradient`: d log_std / d raw = (log_std − lo)(hi − log_std)/(hi − lo).
-    pub fn log_std_backward(&self, grad_log_std: &Tensor, gradient: &ActorCritic) {
-        let (lo, hi) = self.log_std_bounds();
-        let log_std = self.log_std();
-        let slope = (&log_std - lo) * (hi - &log_std) / (hi - lo);
-        gradient.raw_log_std.shallow_clone().copy_(&(grad_log_std * slope));
     }
 
     fn log_std_bounds(&self) -> (f64, f64) {

@@ -1,84 +1,87 @@
 //! Where the networks of an update are computed: in this project's vector lanes on the
 //! CPU's cores ([`super::host`]), or by libtorch on another device ([`super::torch`]).
 
+use std::fmt::Debug;
 use std::sync::Arc;
 
 use super::host::Host;
-use super::minibatch::{Before, Minibatch, Samples, Total};
+use super::minibatch::{Before, Minibatch, Samples, Step, Total};
 use super::torch::Torch;
 use crate::LearnerError;
+use crate::adam::Adam;
 use crate::batch::Batch;
 use crate::network::ActorCritic;
 use crate::normaliser::Scaling;
 
-/// Where the networks are computed.
-#[derive(Debug)]
-pub enum Networks {
-    /// In vector lanes, on threads of this process.
-    Host(Box<Host>),
-    /// By libtorch, a minibatch at a time.
-    Torch(Box<Torch>),
-}
-
-impl Networks {
-    /// Networks of the shape of `net`, on its device.
-    ///
-    /// # Errors
-    /// When the operating system refuses a thread.
-    pub fn new(net: &ActorCritic, threads: usize) -> Result<Self, LearnerError> {
-        Ok(match net.device() {
-            tch::Device::Cpu => Self::Host(Box::new(Host::new(net, threads)?)),
-            _ => Self::Torch(Box::new(Torch::new(net))),
-        })
-    }
-
-    /// Takes up `parameters` `[P]`.
-    pub fn set(&mut self, parameters: &[f32]) {
-        match self {
-            Self::Host(host) => host.set(parameters),
-            Self::Torch(torch) => torch.set(parameters),
-        }
-    }
+/// Networks, their gradient and the optimiser, where they are computed. An update takes its state there, works on it,
+/// and fetches it when all has gone well.
+pub trait Networks: Debug + Send {
+    /// Goes on from `parameters` `[P]` and the optimiser's state.
+    fn take_up(&mut self, parameters: &[f32], adam: &Adam);
 
     /// Takes up a batch, seen through `scaling`, and says what the networks make of it: `means` of the actions
     /// only if asked for.
     ///
     /// # Errors
     /// When a thread has died, or the device does not answer.
-    pub fn begin(
+    fn begin(
         &mut self,
         batch: &Arc<Batch>,
         scaling: &Scaling,
         means: bool,
-    ) -> Result<Before, LearnerError> {
-        match self {
-            Self::Host(host) => host.begin(batch, scaling, means),
-            Self::Torch(torch) => torch.begin(batch, scaling, means),
-        }
-    }
+    ) -> Result<Before, LearnerError>;
 
-    /// Sums and gradient of a minibatch of the batch.
+    /// Computes the gradient of a minibatch of the batch, and keeps it for [`Networks::step`].
     ///
     /// # Errors
     /// As [`Networks::begin`].
-    pub fn gradient(
+    fn gradient(
         &mut self,
         samples: &Arc<Samples>,
         minibatch: &Minibatch,
-    ) -> Result<Total, LearnerError> {
-        match self {
-            Self::Host(host) => host.gradient(samples, minibatch),
-            Self::Torch(torch) => torch.gradient(samples, minibatch),
+    ) -> Result<Total, LearnerError>;
+
+    /// A step along the last gradient.
+    fn step(&mut self, step: &Step);
+
+    /// The last gradient, `[P]`.
+    #[cfg(test)]
+    fn last_gradient(&self) -> Result<Vec<f32>, LearnerError>;
+
+    /// Parameters `[P]` and the optimiser as the steps have made them.
+    ///
+    /// # Errors
+    /// As [`Networks::begin`].
+    fn state(&self) -> Result<(Vec<f32>, Adam), LearnerError>;
+}
+
+/// Networks of the shape of `net`, on its device, with `threads` threads for what is done on the host.
+///
+/// # Errors
+/// When the operating system refuses a thread.
+pub fn on_its_device(net: &ActorCritic, threads: usize) -> Result<Box<dyn Networks>, LearnerError> {
+    Ok(match net.device() {
+        tch::Device::Cpu => Box::new(Host::new(net, threads)?),
+        _ => Box::new(Torch::new(net, threads)?),
+    })
+}
+
+/// Euclidean norm, in f64; sums side by side, since one after the other would wait for each addition.
+pub(super) fn norm(values: &[f32]) -> f64 {
+    let mut sums = [0.0_f64; 8];
+    for part in values.chunks(sums.len()) {
+        for (sum, value) in sums.iter_mut().zip(part) {
+            *sum += f64::from(*value).powi(2);
         }
     }
+    sums.iter().sum::<f64>().sqrt()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::network::NetworkSpec;
-    use crate::ppo::loss::LossSettings;
-    use crate::ppo::row_loss::log_probs;
+    use crate::ppo::loss::{LossSettings, log_probs};
     use caudata_config::{Activation, NetworkConfig};
     use caudata_random::{Key, Purpose, Stream};
     use caudata_task::Mirror;
@@ -102,9 +105,20 @@ mod tests {
         SignedPermutation { source, ..mirror }
     }
 
+    /// Those that libtorch has here.
+    fn devices() -> Vec<Device> {
+        let cuda = Device::cuda_if_available();
+        if !cuda.is_cuda() {
+            eprintln!("skipped on a GPU: libtorch finds no CUDA here");
+            return vec![Device::Cpu];
+        }
+        vec![Device::Cpu, cuda]
+    }
+
     /// libtorch's operations, whose gradients are compared with autograd elsewhere, against the lanes.
     #[test]
     fn lanes_and_libtorch_agree() {
+        let devices = devices();
         let (obs_dim, act_dim, rows) = (21, 5, 700);
         let mut noise = Stream::new(Key::for_run(3), Purpose::Sensor);
         let mut draw = |n: usize| (0..n).map(|_| noise.normal()).collect::<Vec<f32>>();
@@ -140,23 +154,24 @@ mod tests {
             };
             let net = ActorCritic::new(spec, 1, Device::Cpu);
             let parameters: Vec<f32> = net.to_vec().unwrap().iter().map(|w| 1.5 * w).collect();
-            let mut both = [
-                Networks::Host(Box::new(Host::new(&net, 2).unwrap())),
-                Networks::Torch(Box::new(Torch::new(&net))),
-            ];
-            let (log_std, slope) = net.log_std_of(&parameters);
-            let minibatch = Minibatch {
-                samples: (0..600).map(|i| (i * 7 % rows) as u32).collect(),
+            let mut all: Vec<Box<dyn Networks>> = vec![Box::new(Host::new(&net, 2).unwrap())];
+            for &device in &devices {
+                let net = ActorCritic::new(net.spec().clone(), 1, device);
+                all.push(Box::new(Torch::new(&net, 2).unwrap()));
+            }
+            let log_std = net.place().log_std_of(&parameters);
+            let minibatch = |first, value_only| Minibatch {
+                order: (0..rows).map(|i| (i * 9 % rows) as u32).collect(),
+                part: (first, 600),
                 loss: LossSettings { clip: 0.2, value_weight: 2.0, entropy_weight: 0.01 },
-                log_std: log_std.clone().into(),
-                log_std_slope: slope.into(),
                 advantage_scale: (0.1, 1.3),
+                value_only,
             };
             let prox_log_std: Vec<f32> = log_std.iter().map(|x| x + 0.05).collect();
             let (shifts, advantages, targets) = (draw(rows * act_dim), draw(rows), draw(rows));
             let lessons = draw(rows * act_dim);
-            let [(host, of_host), (torch, of_torch)] = both.each_mut().map(|networks| {
-                networks.set(&parameters);
+            let mut found = all.iter_mut().map(|networks| {
+                networks.take_up(&parameters, &Adam::new(parameters.len()));
                 let before = networks.begin(&batch, &scaling, true).unwrap();
                 let moved = before.means.iter().zip(&shifts);
                 let prox_means: Vec<f32> = moved.map(|(mean, x)| mean + 0.1 * x).collect();
@@ -169,16 +184,35 @@ mod tests {
                     weights: vec![0.8; rows],
                     teacher: Some((lessons.clone(), 0.3)),
                 };
-                (before, networks.gradient(&Arc::new(samples), &minibatch).unwrap())
+                let samples = Arc::new(samples);
+                let total = networks.gradient(&samples, &minibatch(50, false)).unwrap();
+                let gradient = networks.last_gradient().unwrap();
+                let policy = net.policy_len();
+                let step =
+                    Step { scale: 0.5, rates: [(policy, 1e-3), (gradient.len() - policy, 2e-3)] };
+                networks.step(&step);
+                networks.gradient(&samples, &minibatch(0, true)).unwrap();
+                networks.step(&step);
+                (before, total, gradient, networks.state().unwrap())
             });
-            let folded = net.spec().mirror.is_some();
-            let of = |what: &str| format!("{activation:?}, folded {folded}: {what}");
-            near(&host.values, &torch.values, 1e-5, &of("values"));
-            near(&host.means, &torch.means, 1e-5, &of("means"));
-            near(&of_host.gradient, &of_torch.gradient, 2e-5, &of("gradient"));
-            for (found, expected) in of_host.sums.iter().zip(of_torch.sums) {
-                let off = (found - expected).abs();
-                assert!(off < 1e-4 * expected.abs().max(1.0), "{}", of("sums"));
+            let (host, of_host, gradient, (moved, adam)) = found.next().unwrap();
+            for ((torch, of_torch, its_gradient, its_state), device) in found.zip(&devices) {
+                let folded = net.spec().mirror.is_some();
+                let of =
+                    |what: &str| format!("{device:?}, {activation:?}, folded {folded}: {what}");
+                near(&host.values, &torch.values, 1e-5, &of("values"));
+                near(&host.means, &torch.means, 1e-5, &of("means"));
+                near(&gradient, &its_gradient, 2e-5, &of("gradient"));
+                near(&[of_host.norm as f32], &[of_torch.norm as f32], 1e-5, &of("norm"));
+                near(&moved, &its_state.0, 1e-4, &of("parameters after two steps"));
+                let (own, its) = (adam.state(), its_state.1.state());
+                near(&own.0, &its.0, 2e-5, &of("first moment"));
+                near(&own.1, &its.1, 2e-5, &of("second moment"));
+                assert_eq!(own.2, its.2);
+                for (found, expected) in of_host.sums.iter().zip(of_torch.sums) {
+                    let off = (found - expected).abs();
+                    assert!(off < 1e-4 * expected.abs().max(1.0), "{}", of("sums"));
+                }
             }
         }
     }

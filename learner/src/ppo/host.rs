@@ -10,11 +10,12 @@ use caudata_lanes::perceptron::{Inputs, Perceptron, Tape, Work, normalise};
 use caudata_task::mirror::SignedPermutation;
 use caudata_telemetry::spans::{Laps, Part};
 
-use super::loss::sums;
-use super::minibatch::{Before, Minibatch, Samples, Total};
+use super::gradient::{Networks, norm};
+use super::loss::{Loss, sums};
+use super::minibatch::{Before, Minibatch, Samples, Step, Total};
 use super::pool::{Pool, SHARD_ROWS, shards};
-use super::row_loss::Loss;
 use crate::LearnerError;
+use crate::adam::Adam;
 use crate::batch::Batch;
 use crate::network::{ActorCritic, Place};
 use crate::normaliser::Scaling;
@@ -26,6 +27,11 @@ const BLOCK_ROWS: usize = 256;
 #[derive(Debug)]
 pub struct Host {
     nets: Arc<Nets>,
+    /// `[P]`.
+    parameters: Vec<f32>,
+    /// Of the last minibatch, `[P]`.
+    gradient: Vec<f32>,
+    adam: Adam,
     pool: Pool<Room>,
     seen: Arc<Seen>,
     /// Gradients of shards, for the next minibatch.
@@ -73,30 +79,40 @@ impl Host {
                 place,
                 actions: actions.unwrap_or_else(|| SignedPermutation::identity(spec.act_dim)),
             }),
+            parameters: Vec::new(),
+            gradient: Vec::new(),
+            adam: Adam::new(net.layout().len()),
             pool: Pool::new(threads)?,
             seen: Arc::default(),
             spare: Vec::new(),
         })
     }
 
-    /// As [`super::gradient::Networks::set`].
-    pub fn set(&mut self, parameters: &[f32]) {
+    /// The networks are those of the parameters from here on.
+    fn pack(&mut self) {
         let nets = Arc::make_mut(&mut self.nets);
         let place = Arc::clone(&nets.place);
         for (net, layers) in [(&mut nets.policy, &place.policy), (&mut nets.value, &place.value)] {
             for (at, layer) in layers.iter().enumerate() {
                 net.pack(
                     at,
-                    &parameters[layer.weight..][..layer.inputs * layer.outputs],
-                    &parameters[layer.bias..][..layer.outputs],
+                    &self.parameters[layer.weight..][..layer.inputs * layer.outputs],
+                    &self.parameters[layer.bias..][..layer.outputs],
                     true,
                 );
             }
         }
     }
+}
 
-    /// As [`super::gradient::Networks::begin`].
-    pub fn begin(
+impl Networks for Host {
+    fn take_up(&mut self, parameters: &[f32], adam: &Adam) {
+        self.parameters = parameters.to_vec();
+        self.adam = adam.clone();
+        self.pack();
+    }
+
+    fn begin(
         &mut self,
         batch: &Arc<Batch>,
         scaling: &Scaling,
@@ -126,18 +142,22 @@ impl Host {
         Ok(before)
     }
 
-    /// As [`super::gradient::Networks::gradient`].
-    pub fn gradient(
+    fn gradient(
         &mut self,
         samples: &Arc<Samples>,
         minibatch: &Minibatch,
     ) -> Result<Total, LearnerError> {
-        let parts = shards(minibatch.samples.len(), SHARD_ROWS);
+        let parts = shards(minibatch.part.1, SHARD_ROWS);
+        let place = &self.nets.place;
+        let raw = &self.parameters[place.raw_log_std..][..place.act_dim];
+        let (log_std, slope) = place.log_std_and_slope(raw);
+        let log_std: [Arc<[f32]>; 2] = [log_std.into(), slope.into()];
         let jobs = parts.into_iter().map(|part| GradientJob {
             nets: Arc::clone(&self.nets),
             seen: Arc::clone(&self.seen),
             samples: Arc::clone(samples),
             minibatch: minibatch.clone(),
+            log_std: log_std.clone(),
             part,
             gradient: self.spare.pop().unwrap_or_default(),
         });
@@ -145,26 +165,35 @@ impl Host {
         let done = self.pool.map(jobs, shard_gradient)?;
         let mut laps = Laps::new();
         let mut done = done.into_iter();
-        let mut total = match done.next() {
-            Some((sums, gradient)) => Total { sums, gradient },
-            None => {
-                Total { sums: [0.0; sums::COUNT], gradient: vec![0.0; self.nets.gradient_len()] }
-            }
-        };
+        let (mut totals, mut folded) = (done.next())
+            .unwrap_or_else(|| ([0.0; sums::COUNT], vec![0.0; self.nets.gradient_len()]));
         for (sums, gradient) in done {
-            for (total, sum) in total.sums.iter_mut().zip(sums) {
-                *total += sum;
-            }
-            for (total, g) in total.gradient.iter_mut().zip(&gradient) {
-                *total += g;
-            }
+            totals.iter_mut().zip(sums).for_each(|(total, sum)| *total += sum);
+            folded.iter_mut().zip(&gradient).for_each(|(total, g)| *total += g);
             self.spare.push(gradient);
         }
-        let folded = std::mem::take(&mut total.gradient);
-        total.gradient = self.nets.unfolded(&folded);
+        self.gradient = self.nets.unfolded(&folded);
         self.spare.push(folded);
+        if minibatch.value_only {
+            self.gradient[..self.nets.place.policy_len].fill(0.0);
+        }
+        let norm = norm(&self.gradient);
         laps.lap(Part::Optimiser);
-        Ok(total)
+        Ok(Total { sums: totals, norm })
+    }
+
+    fn step(&mut self, step: &Step) {
+        self.adam.step(&mut self.parameters, (&self.gradient, step.scale), &step.rates);
+        self.pack();
+    }
+
+    #[cfg(test)]
+    fn last_gradient(&self) -> Result<Vec<f32>, LearnerError> {
+        Ok(self.gradient.clone())
+    }
+
+    fn state(&self) -> Result<(Vec<f32>, Adam), LearnerError> {
+        Ok((self.parameters.clone(), self.adam.clone()))
     }
 }
 
@@ -247,6 +276,8 @@ struct GradientJob {
     seen: Arc<Seen>,
     samples: Arc<Samples>,
     minibatch: Minibatch,
+    /// The log-std now, and its slope with respect to its parameters, `[A]`.
+    log_std: [Arc<[f32]>; 2],
     /// First of the minibatch's samples, and how many.
     part: (usize, usize),
     /// Memory for the gradient.
@@ -264,7 +295,7 @@ fn shard_gradient(room: &mut Room, job: GradientJob) -> ([f64; sums::COUNT], Vec
     };
     let (nets, batch) = (&*job.nets, &*job.seen.batch);
     let (first, rows) = job.part;
-    let order = &job.minibatch.samples[first..first + rows];
+    let order = &job.minibatch.samples()[first..first + rows];
     let side = nets.value.input();
     let width = side.width();
     let x = &mut room.observations;
@@ -280,7 +311,8 @@ fn shard_gradient(room: &mut Room, job: GradientJob) -> ([f64; sums::COUNT], Vec
     let wide = nets.value.output().width();
     let mut values: Vec<f32> = values.iter().step_by(wide).copied().collect();
 
-    let mut loss = Loss::new(&job.minibatch, &job.samples);
+    let [log_std, slope] = &job.log_std;
+    let mut loss = Loss::new(&job.minibatch, log_std, &job.samples);
     let side = nets.policy.output();
     room.policy.fill_gradients(side, |at, mean, gradient| {
         let sample = order[at] as usize;
@@ -299,7 +331,7 @@ fn shard_gradient(room: &mut Room, job: GradientJob) -> ([f64; sums::COUNT], Vec
     nets.policy.backward(inputs, &mut room.policy, policy, &mut done);
     nets.value.backward(inputs, &mut room.value, value, &mut done);
     let log_std = loss.log_std_gradient(rows);
-    let slopes = log_std.iter().zip(&*job.minibatch.log_std_slope);
+    let slopes = log_std.iter().zip(&**slope);
     for (raw, (gradient, slope)) in raw.iter_mut().zip(slopes) {
         *raw = gradient * slope;
     }

@@ -33,16 +33,24 @@ pub struct Samples {
 /// One minibatch.
 #[derive(Clone, Debug)]
 pub struct Minibatch {
-    /// Numbers of its samples within the batch.
-    pub samples: Arc<[u32]>,
+    /// Numbers of the samples of the batch in the order of this epoch, `[B]`.
+    pub order: Arc<[u32]>,
+    /// First of the minibatch's samples in that order, and how many.
+    pub part: (usize, usize),
     /// Weights and ranges of the loss.
     pub loss: LossSettings,
-    /// Logarithm of the policy's standard deviation now, `[A]`.
-    pub log_std: Arc<[f32]>,
-    /// Its slope with respect to its parameters, `[A]`.
-    pub log_std_slope: Arc<[f32]>,
     /// What is taken off advantages, and by what they are then divided.
     pub advantage_scale: (f32, f32),
+    /// Whether the policy has no gradient.
+    pub value_only: bool,
+}
+
+impl Minibatch {
+    /// Numbers of its samples within the batch.
+    pub fn samples(&self) -> &[u32] {
+        let (first, rows) = self.part;
+        &self.order[first..][..rows]
+    }
 }
 
 /// What the networks say of a batch before an update.
@@ -54,13 +62,22 @@ pub struct Before {
     pub means: Vec<f32>,
 }
 
-/// Sums and gradient of a minibatch.
+/// What a minibatch came to.
 #[derive(Debug)]
 pub struct Total {
     /// In the order of [`sums`].
     pub sums: [f64; sums::COUNT],
-    /// Gradient of the loss, `[P]`.
-    pub gradient: Vec<f32>,
+    /// Euclidean norm of the gradient of the loss, `[P]`.
+    pub norm: f64,
+}
+
+/// A step of Adam along a gradient.
+#[derive(Clone, Copy, Debug)]
+pub struct Step {
+    /// By what the gradient is multiplied.
+    pub scale: f64,
+    /// Number of parameters and their learning rate: the policy's, the value function's.
+    pub rates: [(usize, f64); 2],
 }
 
 /// As [`Minibatch::advantage_scale`], for the samples `order` of a batch.

@@ -5,7 +5,6 @@ mod host;
 mod loss;
 mod minibatch;
 mod pool;
-mod row_loss;
 mod targets;
 mod torch;
 mod update;

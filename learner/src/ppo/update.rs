@@ -7,10 +7,9 @@ use caudata_random::Stream;
 use caudata_telemetry::Pulse;
 use caudata_telemetry::spans::{Laps, Part};
 
-use super::gradient::Networks;
-use super::loss::{LossSettings, sums};
-use super::minibatch::{Minibatch, Samples, advantage_scale};
-use super::row_loss::{entropy, log_probs};
+use super::gradient::{Networks, on_its_device};
+use super::loss::{LossSettings, entropy, log_probs, sums};
+use super::minibatch::{Minibatch, Samples, Step, Total, advantage_scale};
 use super::targets::{Targets, effective_share, explained_variance};
 use crate::LearnerError;
 use crate::adam::Adam;
@@ -81,7 +80,7 @@ pub struct UpdateStats {
 pub struct Ppo {
     net: ActorCritic,
     adam: Adam,
-    networks: Networks,
+    networks: Box<dyn Networks>,
     teacher: Option<Teacher>,
     settings: PpoSettings,
     /// Learning rate of the next update.
@@ -96,15 +95,6 @@ struct Prepared {
     samples: Arc<Samples>,
     effective_share: f64,
     explained_variance: f64,
-}
-
-/// An update under way.
-struct Pass<'a> {
-    /// As the steps have made them, `[P]`.
-    parameters: &'a mut Vec<f32>,
-    tally: Tally,
-    /// Whether the policy stays as it is.
-    value_only: bool,
 }
 
 /// Sums over the minibatches of an update, in the order of [`sums`].
@@ -129,7 +119,7 @@ impl Ppo {
     ) -> Result<Self, LearnerError> {
         Ok(Self {
             adam: Adam::new(net.layout().len()),
-            networks: Networks::new(&net, threads)?,
+            networks: on_its_device(&net, threads)?,
             teacher: None,
             learning_rate: settings.ppo.learning_rate,
             env_steps: 0,
@@ -207,32 +197,27 @@ impl Ppo {
     ) -> Result<UpdateStats, LearnerError> {
         let _no_grad = tch::no_grad_guard();
         self.check(batch)?;
-        // What is saved after a failure must be what an update ended with, not half of the next one.
-        let mut parameters = self.net.to_vec()?;
-        let (adam, rate, shuffles) = (self.adam.clone(), self.learning_rate, order.clone());
-        let mut pass = Pass { parameters: &mut parameters, tally: Tally::default(), value_only };
-        match self.try_update(&mut pass, batch, scaling, policy_version, order) {
-            Ok(stats) => {
-                self.net.set(&parameters);
-                Ok(stats)
-            }
-            Err(error) => {
-                (self.adam, self.learning_rate, *order) = (adam, rate, shuffles);
-                Err(error)
-            }
+        let (rate, shuffles) = (self.learning_rate, order.clone());
+        let result = self.try_update(batch, scaling, policy_version, order, value_only);
+        if result.is_err() {
+            // What is saved after a failure must be what an update ended with, not half of the next one.
+            (self.learning_rate, *order) = (rate, shuffles);
         }
+        result
     }
 
     fn try_update(
         &mut self,
-        pass: &mut Pass,
         batch: &Arc<Batch>,
         scaling: &Scaling,
         policy_version: u64,
         order: &mut Stream,
+        value_only: bool,
     ) -> Result<UpdateStats, LearnerError> {
-        self.networks.set(pass.parameters);
-        let prepared = self.prepare(pass.parameters, batch, scaling, policy_version)?;
+        let parameters = self.net.to_vec()?;
+        self.networks.take_up(&parameters, &self.adam);
+        let prepared = self.prepare(&parameters, batch, scaling, policy_version)?;
+        let mut tally = Tally::default();
         let guard = if prepared.effective_share < self.settings.staleness.min_effective_share {
             0.5
         } else {
@@ -241,12 +226,16 @@ impl Ppo {
         let mut indices: Vec<u32> = (0..batch.rows as u32).collect();
         for _ in 0..self.settings.ppo.epochs {
             order.shuffle(&mut indices);
-            for (first, rows) in self.minibatches(batch.rows) {
-                let samples = Arc::from(&indices[first..first + rows]);
-                self.minibatch(pass, &prepared.samples, samples, guard)?;
+            let order: Arc<[u32]> = Arc::from(&indices[..]);
+            for part in self.minibatches(batch.rows) {
+                let minibatch = self.minibatch(&prepared.samples, &order, part, value_only);
+                self.learn(&mut tally, &prepared.samples, &minibatch, guard)?;
             }
         }
-        Ok(self.stats(pass, &prepared))
+        let (parameters, adam) = self.networks.state()?;
+        self.net.set(&parameters);
+        self.adam = adam;
+        Ok(self.stats(&tally, &parameters, &prepared))
     }
 
     fn check(&self, batch: &Batch) -> Result<(), LearnerError> {
@@ -283,7 +272,7 @@ impl Ppo {
         let before = self.networks.begin(batch, scaling, known.is_none())?;
         let prox_means = known.map_or(before.means, <[f32]>::to_vec);
         let mut laps = Laps::new();
-        let (prox_log_std, _) = self.net.log_std_of(parameters);
+        let prox_log_std = self.net.place().log_std_of(parameters);
         // Plain PPO clips against the policy that acted, whatever its age: then every ratio below is 1.
         let prox_log_probs = match self.settings.staleness.correction {
             Correction::Decoupled => log_probs(&batch.actions, &prox_means, &prox_log_std),
@@ -311,70 +300,74 @@ impl Ppo {
         Ok(prepared)
     }
 
-    /// Gradient of one minibatch, and the step that it gives.
     fn minibatch(
-        &mut self,
-        pass: &mut Pass,
-        samples: &Arc<Samples>,
-        order: Arc<[u32]>,
-        rate_guard: f64,
-    ) -> Result<(), LearnerError> {
-        self.pulse.beat();
-        let rows = order.len();
+        &self,
+        samples: &Samples,
+        order: &Arc<[u32]>,
+        part: (usize, usize),
+        value_only: bool,
+    ) -> Minibatch {
         let ppo = &self.settings.ppo;
-        let (log_std, slope) = self.net.log_std_of(pass.parameters);
-        let minibatch = Minibatch {
-            advantage_scale: advantage_scale(ppo.advantage_scale, &samples.advantages, &order),
-            samples: order,
+        let own = &order[part.0..][..part.1];
+        Minibatch {
+            advantage_scale: advantage_scale(ppo.advantage_scale, &samples.advantages, own),
+            order: Arc::clone(order),
+            part,
             loss: LossSettings {
                 clip: ppo.clip,
                 value_weight: ppo.value_loss_weight,
                 entropy_weight: ppo.entropy_weight,
             },
-            log_std: log_std.into(),
-            log_std_slope: slope.into(),
-        };
-        let total = self.networks.gradient(samples, &minibatch)?;
-        let mut laps = Laps::new();
-        let sums = total.sums;
-        let mut gradient = total.gradient;
-        if pass.value_only {
-            gradient[..self.net.policy_len()].fill(0.0);
+            value_only,
         }
-        let norm = norm(&gradient);
+    }
+
+    /// Gradient of one minibatch, and the step that it gives.
+    fn learn(
+        &mut self,
+        tally: &mut Tally,
+        samples: &Arc<Samples>,
+        minibatch: &Minibatch,
+        rate_guard: f64,
+    ) -> Result<(), LearnerError> {
+        self.pulse.beat();
+        let rows = minibatch.part.1;
+        let Total { sums, norm } = self.networks.gradient(samples, minibatch)?;
+        let mut laps = Laps::new();
         if !norm.is_finite() || sums.iter().any(|sum| !sum.is_finite()) {
-            pass.tally.skipped += 1;
+            tally.skipped += 1;
             return Ok(());
         }
-        if !pass.value_only {
+        if !minibatch.value_only {
+            let ppo = &self.settings.ppo;
             let (target_kl, kl) =
                 (ppo.target_kl_after(self.env_steps), sums[sums::KL] / rows as f64);
             self.learning_rate = adapted_rate(ppo, target_kl, self.learning_rate, kl);
         }
-        self.step(pass.parameters, &gradient, norm, rate_guard);
-        pass.tally.add(&sums, rows, norm);
-        self.networks.set(pass.parameters);
+        let step = self.step(norm, rate_guard);
+        self.networks.step(&step);
+        tally.add(&sums, rows, norm);
         laps.lap(Part::Optimiser);
         Ok(())
     }
 
-    fn step(&mut self, parameters: &mut [f32], gradient: &[f32], norm: f64, rate_guard: f64) {
+    fn step(&self, norm: f64, rate_guard: f64) -> Step {
         let rate = self.learning_rate * rate_guard;
         let largest = self.settings.ppo.max_grad_norm;
-        let scale = if norm > largest { largest / norm } else { 1.0 };
         let policy = self.net.policy_len();
         let value = self.net.layout().len() - policy;
         let value_rate = match self.settings.ppo.value_learning_rate {
             0.0 => rate,
             own => own * rate_guard,
         };
-        let rates = [(policy, rate), (value, value_rate)];
-        self.adam.step(parameters, (gradient, scale), &rates);
+        Step {
+            scale: if norm > largest { largest / norm } else { 1.0 },
+            rates: [(policy, rate), (value, value_rate)],
+        }
     }
 
-    fn stats(&self, pass: &Pass, prepared: &Prepared) -> UpdateStats {
-        let (log_std, _) = self.net.log_std_of(pass.parameters);
-        let tally = &pass.tally;
+    fn stats(&self, tally: &Tally, parameters: &[f32], prepared: &Prepared) -> UpdateStats {
+        let log_std = self.net.place().log_std_of(parameters);
         let std = log_std.iter().map(|&x| f64::from(x).exp());
         let mean = |index: usize| tally.sums[index] / tally.rows.max(1.0);
         UpdateStats {
@@ -402,17 +395,6 @@ impl Tally {
         self.gradient_norm += norm;
         self.updates += 1;
     }
-}
-
-/// Euclidean norm, in f64; sums side by side, since one after the other would wait for each addition.
-fn norm(values: &[f32]) -> f64 {
-    let mut sums = [0.0_f64; 8];
-    for part in values.chunks(sums.len()) {
-        for (sum, value) in sums.iter_mut().zip(part) {
-            *sum += f64::from(*value).powi(2);
-        }
-    }
-    sums.iter().sum::<f64>().sqrt()
 }
 
 /// rsl_rl's rule; the rate stays when no target is set.
