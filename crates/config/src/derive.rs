@@ -137,10 +137,11 @@ impl Size {
     }
 
     /// Cut-off of the action filter, Hz: below the stride's frequency, so that steps come of it instead of
-    /// vibration; but what balances must act several times as fast as it falls, at √(g/height).
+    /// vibration; but what balances must act ten times as fast as it falls, at √(g/height): its servos take their
+    /// time too.
     fn filter_hz(&self) -> f64 {
         let falls_hz = (GRAVITY_MPS2 / self.com_m).sqrt() / std::f64::consts::TAU;
-        if self.balances() { 3.5 * falls_hz } else { 0.8 * self.stride_hz() }
+        if self.balances() { 11.0 * falls_hz } else { 0.8 * self.stride_hz() }
     }
 }
 
@@ -237,7 +238,7 @@ fn write_layer(
         lin_vel_sigma = round(0.5 * speed * speed),
         phase_sigma = round((0.4 * swing_m * swing_m * size.feet as f64).max(1e-4)),
         contact_n = round(0.04 * weight_n),
-        costs_full = if size.feet == 2 { 2_000_000 } else { 500_000 },
+        costs_full = if size.feet == 2 { 4_000_000 } else { 500_000 },
         trunk_n = round(0.2 * weight_n),
         phase_weight = 1.75 * walks * round(size.effort()),
         power_weight = -round(2e-2 * (2.6 * GRAVITY_MPS2 * 0.3) / size.carrying_w()),

@@ -27,8 +27,8 @@ fn robots_that_ship_are_trained_alike_on_both_sides() {
 #[test]
 fn filters_follow_from_how_a_robot_falls() {
     let alpha = |preset: &str| load(Source::preset(preset)).task.action.filter_alpha;
-    // √(9.81 m/s² / 0.15 m)/2π = 1.3 Hz; 3.5 times that are 4.5 Hz: 1 − e^(−2π·4.5·0.02) = 0.43
-    assert!((0.38..0.48).contains(&alpha("biped")), "{}", alpha("biped"));
+    // √(9.81 m/s² / 0.15 m)/2π = 1.3 Hz; 11 times that are 14 Hz: 1 − e^(−2π·14·0.02) = 0.83
+    assert!((0.78..0.88).contains(&alpha("biped")), "{}", alpha("biped"));
     assert!(alpha("quadruped") < 0.2 && alpha("hexapod") < 0.12);
 }
 
