@@ -63,13 +63,19 @@ impl Noise {
         let mut repeats: BTreeMap<_, (f64, f64)> = BTreeMap::new();
         let apart: Vec<Option<Apart>> =
             data.parts().map(|(s, p)| Apart::of(data, s.trial, p)).collect();
+        let rough: Vec<_> = (data.parts())
+            .map(|(s, p)| {
+                let of = (data.trials[s.trial].base, p.kind, p.index);
+                (of, rough(&data.value[p.range.clone()]))
+            })
+            .collect();
         for ((segment, piece), own) in data.parts().zip(&apart) {
             if let Some(own) = own {
                 let all = repeats.entry((segment.trial, piece.kind, piece.index)).or_default();
                 all.0 += own.sum;
                 all.1 += own.differences.len() as f64;
             }
-            noise.piece(model, data, segment.trial, piece, own.as_ref(), &apart);
+            noise.piece(model, data, segment.trial, piece, own.as_ref(), (&apart, &rough));
         }
         noise.repeated = !repeats.is_empty();
         noise.repeat = (repeats.into_iter())
@@ -91,7 +97,7 @@ impl Noise {
         trial: usize,
         piece: &Piece,
         apart: Option<&Apart>,
-        all: &[Option<Apart>],
+        (all, rough): (&[Option<Apart>], &[(Of, f64)]),
     ) {
         let own = &data.trials[trial];
         let channel = &own.channels[piece.channel];
@@ -102,17 +108,21 @@ impl Noise {
         let least = (self.white.entry((trial, piece.kind, piece.index))).or_insert(floor);
         *least = least.min(floor);
         // a run without a repeat has what repeats of others show of the channel, if their base is held alike
-        let others = |of| typical(all, (own.base, piece.kind, piece.index), of);
-        let shown = apart.map(Apart::sd).or_else(|| others(Apart::sd));
+        let of = (own.base, piece.kind, piece.index);
+        let shown = apart.map(Apart::sd).or_else(|| typical(repeated(all, Apart::sd), of));
+        // where none has a repeat, what is rough in all runs: counts come seldom in a slow one, and its own median
+        // sees none
+        let most = typical(repeated(all, |a| a.white), of);
+        let most = most.or_else(|| typical(rough.iter().copied(), of)).unwrap_or(0.0);
         let left = match apart {
             Some(apart) => apart.white / (own.members.len() as f64).sqrt(),
-            None => white_left(values, others(|a| a.white)),
+            None => spread(&unforetold(values)).min(most),
         };
         self.left[range.clone()].fill(left as f32);
         let time_s = &data.time_s[range.clone()];
         // what the guess holds besides noise is what its law lacks: where repeats show the noise, none is made
         let guess = || unexplained(model, own, (piece.kind, piece.index), time_s, values);
-        let repeat = shown.unwrap_or_else(guess);
+        let repeat = shown.unwrap_or_else(|| guess().max(most));
         // stretches of a swing that dies away are measured by the whole of it, as a run in one piece is
         let size = match own.base {
             BaseHold::Fixed => spread(&in_all_stretches(data, trial, piece)),
@@ -137,10 +147,12 @@ impl Noise {
     }
 }
 
+/// How the base is held, and which channel it is.
+type Of = (BaseHold, Kind, usize);
+
 /// What repeats of a run differ by in one piece of it.
 struct Apart {
-    /// How the base is held, and which channel it is.
-    of: (BaseHold, Kind, usize),
+    of: Of,
     /// The first less the mean of all, times √(m/(m − 1)) of m repeats: as large as the noise of one. `[N]`
     differences: Vec<f64>,
     /// Variance of a sample among the repeats, summed.
@@ -187,13 +199,14 @@ impl Apart {
     }
 }
 
-/// `sd` of a channel in the middle one of `all` that have repeats of it.
-fn typical(
-    all: &[Option<Apart>],
-    of: (BaseHold, Kind, usize),
-    sd: fn(&Apart) -> f64,
-) -> Option<f64> {
-    median(all.iter().flatten().filter(|a| a.of == of).map(sd).collect())
+/// `sd` of those that have repeats.
+fn repeated(all: &[Option<Apart>], sd: fn(&Apart) -> f64) -> impl Iterator<Item = (Of, f64)> {
+    all.iter().flatten().map(move |a| (a.of, sd(a)))
+}
+
+/// The middle one of `all` that are of one channel.
+fn typical(all: impl Iterator<Item = (Of, f64)>, of: Of) -> Option<f64> {
+    median(all.filter(|a| a.0 == of).map(|a| a.1).collect())
 }
 
 /// What the repeat `channel`, `shift_s` later, reads where the stretch of `piece` begins: the mean of a few
@@ -269,15 +282,6 @@ fn jitter(y: &[f64]) -> f64 {
     1.4826 * median(second.collect()).unwrap_or(0.0) / 6.0_f64.sqrt()
 }
 
-/// White noise that every model leaves of a run without a repeat: the mean square of what is not foretold, but no more
-/// than `of_others`; the median where none has a repeat, since steps are not foretold either.
-fn white_left(y: &[f64], of_others: Option<f64>) -> f64 {
-    match of_others {
-        Some(most) => spread(&unforetold(y)).min(most),
-        None => rough(y),
-    }
-}
-
 /// White noise: 1.4826·median of what is not foretold.
 fn rough(y: &[f64]) -> f64 {
     1.4826 * median(unforetold(y).into_iter().map(f64::abs).collect()).unwrap_or(0.0)
@@ -348,10 +352,10 @@ mod tests {
         // √(0.04/4) = 0.1, √(0.16/4) = 0.2, √(3.24/4) = 0.9
         let all = [with(1, 0.04), None, with(1, 3.24), with(0, 9.0), with(1, 0.16)];
         let of = |base, index| (base, Kind::Velocity, index);
-        assert_eq!(typical(&all, of(BaseHold::Fixed, 1), Apart::sd), Some(0.2));
-        assert_eq!(typical(&all, of(BaseHold::Fixed, 1), |a| a.white), Some(0.016));
-        assert_eq!(typical(&all, of(BaseHold::Fixed, 2), Apart::sd), None);
-        assert_eq!(typical(&all, of(BaseHold::Water, 1), Apart::sd), None);
+        let typical = |of| typical(repeated(&all, Apart::sd), of);
+        assert_eq!(typical(of(BaseHold::Fixed, 1)), Some(0.2));
+        assert_eq!(typical(of(BaseHold::Fixed, 2)), None);
+        assert_eq!(typical(of(BaseHold::Water, 1)), None);
     }
 
     #[test]
@@ -367,7 +371,6 @@ mod tests {
         let steps: Vec<f64> =
             moves.iter().zip(0..).map(|(y, k)| y + f64::from(k / 100 % 2 * 2)).collect();
         assert!(spread(&unforetold(&steps)) > 2.0 * all);
-        assert_eq!(white_left(&steps, Some(all)), all);
     }
 
     #[test]
@@ -388,7 +391,6 @@ mod tests {
         let mut noise = Stream::new(Key::for_run(5), Purpose::Sensor);
         let noisy: Vec<f64> = swings.iter().map(|y| y + 0.05 * noise.normal_f64()).collect();
         assert!((rough(&noisy) - 0.05).abs() < 0.01, "{}", rough(&noisy));
-        assert_eq!(white_left(&noisy, None), rough(&noisy));
         // one spike of 3 in 102 rows: second differences 3, −6, 3: √(54/600) where the median sees nothing
         let mut rare = vec![7.0; 102];
         rare[50] = 4.0;

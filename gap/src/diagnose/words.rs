@@ -96,6 +96,11 @@ pub fn summary(
     if context.losses.is_some() {
         text.push_str(" Lost frames show in what repeats differ by, not in their mean.");
     }
+    if verdict == Verdict::Unexplained && !context.fit.noise.repeated {
+        text.push_str(
+            " No run has a repeat, so that noise is guessed, and it may be more: record one motion twice.",
+        );
+    }
     match split {
         Split::Given => {}
         Split::SetAside => text.push_str(" No hold-out was given: every third trial was set aside."),
