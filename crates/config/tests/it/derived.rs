@@ -26,7 +26,14 @@ fn robots_that_ship_are_trained_alike_on_both_sides() {
 /// A biped must act faster than it falls; what stands on four or six feet steps slowly through a slow filter.
 #[test]
 fn filters_follow_from_how_a_robot_falls() {
-    let alpha = |preset: &str| load(Source::preset(preset)).task.action.filter_alpha;
+    let robots = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../robots");
+    let alpha = |robot: &str| {
+        let robot = robots.join(format!("{robot}.robot.toml"));
+        load(Source::preset("walk").set(format!("robot={}", robot.display())))
+            .task
+            .action
+            .filter_alpha
+    };
     // √(9.81 m/s² / 0.15 m)/2π = 1.3 Hz; 11 times that are 14 Hz: 1 − e^(−2π·14·0.02) = 0.83
     assert!((0.78..0.88).contains(&alpha("biped")), "{}", alpha("biped"));
     assert!(alpha("quadruped") < 0.2 && alpha("hexapod") < 0.12);
