@@ -10,9 +10,9 @@ use caudata_lanes::perceptron::{Inputs, Perceptron, Tape, Work, normalise};
 use caudata_task::mirror::SignedPermutation;
 use caudata_telemetry::spans::{Laps, Part};
 
-use super::gradient::{Networks, norm};
 use super::loss::{Loss, sums};
 use super::minibatch::{Before, Minibatch, Samples, Step, Total};
+use super::networks::{Networks, norm};
 use super::pool::{Pool, SHARD_ROWS, shards};
 use crate::LearnerError;
 use crate::adam::Adam;
@@ -29,7 +29,7 @@ pub struct Host {
     nets: Arc<Nets>,
     /// `[P]`.
     parameters: Vec<f32>,
-    /// Of the last minibatch, `[P]`.
+    /// That of the last minibatch, `[P]`.
     gradient: Vec<f32>,
     adam: Adam,
     pool: Pool<Room>,

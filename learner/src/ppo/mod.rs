@@ -4,6 +4,7 @@ mod gradient;
 mod host;
 mod loss;
 mod minibatch;
+mod networks;
 mod pool;
 mod targets;
 mod torch;

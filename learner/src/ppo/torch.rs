@@ -7,9 +7,9 @@ use std::sync::Arc;
 use caudata_telemetry::spans::{Laps, Part};
 use tch::{Device, Kind, Tensor};
 
-use super::gradient::Networks;
 use super::loss::{Loss, sums};
 use super::minibatch::{Before, Minibatch, Samples, Step, Total};
+use super::networks::Networks;
 use super::pool::{Pool, SHARD_ROWS, shards};
 use crate::LearnerError;
 use crate::adam::{Adam, BETA1, BETA2, EPSILON};

@@ -7,9 +7,10 @@ use caudata_random::Stream;
 use caudata_telemetry::Pulse;
 use caudata_telemetry::spans::{Laps, Part};
 
-use super::gradient::{Networks, on_its_device};
+use super::gradient::on_its_device;
 use super::loss::{LossSettings, entropy, log_probs, sums};
 use super::minibatch::{Minibatch, Samples, Step, Total, advantage_scale};
+use super::networks::Networks;
 use super::targets::{Targets, effective_share, explained_variance};
 use crate::LearnerError;
 use crate::adam::Adam;
