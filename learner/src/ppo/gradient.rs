@@ -27,8 +27,8 @@ mod tests {
     use crate::batch::Batch;
     use crate::network::NetworkSpec;
     use crate::normaliser::Scaling;
-    use crate::ppo::loss::{LossSettings, log_probs};
-    use crate::ppo::minibatch::{Minibatch, Samples, Step};
+    use crate::ppo::loss::log_probs;
+    use crate::ppo::minibatch::{LossSettings, Minibatch, Samples, Step};
     use caudata_config::{Activation, NetworkConfig};
     use caudata_random::{Key, Purpose, Stream};
     use caudata_task::Mirror;

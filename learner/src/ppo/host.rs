@@ -10,8 +10,8 @@ use caudata_lanes::perceptron::{Inputs, Perceptron, Tape, Work, normalise};
 use caudata_task::mirror::SignedPermutation;
 use caudata_telemetry::spans::{Laps, Part};
 
-use super::loss::{Loss, sums};
-use super::minibatch::{Before, Minibatch, Samples, Step, Total};
+use super::loss::Loss;
+use super::minibatch::{Before, Minibatch, Samples, Step, Total, sums};
 use super::networks::{Networks, norm};
 use super::pool::{Pool, SHARD_ROWS, shards};
 use crate::LearnerError;

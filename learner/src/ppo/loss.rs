@@ -8,38 +8,11 @@
 
 use std::f64::consts::PI;
 
-use super::minibatch::{Minibatch, Samples};
+use super::minibatch::{Minibatch, Samples, sums};
 
 /// The log of the ratio is kept within ± this, so that one absurd sample cannot make the whole sum infinite;
 /// PPO's clipping acts at |log r| ≈ 0.2.
 const LOG_RATIO_MAX: f32 = 20.0;
-
-/// Weights and ranges of the loss.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LossSettings {
-    /// ε.
-    pub clip: f64,
-    /// c_v.
-    pub value_weight: f64,
-    /// c_e.
-    pub entropy_weight: f64,
-}
-
-/// Indices into what [`Loss::sums`] answers.
-pub mod sums {
-    /// Sum of −w·min(r·A, clip(r)·A).
-    pub const SURROGATE: usize = 0;
-    /// Sum of ¼(V − target)².
-    pub const VALUE: usize = 1;
-    /// Sum of KL(π_prox ‖ π_θ), nats.
-    pub const KL: usize = 2;
-    /// Samples whose ratio lies outside 1 ± ε.
-    pub const CLIPPED: usize = 3;
-    /// Sum of ½|μ − a*|².
-    pub const TEACHER: usize = 4;
-    /// Number of sums.
-    pub const COUNT: usize = 5;
-}
 
 /// Sums over the samples of one shard of a minibatch, and what all of them need.
 #[derive(Debug)]

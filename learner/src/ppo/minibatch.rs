@@ -6,10 +6,35 @@ use std::sync::Arc;
 
 use caudata_config::AdvantageScale;
 
-use super::loss::{LossSettings, sums};
-
 /// Keeps a division by a spread finite.
 const SPREAD_MIN: f64 = 1e-8;
+
+/// Weights and ranges of the loss.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LossSettings {
+    /// ε.
+    pub clip: f64,
+    /// c_v.
+    pub value_weight: f64,
+    /// c_e.
+    pub entropy_weight: f64,
+}
+
+/// Indices into the sums over the samples of a minibatch.
+pub mod sums {
+    /// Sum of −w·min(r·A, clip(r)·A).
+    pub const SURROGATE: usize = 0;
+    /// Sum of ¼(V − target)².
+    pub const VALUE: usize = 1;
+    /// Sum of KL(π_prox ‖ π_θ), nats.
+    pub const KL: usize = 2;
+    /// Samples whose ratio lies outside 1 ± ε.
+    pub const CLIPPED: usize = 3;
+    /// Sum of ½|μ − a*|².
+    pub const TEACHER: usize = 4;
+    /// Number of sums.
+    pub const COUNT: usize = 5;
+}
 
 /// What the samples of a batch are learnt with besides their observations and actions.
 #[derive(Debug)]

@@ -7,8 +7,8 @@ use std::sync::Arc;
 use caudata_telemetry::spans::{Laps, Part};
 use tch::{Device, Kind, Tensor};
 
-use super::loss::{Loss, sums};
-use super::minibatch::{Before, Minibatch, Samples, Step, Total};
+use super::loss::Loss;
+use super::minibatch::{Before, Minibatch, Samples, Step, Total, sums};
 use super::networks::Networks;
 use super::pool::{Pool, SHARD_ROWS, shards};
 use crate::LearnerError;

@@ -8,8 +8,8 @@ use caudata_telemetry::Pulse;
 use caudata_telemetry::spans::{Laps, Part};
 
 use super::gradient::on_its_device;
-use super::loss::{LossSettings, entropy, log_probs, sums};
-use super::minibatch::{Minibatch, Samples, Step, Total, advantage_scale};
+use super::loss::{entropy, log_probs};
+use super::minibatch::{LossSettings, Minibatch, Samples, Step, Total, advantage_scale, sums};
 use super::networks::Networks;
 use super::targets::{Targets, effective_share, explained_variance};
 use crate::LearnerError;

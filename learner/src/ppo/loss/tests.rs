@@ -1,6 +1,7 @@
 //! The loss by hand, and its gradient against autograd.
 
 use super::*;
+use crate::ppo::minibatch::LossSettings;
 use tch::{Kind, Tensor};
 
 const SETTINGS: LossSettings = LossSettings { clip: 0.2, value_weight: 2.0, entropy_weight: 0.01 };
