@@ -137,8 +137,8 @@ impl Size {
     }
 
     /// Cut-off of the action filter, Hz: below the stride's frequency, so that steps come of it instead of
-    /// vibration; but what balances must act ten times as fast as it falls, at √(g/height): its servos take their
-    /// time too.
+    /// vibration; but what balances must act many times as fast as it falls, at √(g/height), since its servos take
+    /// their time too. How many: docs/reference/learning.md, by trainings of published bipeds.
     fn filter_hz(&self) -> f64 {
         let falls_hz = (GRAVITY_MPS2 / self.com_m).sqrt() / std::f64::consts::TAU;
         if self.balances() { 11.0 * falls_hz } else { 0.8 * self.stride_hz() }

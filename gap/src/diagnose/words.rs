@@ -98,7 +98,7 @@ pub fn summary(
     }
     if verdict == Verdict::Unexplained && !context.fit.noise.repeated {
         text.push_str(
-            " No run has a repeat, so that noise is guessed, and it may be more: record one motion twice.",
+            " No run has a repeat, so its noise is a guess and may be larger: record one motion twice.",
         );
     }
     match split {

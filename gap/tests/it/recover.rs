@@ -36,6 +36,7 @@ fn command(kind: usize, t: f64) -> f64 {
     match kind {
         0 => 0.8 * (std::f64::consts::TAU * (0.3 * t + 0.12 * t * t)).sin(),
         1 => [0.0, 0.5, -0.4, 0.9, 0.2, -0.9, 0.7, 0.0][(t / 1.1) as usize % 8],
+        3 => 0.02 * (0.5 * t).sin(),
         _ => 0.6 * (2.1 * t).sin() + 0.35 * (5.3 * t).sin(),
     }
 }
@@ -132,6 +133,31 @@ fn nothing_is_found_where_nothing_is_wrong() {
     assert_eq!(d.report.verdict, Verdict::NoGap, "{} {:?}", d.report.summary, names(&d));
     let floor = &d.report.detection_floor["kp_error@swing"];
     assert!(floor.excited && (floor.value - 1.0).abs() < 0.25, "{floor:?}");
+}
+
+#[test]
+fn nothing_is_found_where_nothing_is_repeated_and_one_run_is_slow() {
+    // the slow one's speed is counted as zero in most rows
+    let once = |change: &dyn Fn(&mut LaneParams)| {
+        let mut asked = request(0, change);
+        asked.runs.retain(|run| run.name.ends_with("_0"));
+        let log = record(3, 0, 0, change);
+        asked.runs.push(Run {
+            name: "3_0".to_owned(),
+            log,
+            role: Role::Fit,
+            sha256: String::new(),
+        });
+        asked
+    };
+    let d = diagnose(&once(&|_| {}), &mut |_| {}).unwrap();
+    assert_eq!(d.report.verdict, Verdict::NoGap, "{} {:?}", d.report.summary, names(&d));
+
+    let mut rubs = once(&|p| p.joint_friction_nm[0] += 0.05);
+    rubs.options.only = vec!["cogging".to_owned()];
+    let d = diagnose(&rubs, &mut |_| {}).unwrap();
+    assert_eq!(d.report.verdict, Verdict::Unexplained, "{} {:?}", d.report.summary, names(&d));
+    assert!(d.report.summary.contains("No run has a repeat"), "{}", d.report.summary);
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! The networks on a device of libtorch, a minibatch at a time: a GPU works on it whole. Parameters, gradient and
-//! the optimiser's moments stay there during an update. The loss lies between forward and backward, on the host:
-//! its many small operations would keep a GPU waiting for each of them to be launched.
+//! the optimiser's moments stay there during an update. The loss lies between forward and backward, on the host,
+//! the same as for [`super::host`].
 
 use std::sync::Arc;
 
@@ -76,8 +76,8 @@ impl Torch {
         self.epoch.1.narrow(0, first as i64, rows as i64)
     }
 
-    /// Sums of the loss, and its gradient with respect to outputs `[M, A + 1]`, means and values, and then to the
-    /// parameters of the log-std `[A]`, both given one behind the other as well.
+    /// Sums of the loss, and its gradient. `outputs` are means and value of each sample, `[M, A + 1]`, and behind them
+    /// the parameters of the log-std, `[A]`; the gradient with respect to them lies likewise.
     fn loss(
         &mut self,
         samples: &Arc<Samples>,
@@ -85,10 +85,8 @@ impl Torch {
         outputs: Vec<f32>,
     ) -> Result<([f64; sums::COUNT], Vec<f32>), LearnerError> {
         let rows = minibatch.part.1;
-        let (log_std, slope) = {
-            let raw = &outputs[outputs.len() - self.place.act_dim..];
-            self.place.log_std_and_slope(raw)
-        };
+        let raw = &outputs[outputs.len() - self.place.act_dim..];
+        let (log_std, slope) = self.place.log_std_and_slope(raw);
         let (outputs, log_std): (Arc<[f32]>, Arc<[f32]>) = (outputs.into(), log_std.into());
         let jobs = shards(rows, SHARD_ROWS).into_iter().map(|part| LossJob {
             batch: Arc::clone(&self.batch),

@@ -165,9 +165,10 @@ fn the_gradient_is_autograds_and_shards_add_up() {
         all.values.extend(found.values);
         all.log_std.iter_mut().zip(found.log_std).for_each(|(total, g)| *total += g);
     }
-    for (found, leaf) in [all.means, all.values, all.log_std].iter().zip(&leaves) {
-        let off = Tensor::from_slice(found) - leaf.grad().view([-1]);
-        assert!(off.abs().max().double_value(&[]) < 1e-5);
+    let all = [(all.means, 1e-6), (all.values, 1e-6), (all.log_std, 1e-5)];
+    for ((found, most), leaf) in all.iter().zip(&leaves) {
+        let off = (Tensor::from_slice(found) - leaf.grad().view([-1])).abs().max();
+        assert!(off.double_value(&[]) < *most, "{off:?}");
     }
 }
 
