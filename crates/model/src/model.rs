@@ -1,10 +1,12 @@
 //! The checked robot: what every other crate reads.
 
+use std::f64::consts::TAU;
+
 use crate::extension::Extension;
 use crate::params::{
     BacklashParams, ContactParams, Gains, SensorParams, ServoParams, SupplyParams, WaterParams,
 };
-use crate::types::{BaseKind, Foot, Geom, Joint, Link, ROLLS_FROM_RAD, Site};
+use crate::types::{BaseKind, Foot, Geom, Joint, JointMotion, Link, ROLLS_FROM_RAD, Shape, Site};
 
 /// A robot, loaded from `*.robot.toml` and the MJCF beside it, and checked: a value that exists is valid.
 ///
@@ -147,6 +149,16 @@ impl RobotModel {
     pub fn rolls(&self, actuated_index: usize) -> bool {
         let (low, high) = self.joint_limits_rad()[actuated_index];
         high - low > ROLLS_FROM_RAD
+    }
+
+    /// Whether a shape of a link is a wheel: a cylinder about the hinge that carries the link, which turns by
+    /// more than once.
+    pub fn is_wheel(&self, link: usize, geom: &Geom) -> bool {
+        let carries = |j: &&Joint| j.child_link == link && j.motion == JointMotion::Hinge;
+        let turns = |j: &Joint| j.range_rad.is_none_or(|(low, high)| high - low > TAU);
+        let round = |j: &Joint| geom.radius_about_m(j.anchor_m, j.axis).is_some();
+        matches!(geom.shape, Shape::Cylinder { .. })
+            && self.joints.iter().find(carries).is_some_and(|j| turns(j) && round(j))
     }
 
     /// The name of an actuated joint's servo type (indices as in [`Self::servo`]).

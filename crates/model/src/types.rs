@@ -3,7 +3,7 @@
 //! Frames: every link has its own frame; at zero joint positions `Link::parent_from_link` places it in its
 //! parent. Units are SI; positions m, angles rad, inertia kg·m².
 
-use crate::pose::Pose;
+use crate::pose::{Pose, cross, dot, norm, sub};
 
 /// Whether the root link is free or fixed to the world.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -218,8 +218,8 @@ impl Shape {
     /// Centres (shape's frame, m) and radius (m; 0: points) of the balls that stand for the shape where it
     /// touches the ground; `None` for an ellipsoid and a plane.
     ///
-    /// Exact against a plane: ball; capsule (its two end balls); box (its eight corners). Approximate:
-    /// cylinder (16 points on each rim: a rolling one sinks in by up to 2 % of its radius). Against uneven
+    /// Exact against a plane: ball; capsule (its two end balls); box (its eight corners). Approximate: cylinder
+    /// (16 points on each rim; of a [wheel](crate::RobotModel::is_wheel) an engine takes the rims). Against uneven
     /// ground, straight sides can be hollow between their points: capsules longer than their radius get a
     /// ball in the middle.
     pub fn balls(&self) -> Option<(Vec<[f64; 3]>, f64)> {
@@ -305,6 +305,33 @@ impl Geom {
     /// Whether the geom touches anything at all; `false`: only to be looked at.
     pub fn collides(&self) -> bool {
         self.contype != 0 || self.conaffinity != 0
+    }
+
+    /// The radius, m, of a ball, cylinder or capsule about the line through `anchor_m` along the unit vector
+    /// `axis` (link's frame; 5 % of slack): turning about that line does not move it. Of others `None`.
+    pub(crate) fn radius_about_m(&self, anchor_m: [f64; 3], axis: [f64; 3]) -> Option<f64> {
+        let off_m = norm(cross(sub(self.link_from_geom.pos_m, anchor_m), axis));
+        let tilt = norm(cross(self.link_from_geom.rotate([0.0, 0.0, 1.0]), axis));
+        let radius_m = match self.shape {
+            Shape::Sphere { radius_m } => radius_m,
+            Shape::Cylinder { radius_m, .. } | Shape::Capsule { radius_m, .. } if tilt < 0.05 => {
+                radius_m
+            }
+            _ => return None,
+        };
+        (off_m < 0.05 * radius_m).then_some(radius_m)
+    }
+
+    /// A radius about the same line that the shape lies within, m.
+    pub(crate) fn within_m(&self, anchor_m: [f64; 3], axis: [f64; 3]) -> f64 {
+        let aside = if axis[0].abs() < 0.7 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
+        let first = cross(axis, aside).map(|x| x / norm(cross(axis, aside)));
+        let from_geom = self.link_from_geom.inverse();
+        let far_m = |dir: [f64; 3]| {
+            let off_m = dot(sub(self.link_from_geom.pos_m, anchor_m), dir).abs();
+            off_m + self.shape.half_extent_m(from_geom.rotate(dir))
+        };
+        far_m(first).hypot(far_m(cross(axis, first)))
     }
 
     /// Whether this geom and `other` may touch (MuJoCo's rule, without the `exclude` list).

@@ -1,4 +1,4 @@
-//! Contact of one ball with the ground, as a force that is linear in the acceleration of the touching point.
+//! Contact of one ball or rim with the ground, as a force that is linear in the acceleration of the touching point.
 //!
 //! Normal force: MuJoCo's law with the `solref` and `solimp` of the MJCF, a spring, a damper and an inertia
 //! (see [`Stop`]; A is the mean over directions at the link's centre of mass). Like MuJoCo's, its
@@ -25,16 +25,21 @@ use super::convex;
 use super::frame::Frame;
 use super::ground::Ground;
 use super::program::Point;
-use super::vec3::{Inertia, V3, add_cross, add_scaled, cross, dot, scale, select3, sub, zero3};
+use super::vec3::{
+    Inertia, V3, add, add_cross, add_scaled, cross, dot, scale, select3, sub, turn, zero3,
+};
 use crate::real::Mask;
 use crate::simd::Lanes;
 
-/// A ball that reaches into the ground.
+/// A ball or a rim that reaches into the ground.
 struct Meeting<R> {
     depth: R,
     normal: V3<R>,
     /// Touching point from the reference point, world, m.
     arm: V3<R>,
+    /// Likewise the place of the body that stays above the touching point while it rolls: of a rim its centre. (Of
+    /// a ball, which is mostly a foot and hardly rolls, the touching point itself.)
+    above: V3<R>,
     /// The ground's factor on friction there.
     grip: R,
 }
@@ -62,8 +67,9 @@ pub(super) fn touch<R: Lanes, const FLAT: bool>(
     let touching = R::zero().lt(meeting.depth);
     let depth = meeting.depth.min(R::uniform(point.deepest));
     let vel = add_cross(frame.lin, frame.ang, arm);
-    // classical acceleration of the point with the bias alone
-    let acc = add_cross(add_cross(frame.bias_lin, frame.bias_ang, arm), frame.ang, vel);
+    // classical acceleration with the bias alone, without what turns the touching point of a rim up again
+    let carried = add_cross(frame.lin, frame.ang, meeting.above);
+    let acc = add_cross(add_cross(frame.bias_lin, frame.bias_ang, arm), frame.ang, carried);
     let (f0, m);
     if law.convex {
         let free = [memory[0], memory[1], memory[2]];
@@ -91,7 +97,7 @@ pub(super) fn touch<R: Lanes, const FLAT: bool>(
     };
 }
 
-/// Where a ball reaches into the ground; `None` where no lane's does.
+/// Where a ball or a rim reaches into the ground; `None` where no lane's does.
 #[inline(always)]
 fn meet<R: Lanes, const FLAT: bool>(
     ground: &Ground<R>,
@@ -102,18 +108,17 @@ fn meet<R: Lanes, const FLAT: bool>(
     let (o, one) = (R::zero(), R::one());
     let c = point.centre.map(R::uniform);
     let radius = R::uniform(point.radius);
+    if let Some(axle) = point.axle {
+        return meet_rim::<R, FLAT>(ground, base, frame, point, axle.map(R::uniform));
+    }
     let z = coordinate(frame, c, 2);
     if FLAT {
         let depth = radius - (z + base[2]);
         if !o.lt(depth).any() {
             return None;
         }
-        return Some(Meeting {
-            depth,
-            normal: [o, o, one],
-            arm: [coordinate(frame, c, 0), coordinate(frame, c, 1), z - radius],
-            grip: one,
-        });
+        let arm = [coordinate(frame, c, 0), coordinate(frame, c, 1), z - radius];
+        return Some(Meeting { depth, normal: [o, o, one], arm, above: arm, grip: one });
     }
     let (x, y) = (coordinate(frame, c, 0), coordinate(frame, c, 1));
     let (clearance, normal, grip) = ground.clearance(x + base[0], y + base[1], z + base[2]);
@@ -121,7 +126,35 @@ fn meet<R: Lanes, const FLAT: bool>(
     if !o.lt(depth).any() {
         return None;
     }
-    Some(Meeting { depth, normal, arm: add_scaled([x, y, z], normal, -radius), grip })
+    let arm = add_scaled([x, y, z], normal, -radius);
+    Some(Meeting { depth, normal, arm, above: arm, grip })
+}
+
+/// The same of a rim about `axle` (node's frame): what touches is its point that is farthest down the normal.
+#[inline(always)]
+fn meet_rim<R: Lanes, const FLAT: bool>(
+    ground: &Ground<R>,
+    base: V3<R>,
+    frame: &Frame<R>,
+    point: &Point<R>,
+    axle: V3<R>,
+) -> Option<Meeting<R>> {
+    let (o, one) = (R::zero(), R::one());
+    let above = frame.point(point.centre);
+    let [x, y, z] = add(above, base);
+    let (clearance, normal, grip) =
+        if FLAT { (z, [o, o, one], one) } else { ground.clearance(x, y, z) };
+    let axle = turn(&frame.rot, axle);
+    let along = dot(axle, normal);
+    // down the normal within the wheel's plane; a wheel that lies on its side has no such direction
+    let steep = (one - along * along).max(R::splat(1e-6)).sqrt();
+    let radius = R::uniform(point.radius);
+    let depth = radius * steep - clearance;
+    if !o.lt(depth).any() {
+        return None;
+    }
+    let down = scale(add_scaled(scale(axle, along), normal, -one), radius / steep);
+    Some(Meeting { depth, normal, arm: add(above, down), above, grip })
 }
 
 /// One world coordinate of a place in a frame, from the reference point, m.

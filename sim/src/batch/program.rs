@@ -9,7 +9,7 @@
 use std::ops::Range;
 
 use caudata_model::pose::{self, Pose};
-use caudata_model::{Ball, BaseKind, Foot, JointKind, JointMotion, RobotModel, Shape};
+use caudata_model::{Ball, BaseKind, Foot, Geom, JointKind, JointMotion, RobotModel, Shape};
 
 use super::place::{Part, Place};
 use super::rounded::{self, Core};
@@ -93,6 +93,9 @@ pub(super) struct Point<R: Lanes> {
     pub centre: [R::Elem; 3],
     /// Radius, m.
     pub radius: R::Elem,
+    /// `None`: a ball. Else the rim of a wheel about this axis (node's frame): its lowest point touches, wherever
+    /// the wheel has turned to.
+    pub axle: Option<[R::Elem; 3]>,
     /// Inverse of the mass that a contact reckons with, 1/kg.
     pub mobility: R::Elem,
     /// How it gives way.
@@ -366,7 +369,7 @@ fn mark_first_children<R: Lanes>(nodes: &mut [Node<R>], links_of: &[Range<usize>
     }
 }
 
-/// The balls and points that stand for the model's colliding shapes (see [`caudata_model::Shape::balls`]).
+/// The balls, points and rims that stand for the model's colliding shapes (see [`caudata_model::Shape::balls`]).
 fn contact_points<R: Lanes>(
     model: &RobotModel,
     placed: &[(usize, Pose)],
@@ -379,14 +382,14 @@ fn contact_points<R: Lanes>(
             let foot = model.foot_of(i, g);
             let (node, node_from_link) = placed[i];
             let node_from_geom = node_from_link.compose(&geom.link_from_geom);
-            let (centres, radius) = geom.shape.balls().ok_or_else(|| {
-                SimError::Model(format!(
-                    "geom {} of link {} is an ellipsoid, which the batch engine cannot collide; give it \
-                     contype and conaffinity 0, and put balls or capsules in its place",
-                    geom.name.as_deref().unwrap_or("without a name"),
-                    link.name
-                ))
-            })?;
+            let rims = model.is_wheel(i, geom);
+            let (centres, radius) = match geom.shape {
+                Shape::Cylinder { radius_m, half_length_m: h } if rims => {
+                    (vec![[0.0, 0.0, -h], [0.0, 0.0, h]], radius_m)
+                }
+                _ => geom.shape.balls().ok_or_else(|| no_balls(geom, &link.name))?,
+            };
+            let axle = rims.then(|| node_from_geom.rotate([0.0, 0.0, 1.0]).map(R::elem));
             let other = if model.carries_feet(i) { Part::Trunk } else { Part::Tail };
             let soft = Stop::new(&geom.soft, mobility.links[i]).harder(config.contact_hardness);
             let full_m = (DEEPEST_MPS2 / soft.stiffness_per_s2).max(geom.soft.solimp[2]);
@@ -395,6 +398,7 @@ fn contact_points<R: Lanes>(
                 node,
                 centre: node_from_geom.point(c).map(R::elem),
                 radius: R::elem(radius),
+                axle,
                 mobility: R::elem(mobility.links[i].max(LEAST_MOBILITY)),
                 soft,
                 deepest: R::elem(DEEPEST_M.max(full_m)),
@@ -411,6 +415,14 @@ fn contact_points<R: Lanes>(
     }
     points.sort_by_key(|p| p.node);
     Ok(points)
+}
+
+fn no_balls(geom: &Geom, link: &str) -> SimError {
+    SimError::Model(format!(
+        "geom {} of link {link} is an ellipsoid, which the batch engine cannot collide; give it contype and \
+         conaffinity 0, and put balls or capsules in its place",
+        geom.name.as_deref().unwrap_or("without a name"),
+    ))
 }
 
 /// Points of legs, with points of other legs and of the trunk that the leg does not hang on.

@@ -176,23 +176,17 @@ pub(super) fn driven(robot: &Robot, body: usize) -> bool {
     joints.into_iter().any(|j| robot.actuators.iter().any(|a| a.joint == j.name))
 }
 
-/// Whether a body rolls on its joint: all of it round about an axis that it can turn about by more than once.
+/// Whether a body rolls on its joint: all of it round about an axis that it can turn about by more than once, or
+/// inside of what is.
 pub(super) fn wheel(body: &Body) -> bool {
     let [joint] = body.joints.as_slice() else { return false };
     let turns = joint.range.is_none_or(|(low, high)| high - low > std::f64::consts::TAU);
-    let off_axis_m =
-        |at: [f64; 3]| pose::norm(pose::cross(pose::sub(at, joint.anchor_m), joint.axis));
-    let round = |geom: &Geom| match geom.shape {
-        Shape::Sphere { radius_m } => off_axis_m(geom.link_from_geom.pos_m) < 0.05 * radius_m,
-        Shape::Cylinder { radius_m, .. } => {
-            let along = geom.link_from_geom.rotate([0.0, 0.0, 1.0]);
-            let tilt = pose::norm(pose::cross(along, joint.axis));
-            tilt < 0.05 && off_axis_m(geom.link_from_geom.pos_m) < 0.05 * radius_m
-        }
-        _ => false,
-    };
-    let round = reaching(body).next().is_some() && reaching(body).all(round);
-    turns && joint.motion == JointMotion::Hinge && round
+    let (anchor_m, axis) = (joint.anchor_m, joint.axis);
+    let radii = reaching(body).filter_map(|geom| geom.radius_about_m(anchor_m, axis));
+    let tyre_m = radii.fold(0.0, f64::max);
+    let hub = |geom: &Geom| geom.within_m(anchor_m, axis) <= tyre_m;
+    let round = |geom: &Geom| geom.radius_about_m(anchor_m, axis).is_some() || hub(geom);
+    turns && joint.motion == JointMotion::Hinge && tyre_m > 0.0 && reaching(body).all(round)
 }
 
 /// Shapes that can touch the ground.

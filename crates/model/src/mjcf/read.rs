@@ -64,12 +64,6 @@ pub(crate) fn read(root: &Element, file: &Path, remarks: &mut Remarks) -> Option
                 let names =
                     |e: &Element| Some([e.get("body1")?.to_owned(), e.get("body2")?.to_owned()]);
                 robot.excluded.extend(section.all("exclude").filter_map(names));
-                if section.first("pair").is_some() {
-                    context.remarks.note(
-                        section,
-                        "<contact>: <pair> is not kept; shapes touch by contype and conaffinity",
-                    );
-                }
             }
             tag => match PASSED_OVER.iter().find(|(known, _)| *known == tag) {
                 Some((_, why)) => context.remarks.note(section, format!("<{tag}>: {why}")),
@@ -94,6 +88,8 @@ pub(crate) fn read(root: &Element, file: &Path, remarks: &mut Remarks) -> Option
             }
         }
     }
+    let pairs = root.all("contact").flat_map(|c| c.all("pair"));
+    pairs.for_each(|pair| touch_the_ground(&mut context, pair, &mut robot));
     actuators::read(&mut context, root, &mut robot);
     let sensors = root.all("sensor").flat_map(|sensor| &sensor.children);
     robot.sensed = sensors
@@ -103,6 +99,25 @@ pub(crate) fn read(root: &Element, file: &Path, remarks: &mut Remarks) -> Option
     let order = joint_order(&robot);
     home(&mut context, root, &order, &mut robot);
     Some(robot)
+}
+
+/// Lets a shape that a `<pair>` names beside what is no part of the robot, the ground, touch that. Two parts of
+/// the robot touch each other by their bits alone.
+fn touch_the_ground(context: &mut Context<'_>, pair: &Element, robot: &mut Robot) {
+    let named = [pair.get("geom1"), pair.get("geom2")];
+    let geoms = robot.bodies.iter_mut().flat_map(|body| &mut body.geoms).map(|g| &mut g.geom);
+    let mut own: Vec<&mut Geom> =
+        geoms.filter(|g| g.name.is_some() && named.contains(&g.name.as_deref())).collect();
+    let [geom] = own.as_mut_slice() else {
+        let message = "<pair>: two parts of the robot touch by contype and conaffinity alone";
+        context.remarks.note(pair, message);
+        return;
+    };
+    if !geom.collides() {
+        geom.conaffinity = 1;
+        let friction = pair.numbers("friction", context.remarks);
+        geom.friction = friction.and_then(|f| f.first().copied()).unwrap_or(geom.friction);
+    }
 }
 
 /// Joint names in the order of MuJoCo's positions.

@@ -106,15 +106,18 @@ fn a_waist_is_no_joint_of_a_leg() {
     }
 }
 
-/// A wheel on each side, a mass of 1 kg half a metre below a joint of gear 3.
+/// A wheel with a square hub on one side, one like a roll on the other; a mass of 1 kg half a metre below a joint of
+/// gear 3.
 #[test]
 fn wheels_are_no_feet_and_a_damping_ratio_becomes_a_gain() {
-    let wheel = |name: &str, y: f64| {
+    let wheel = |name: &str, y: f64, tyre: &str, hub_m: f64| {
         format!(
             "<body name=\"{name}\" pos=\"0 {y} 0\"><joint name=\"{name}\" axis=\"0 1 0\"/>\
-             <geom type=\"cylinder\" size=\"0.1 0.02\" euler=\"90 0 0\"/></body>"
+             <geom type=\"box\" size=\"{hub_m} 0.03 {hub_m}\"/>\
+             <geom type=\"{tyre}\" size=\"0.1 0.02\" euler=\"90 0 0\"/></body>"
         )
     };
+    let hub_m = 0.06; // its corners are 0.085 m off the axle
     let position = "<position joint=\"arm\" kp=\"30\" dampratio=\"0.5\" gear=\"3\"/>";
     let velocity = "<velocity joint=\"arm\" kv=\"0.1\" gear=\"3\"/>";
     let text = |first: &str, second: &str| {
@@ -123,8 +126,8 @@ fn wheels_are_no_feet_and_a_damping_ratio_becomes_a_gain() {
          <body name=\"arm\"><joint name=\"arm\" axis=\"0 1 0\" range=\"-40 40\" armature=\"0.05\"/>\
          <inertial pos=\"0 0 -0.5\" mass=\"1\" diaginertia=\"0.01 0.01 0.01\"/></body></body></worldbody><actuator>\
          {first}{second}<motor joint=\"l\"/><motor joint=\"r\"/></actuator></mujoco>",
-            wheel("l", 0.1),
-            wheel("r", -0.1)
+            wheel("l", 0.1, "cylinder", hub_m),
+            wheel("r", -0.1, "capsule", hub_m)
         )
     };
     let made = read("cart.xml", &text(position, velocity)).unwrap();
@@ -136,6 +139,32 @@ fn wheels_are_no_feet_and_a_damping_ratio_becomes_a_gain() {
     // 0.25 + 0.01 + 0.05 kg·m² at 270 N·m/rad, and 9 × 0.1 N·m·s/rad
     assert!((gains.kp_nm_per_rad - 270.0).abs() < 1e-9);
     assert!((gains.kd_nm_s_per_rad - (270.0_f64 * 0.31).sqrt() - 0.9).abs() < 1e-9, "{gains:?}");
+}
+
+/// Soles that nothing touches by their bits, one of them paired with a floor that stands in another file, one with the
+/// other sole.
+#[test]
+fn what_a_pair_lets_touch_the_floor_is_a_foot() {
+    let leg = |name: &str, y: f64| {
+        format!(
+            "<body name=\"{name}\" pos=\"0 {y} 0\"><joint name=\"{name}\" axis=\"0 1 0\" range=\"-60 60\"/>\
+             <geom name=\"{name}_sole\" size=\"0.02\" pos=\"0 0 -0.2\" contype=\"0\" conaffinity=\"0\"/></body>"
+        )
+    };
+    let text = format!(
+        "<mujoco><worldbody><body name=\"base\"><freejoint/><geom size=\"0.05\"/>{}{}</body></worldbody><contact>\
+         <pair geom1=\"floor\" geom2=\"l_sole\" friction=\"0.6 0.6\"/><pair geom1=\"l_sole\" geom2=\"r_sole\"/></contact>\
+         <actuator><position joint=\"l\" kp=\"9\"/><position joint=\"r\" kp=\"9\"/></actuator></mujoco>",
+        leg("l", 0.1),
+        leg("r", -0.1)
+    );
+    let made = read("pairs.xml", &text).unwrap();
+    assert!(told(&made, "two parts of the robot touch by contype"), "{:?}", made.notes);
+    let m = model(&made);
+    let names: Vec<&str> = m.feet().iter().map(|foot| foot.name.as_str()).collect();
+    assert_eq!(names, ["l"]);
+    let foot = &m.feet()[0];
+    assert_eq!(m.links()[foot.link].geoms[foot.geoms[0]].friction, 0.6);
 }
 
 #[test]

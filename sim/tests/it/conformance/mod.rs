@@ -139,6 +139,7 @@ macro_rules! suite {
                 sliding_stops_by_friction,
                 friction_holds_below_its_limit,
                 contact_force_carries_the_weight,
+                a_wheel_rolls_level,
                 landing_gives_the_momentum_back,
                 rests_on_a_slope,
                 legs_stop_each_other,
@@ -235,6 +236,7 @@ conformance!(
         touch::{
             friction_holds_below_its_limit,
             contact_force_carries_the_weight,
+            a_wheel_rolls_level,
             landing_gives_the_momentum_back,
             rests_on_a_slope,
         },

@@ -170,6 +170,34 @@ acc_bias_std_mps2 = 0.0
     )
 }
 
+/// A cart of 2.4 kg in all on four wheels without drives: discs of 0.1 kg and 5 cm, ½·0.1·0.05² = 1.25e-4 kg·m²
+/// about their axles. Base frame and centre of mass at the axles' height.
+pub fn cart() -> Arc<RobotModel> {
+    let joints = ["fl", "fr", "hl", "hr"];
+    let wheel = |(name, x, y): (&str, f64, f64)| {
+        format!(
+            r#"<body name="{name}_wheel" pos="{x} {y} 0">
+                 <inertial pos="0 0 0" mass="0.1" diaginertia="6.6e-5 1.25e-4 6.6e-5"/>
+                 <joint name="{name}" axis="0 1 0" range="-100000 100000"/>
+                 <geom type="cylinder" size="0.05 0.01" euler="1.5707963 0 0"/>
+               </body>"#
+        )
+    };
+    let corners = [("fl", 0.1, 0.08), ("fr", 0.1, -0.08), ("hl", -0.1, 0.08), ("hr", -0.1, -0.08)];
+    load(
+        &robot_toml("free", &joints, "[frames]\ntorso = \"cart\"\n"),
+        &format!(
+            r#"<geom type="plane" size="0 0 1"/>
+            <body name="cart" pos="0 0 0.05"><freejoint/>
+              <inertial pos="0 0 0" mass="2.0" diaginertia="0.01 0.01 0.01"/>
+              {}
+            </body>"#,
+            corners.map(wheel).concat()
+        ),
+        &joints,
+    )
+}
+
 /// A free chain of two off-centre links without anything to touch the ground.
 pub fn tumbler() -> Arc<RobotModel> {
     let joints = ["bend"];

@@ -71,6 +71,28 @@ pub fn friction_holds_below_its_limit(config: &EngineConfig) {
     }
 }
 
+/// Pushed with 1 N for 1 s, 2.4 kg on wheels that count as 4·1.25e-4/0.05² = 0.2 kg more come by ½·t²/2.6 = 0.1923
+/// m and to 0.3846 m/s; then they roll on, and the axles stay at one height (of a wheel of 16 corners they would go up
+/// and down by 1 mm).
+pub fn a_wheel_rolls_level(config: &EngineConfig) {
+    let model = robots::cart();
+    let mut e = engine(config, &model, 1);
+    run(e.as_mut(), periods(config, 0.5), &[0.0; 4], |_, _| ());
+    let second = periods(config, 1.0);
+    let pushed_s = second as f64 * config.control_period_s();
+    let (start, axle) = (f64::from(e.state().com_pos_m[0]), f64::from(e.state().com_pos_m[2]));
+    for push in [1.0, 0.0] {
+        for _ in 0..second {
+            e.step(&[0.0; 4], &[push, 0.0, 0.0, 0.0, 0.0, 0.0]).unwrap();
+            near("height of the axles", f64::from(e.state().com_pos_m[2]), axle, 5e-5);
+        }
+        let speed = f64::from(e.state().com_vel_mps[0]);
+        near("speed", speed, pushed_s / 2.6, 0.002);
+    }
+    let way = f64::from(e.state().com_pos_m[0]) - start;
+    near("way", way, 1.5 * pushed_s * pushed_s / 2.6, 0.003);
+}
+
 /// At rest the feet carry 19.62 N, each a quarter, straight up; nothing touches but the feet.
 pub fn contact_force_carries_the_weight(config: &EngineConfig) {
     let model = robots::table();
