@@ -71,9 +71,9 @@ pub struct ShowArgs {
     /// From where
     #[arg(long, value_enum, default_value_t = View::Iso)]
     view: View,
-    /// Distance of the camera, m
-    #[arg(long, default_value_t = 1.9)]
-    distance: f64,
+    /// Distance of the camera, m; default: so that the whole robot is in the picture
+    #[arg(long)]
+    distance: Option<f64>,
     /// Width, pixels; default 1280, 480 for an animation
     #[arg(long)]
     width: Option<u32>,
@@ -381,6 +381,7 @@ fn draw(
     let count = if turn { TURN_FRAMES as usize } else { moments.len() };
     let mut frames = Vec::with_capacity(count);
     let mut heading = Smooth::default();
+    let mut distance_m = args.distance;
     let mut share = say::Share::new("pictures", count);
     for k in 0..count {
         if stop.is_set() {
@@ -397,11 +398,12 @@ fn draw(
             View::Top => 0.0,
             _ => heading.follow(forward[1].atan2(forward[0])),
         };
-        let camera = Camera::of_view(args.view, com, yaw + extra, args.distance)
-            .or_exit(ExitCode::BadConfig)?;
         let items = robot_items(model, &moment.base, &moment.joint_pos_rad, &moment.contacts)
             .or_exit(ExitCode::BadInput)?;
         let scene = Scene::new(&items, Arc::clone(terrain), moment.time_s);
+        let far_m = *distance_m.get_or_insert_with(|| Camera::far_enough_m(scene.reach_m(com)));
+        let camera =
+            Camera::of_view(args.view, com, yaw + extra, far_m).or_exit(ExitCode::BadConfig)?;
         let mut image = render(&scene, &camera, &quality).or_exit(ExitCode::BadConfig)?;
         image.caption(&format!(
             "t = {:.2} s   {}   grid 0.1 m, bold 1 m",

@@ -31,6 +31,9 @@ impl View {
     }
 }
 
+/// Half of the vertical field of view, 18°.
+const HALF_VIEW_RAD: f64 = 0.1 * std::f64::consts::PI;
+
 /// A pinhole camera; z of the world is up in the picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
@@ -80,7 +83,7 @@ impl Camera {
             forward,
             right,
             up: cross(right, forward),
-            half_height: 18f64.to_radians().tan(),
+            half_height: HALF_VIEW_RAD.tan(),
         })
     }
 
@@ -96,6 +99,11 @@ impl Camera {
     ) -> Result<Self, RenderError> {
         let (azimuth, elevation) = view.angles_rad();
         Self::orbit(target_m, distance_m, heading_rad + azimuth, elevation)
+    }
+
+    /// How far away a ball of this radius fits into the picture with a tenth to spare, m.
+    pub fn far_enough_m(radius_m: f64) -> f64 {
+        (1.1 * radius_m / HALF_VIEW_RAD.sin()).clamp(0.1, 200.0)
     }
 
     /// Unit direction through `(x, y)` of a picture of `width × height` pixels, from its upper left corner;

@@ -68,6 +68,11 @@ impl Scene {
         (norm(sub(point, self.bounds.0)) - self.bounds.1).max(0.0)
     }
 
+    /// Radius of a ball around `point` with all solids in it, m.
+    pub fn reach_m(&self, point: Vec3) -> f64 {
+        norm(sub(point, self.bounds.0)) + self.bounds.1
+    }
+
     fn may_meet(&self, ray: &Ray) -> bool {
         let (centre, radius) = self.bounds;
         let to = sub(ray.from, centre);

@@ -71,6 +71,23 @@ fn water_covers_what_is_below_it() {
     assert_eq!(red(&sunk), 0, "1.7 m of water swallow red");
 }
 
+/// A ball on the ground and one 20 cm or 4 m above it: both are in the picture, and its upper and lower edges are free.
+#[test]
+fn whatever_its_size_a_robot_fits_into_the_picture() {
+    for above_m in [0.2, 4.0] {
+        let items = [ball_at(0.3), ball_at(0.3 + above_m)];
+        let target = [0.0, 0.0, 0.3 + 0.5 * above_m];
+        let reach_m = Scene::new(&items, terrain(TerrainKind::Flat), 0.0).reach_m(target);
+        let far_m = Camera::far_enough_m(reach_m);
+        let camera = Camera::of_view(View::Side, target, 0.0, far_m).unwrap();
+        let image = picture(&items, TerrainKind::Flat, &camera);
+        let rows: Vec<u32> =
+            (0..64).filter(|&y| (0..96).any(|x| is_red(image.pixel(x, y)))).collect();
+        assert!(rows[0] >= 1 && rows[rows.len() - 1] <= 62, "{above_m}: {rows:?}");
+        assert!(rows[0] < 16 && rows[rows.len() - 1] > 48, "{above_m}: {rows:?}");
+    }
+}
+
 #[test]
 fn threads_do_not_change_a_byte_and_png_and_gif_open() {
     let path =

@@ -110,7 +110,7 @@ fn touch_the_ground(context: &mut Context<'_>, pair: &Element, robot: &mut Robot
         geoms.filter(|g| g.name.is_some() && named.contains(&g.name.as_deref())).collect();
     let [geom] = own.as_mut_slice() else {
         let message = "<pair>: two parts of the robot touch by contype and conaffinity alone";
-        context.remarks.note(pair, message);
+        context.remarks.note_once(pair, message);
         return;
     };
     if !geom.collides() {
