@@ -164,9 +164,6 @@ impl Tally {
         contact_force_n: f32,
     ) {
         self.return_sum += f64::from(reward);
-        if self.terms.is_empty() {
-            self.terms = PerTerm::filled(terms.len(), 0.0);
-        }
         for (sum, term) in self.terms.iter_mut().zip(terms) {
             *sum += f64::from(*term);
         }

@@ -144,7 +144,7 @@ impl VecEnv {
             targets_rad: vec![0.0; lanes * joints.len()],
             target_rad: PerJoint::default(),
             readings: Readings::default(),
-            terms: PerTerm::default(),
+            terms: PerTerm::filled(task.reward.term_names().len(), 0.0),
             wrenches: vec![0.0; lanes * 6],
             ended: Vec::with_capacity(lanes),
             held_commands: Vec::new(),
@@ -440,6 +440,7 @@ impl VecEnv {
         );
         started.joint_vel_radps = start.joint_vel_radps;
         started.friction = self.physics.params.foot_friction;
+        started.tally.terms = PerTerm::filled(self.terms.len(), 0.0);
         started.hold(&self.task.phase, self.held_commands.get(lane));
         Ok(started)
     }

@@ -116,20 +116,22 @@ fn sums_of_an_episode_equal_its_steps() {
 
 #[test]
 fn a_diverged_lane_is_counted_reset_and_stays_finite() {
-    for how in [Breakdown::Flagged, Breakdown::Unnoticed] {
+    let cases = [(1, Breakdown::Flagged), (5, Breakdown::Flagged), (5, Breakdown::Unnoticed)];
+    for (last, how) in cases {
         let model = model();
         let mut engine = FakeEngine::new(Arc::clone(&model), 2);
-        engine.breakdown = Some((1, 5, how));
+        engine.breakdown = Some((1, last as u32, how));
         let mut env = VecEnv::new(model, calm_task(), Box::new(engine), 1, 0).unwrap();
         for step in 1..=30 {
             let before = env.observations()[DIM..].to_vec();
             let output = env.step(&wiggle(2, step)).unwrap().clone();
             assert!(output.rewards.iter().all(|r| r.is_finite()));
-            assert_eq!(output.terminated, [false, step == 5]);
-            if step == 5 {
+            assert_eq!(output.terminated, [false, step == last]);
+            if step == last {
                 assert_eq!(output.rewards[1], 0.0);
                 assert_eq!(output.episodes[0].reason, Some(TerminationReason::Diverged));
-                assert_eq!(output.episodes[0].steps, 5);
+                assert_eq!(output.episodes[0].steps, last as u32);
+                assert_eq!(output.episodes[0].terms.len(), TERM_COUNT);
                 // The last observation that can be trusted.
                 assert_eq!(output.final_observations, [(1, before)]);
             }
