@@ -209,18 +209,18 @@ fn bristle<R: Lanes, const FLAT: bool>(
     if !FLAT {
         s = add_scaled(s, normal, -dot(s, normal));
     }
-    let spring = scale(s, k(law.kt));
+    let spring = scale(s, k(point.kt));
     let (limit2, spring2) = (limit * limit, flat_dot::<R, FLAT>(spring, spring));
     let tiny = R::splat(1e-20);
     let held = R::select(limit2.lt(spring2), limit / spring2.max(tiny).sqrt(), one);
     let (s, spring) = (scale(s, held), scale(spring, held));
-    let trial = add_scaled(spring, slip_ahead, k(law.dt_full));
+    let trial = add_scaled(spring, slip_ahead, k(point.dt_full));
     let trial2 = flat_dot::<R, FLAT>(trial, trial);
     let slides = limit2.lt(trial2);
     let inverse = one / trial2.max(tiny).sqrt();
     let share = R::select(slides, limit * inverse, one);
     let along = select3(slides, scale(trial, inverse), zero3());
-    let mt = R::select(on, share * k(law.dt_full) * dt, o);
+    let mt = R::select(on, share * k(point.dt_full) * dt, o);
     let back = R::select(on, -share, o);
     memory[..3].copy_from_slice(&select3(on, s, zero3()));
     resist::<R, FLAT>(scale(trial, back), normal, along, up, mn, mt)

@@ -16,24 +16,12 @@ pub(super) struct ContactLaw<R: Lanes> {
     pub theta_dt: R::Elem,
     /// MuJoCo's friction instead of the bristle.
     pub convex: bool,
-    /// Bristle stiffness, N/m.
-    pub kt: R::Elem,
-    /// Bristle damping plus θ·dt·kt, N·s/m.
-    pub dt_full: R::Elem,
 }
 
 impl<R: Lanes> ContactLaw<R> {
     pub fn new(config: &EngineConfig) -> Self {
         let dt = config.dt_s;
-        Self {
-            dt: R::elem(dt),
-            theta_dt: R::elem(THETA * dt),
-            convex: config.convex_friction,
-            kt: R::elem(config.bristle_stiffness_n_per_m),
-            dt_full: R::elem(
-                config.bristle_damping_ns_per_m + THETA * dt * config.bristle_stiffness_n_per_m,
-            ),
-        }
+        Self { dt: R::elem(dt), theta_dt: R::elem(THETA * dt), convex: config.convex_friction }
     }
 }
 

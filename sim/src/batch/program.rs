@@ -11,6 +11,7 @@ use std::ops::Range;
 use caudata_model::pose::{self, Pose};
 use caudata_model::{Ball, BaseKind, Foot, Geom, JointKind, JointMotion, RobotModel, Shape};
 
+use super::contact_law::THETA;
 use super::place::{Part, Place};
 use super::rounded::{self, Core};
 use crate::mobility::Mobility;
@@ -102,6 +103,10 @@ pub(super) struct Point<R: Lanes> {
     pub soft: Stop,
     /// Deepest penetration that its spring answers to, m.
     pub deepest: R::Elem,
+    /// Stiffness of its bristle, N/m.
+    pub kt: R::Elem,
+    /// Damping of its bristle plus θ·dt·kt, N·s/m.
+    pub dt_full: R::Elem,
     /// Whether it is a shape of its own, not a corner or an end of one.
     pub is_ball: bool,
     pub part: Part,
@@ -392,6 +397,10 @@ fn contact_points<R: Lanes>(
             let axle = rims.then(|| node_from_geom.rotate([0.0, 0.0, 1.0]).map(R::elem));
             let other = if model.carries_feet(i) { Part::Trunk } else { Part::Tail };
             let soft = Stop::new(&geom.soft, mobility.links[i]).harder(config.contact_hardness);
+            // the rim of a cylinder, of 16 points, holds as the four corners of a box do: light feet shake on more
+            let share = (8.0 / centres.len() as f64).min(1.0);
+            let kt = share * config.bristle_stiffness_n_per_m;
+            let dt_full = share * config.bristle_damping_ns_per_m + THETA * config.dt_s * kt;
             let full_m = (DEEPEST_MPS2 / soft.stiffness_per_s2).max(geom.soft.solimp[2]);
             points.extend(centres.into_iter().map(|c| Point {
                 link: i,
@@ -402,6 +411,8 @@ fn contact_points<R: Lanes>(
                 mobility: R::elem(mobility.links[i].max(LEAST_MOBILITY)),
                 soft,
                 deepest: R::elem(DEEPEST_M.max(full_m)),
+                kt: R::elem(kt),
+                dt_full: R::elem(dt_full),
                 is_ball: matches!(geom.shape, Shape::Sphere { .. }),
                 part: foot.map_or(other, Part::Foot),
             }));

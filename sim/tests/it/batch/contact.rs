@@ -1,5 +1,6 @@
 //! Contact against numbers worked by hand.
 
+use caudata_random::{Key, Purpose, Stream};
 use caudata_sim::{EngineConfig, InitialState, LaneParams, TerrainConfig, build};
 
 use crate::conformance::robots;
@@ -128,4 +129,27 @@ fn harder_ground_gives_way_less() {
     };
     let (soft, hard) = (sinks(1.0), sinks(4.0));
     assert!((12.0..20.0).contains(&(soft / hard)), "{soft} m, {hard} m");
+}
+
+/// Six light legs end in flat cylinders, under targets that jump. They shook until joints turned at 200 rad/s where
+/// each of the 16 points of a rim held the ground as hard as a ball does, which is four times what it does.
+#[test]
+fn light_legs_that_end_in_cylinders_do_not_shake() {
+    let model = robots::six_cylinders();
+    let lanes = 16;
+    let shaken = |times: f64| {
+        let mut config = EngineConfig::default();
+        config.bristle_stiffness_n_per_m *= times;
+        config.bristle_damping_ns_per_m *= times;
+        let mut e = build(model.clone(), lanes, &config, &TerrainConfig::default(), 1, 1).unwrap();
+        let mut stream = Stream::new(Key::for_run(1), Purpose::Action);
+        let mut targets = vec![0.0; lanes * 12];
+        for _ in 0..100 {
+            targets.fill_with(|| 0.4 * stream.normal());
+            e.step(&targets, &vec![0.0; lanes * 6]).unwrap();
+        }
+        e.state().diverged.iter().filter(|broken| **broken).count()
+    };
+    assert_eq!(shaken(1.0), 0);
+    assert!(shaken(4.0) > 0);
 }

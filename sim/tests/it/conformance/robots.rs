@@ -198,6 +198,44 @@ pub fn cart() -> Arc<RobotModel> {
     )
 }
 
+/// A trunk of 0.9 kg on six legs of two joints (2 N·m/rad) and 0.13 kg that end in cylinders of 1 cm.
+pub fn six_cylinders() -> Arc<RobotModel> {
+    let (mut joints, mut legs) = (Vec::new(), String::new());
+    for (leg, (x, y)) in
+        [(0.12, 0.06), (0.0, 0.06), (-0.12, 0.06), (0.12, -0.06), (0.0, -0.06), (-0.12, -0.06)]
+            .into_iter()
+            .enumerate()
+    {
+        joints.extend([format!("swing{leg}"), format!("lift{leg}")]);
+        legs += &format!(
+            r#"<body name="upper{leg}" pos="{x} {y} 0">
+                 <inertial pos="0 0 -0.04" mass="0.08" diaginertia="4.3e-5 4.3e-5 6e-6"/>
+                 <joint name="swing{leg}" axis="0 1 0" range="-0.8 0.8"/>
+                 <body name="foot{leg}" pos="0 0 -0.08">
+                   <inertial pos="0 0 -0.05" mass="0.05" diaginertia="4.2e-5 4.2e-5 2.5e-6"/>
+                   <joint name="lift{leg}" axis="1 0 0" range="-1 1"/>
+                   <geom type="cylinder" size="0.01 0.05" pos="0 0 -0.05"/>
+                 </body>
+               </body>"#
+        );
+    }
+    let joints: Vec<&str> = joints.iter().map(String::as_str).collect();
+    load(
+        &robot_toml("free", &joints, "[frames]\ntorso = \"trunk\"\n")
+            .replace("kp_nm_per_rad = 0.0", "kp_nm_per_rad = 2.0")
+            .replace("kd_nm_s_per_rad = 0.0", "kd_nm_s_per_rad = 0.05")
+            .replace("armature_kgm2 = 0.0", "armature_kgm2 = 0.0012"),
+        &format!(
+            r#"<geom type="plane" size="0 0 1"/>
+            <body name="trunk" pos="0 0 0.18"><freejoint/>
+              <inertial pos="0 0 0" mass="0.9" diaginertia="0.002 0.005 0.006"/>
+              {legs}
+            </body>"#
+        ),
+        &joints,
+    )
+}
+
 /// A free chain of two off-centre links without anything to touch the ground.
 pub fn tumbler() -> Arc<RobotModel> {
     let joints = ["bend"];
