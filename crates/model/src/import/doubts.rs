@@ -9,6 +9,8 @@ use crate::types::JointMotion;
 
 /// Two turns: farther off a limit is in degrees, or of a joint that turns without end.
 const FAR_RAD: f64 = 4.0 * std::f64::consts::PI;
+/// How far past a limit an angle of the key frame is more than rounding.
+const PAST_RAD: f64 = 0.01;
 /// The strongest drive's share of weight times reach, beyond which either is in another unit. Legged robots and
 /// arms have 0.1 to 3.
 const TORQUE_SHARE: (f64, f64) = (0.01, 100.0);
@@ -21,6 +23,7 @@ const GYRATION_MOST: f64 = 10.0;
 /// Refuses what no body can have, and notes what is hardly meant.
 pub(super) fn say(robot: &Robot, root: &Element, remarks: &mut Remarks) {
     let reach_m = reach_m(robot);
+    let mut beyond = Vec::new();
     for body in &robot.bodies {
         inertia(body, reach_m, remarks);
         let turns = |j: &&Joint| j.motion == JointMotion::Hinge && !wheel(body);
@@ -30,7 +33,19 @@ pub(super) fn say(robot: &Robot, root: &Element, remarks: &mut Remarks) {
                     format!("limits of {low} and {high} rad: are they degrees? {RADIANS}");
                 remarks.note_of(&joint.element, message);
             }
+            let home = robot.home.get(&joint.name).zip(joint.range);
+            if home.is_some_and(|(q, (low, high))| *q < low - PAST_RAD || *q > high + PAST_RAD) {
+                beyond.push(joint.name.as_str());
+            }
         }
+    }
+    if !beyond.is_empty() {
+        let message = format!(
+            "the key frame has {} beyond the limits, at which the nominal pose stops: qpos is in radians, limits are in \
+             what <compiler angle> says, degrees without it",
+            beyond.join(", ")
+        );
+        remarks.note(root, message);
     }
     let strongest_nm = robot.actuators.iter().filter_map(|a| a.force_limit).fold(0.0, f64::max);
     let load_nm = weight_n(robot) * reach_m;

@@ -111,6 +111,17 @@ fn classes_welds_masses_and_a_named_pose_by_hand() {
 }
 
 #[test]
+fn a_key_frame_in_other_units_than_the_limits_is_told() {
+    let told = |old: &str, new: &str| {
+        let made = read("key.xml", &LEG.replace(old, new)).unwrap();
+        made.notes.iter().any(|n| n.message.contains("the key frame has knee beyond the limits"))
+    };
+    assert!(!told("", ""));
+    assert!(told("0.25\"", "40\""));
+    assert!(told("<compiler angle=\"radian\"", "<compiler"));
+}
+
+#[test]
 fn without_any_actuator_every_joint_has_a_drive() {
     let start = LEG.find("  <actuator>").unwrap();
     let end = LEG.find("  <keyframe>").unwrap();
