@@ -3,8 +3,10 @@
 use std::io::Write;
 
 use caudata_explain::{Cause, Plan, Report, Verdict, explain};
+use caudata_task::termination::TerminationReason;
 use caudata_telemetry::{ExitCode, Failure, Process};
 
+use crate::commands::eval::BREAKS_DOWN;
 use crate::commands::train::Programs;
 use crate::say::{self, WithJson, short};
 
@@ -47,6 +49,9 @@ fn tell(report: &Report) {
         100.0 * behaviour.fall_share,
         behaviour.fell_by.as_ref().map_or_else(String::new, |reason| format!(" ({reason})"))
     ));
+    if behaviour.fell_by.as_deref() == Some(TerminationReason::Diverged.name()) {
+        say::line(BREAKS_DOWN);
+    }
     say::line(match report.verdict {
         Verdict::Walks => "nothing to explain",
         Verdict::Explained => "most likely:",

@@ -23,7 +23,7 @@ use clap::{Args, ValueEnum};
 use crate::say;
 
 pub use caudata_studies::files::policy as read_policy;
-pub use show::print;
+pub use show::{BREAKS_DOWN, print};
 
 #[derive(Debug, Args)]
 #[command(override_usage = "caudata eval [OPTIONS] <P.onnx>")]

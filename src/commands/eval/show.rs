@@ -3,8 +3,13 @@
 use caudata_evaluation::{
     AnimalRow, Estimate, Row, ScenarioResult, SuiteResult, TransitionResult, animal_score,
 };
+use caudata_task::termination::TerminationReason;
 
 use crate::say;
+
+/// Said where episodes end because the simulation diverged.
+pub const BREAKS_DOWN: &str = "the simulation breaks down (diverged): `caudata robot check` may say where; \
+                               or train with --set engine.dt_s=0.001 --set engine.substeps=20";
 
 /// One scenario.
 pub fn print(r: &ScenarioResult) {
@@ -130,6 +135,9 @@ fn body(r: &ScenarioResult) {
         say::line("  it falls in every episode before its gait can be measured");
     } else {
         figures(r);
+    }
+    if r.falls.contains_key(TerminationReason::Diverged.name()) {
+        say::line(format_args!("  {BREAKS_DOWN}"));
     }
     if r.gates.is_none() && r.speed_share_least < 1.0 {
         let least = 100.0 * r.speed_share_least;
