@@ -131,6 +131,13 @@ impl Size {
         (steps_w / self.carrying_w()).clamp(1.0, 3.0)
     }
 
+    /// How many times as much steps are paid for: as they take, and twice on two legs, which else catch themselves with
+    /// small ones (docs/reference/learning.md).
+    fn worth_a_step(&self) -> f64 {
+        let least = if matches!(self.feet, 1 | 2) { 2.0 } else { 1.0 };
+        round(self.effort()).max(least)
+    }
+
     /// Whether it tips over when it stands still on one foot of a stride, or on its wheels.
     fn balances(&self) -> bool {
         matches!(self.feet + self.wheels, 1 | 2)
@@ -240,7 +247,8 @@ fn write_layer(
         contact_n = round(0.04 * weight_n),
         costs_full = if size.feet == 2 { 4_000_000 } else { 500_000 },
         trunk_n = round(0.2 * weight_n),
-        phase_weight = 1.75 * walks * round(size.effort()),
+        phase_weight = 1.75 * walks * size.worth_a_step(),
+        zero_share = if size.balances() { 0.15 } else { 0.05 },
         power_weight = -round(2e-2 * (2.6 * GRAVITY_MPS2 * 0.3) / size.carrying_w()),
         slip_weight = -round(2.0 * slower) * walks,
         trunk_weight = -5.0 * walks,
