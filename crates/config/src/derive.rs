@@ -148,7 +148,8 @@ impl Size {
     /// their time too. How many: docs/reference/learning.md, by trainings of published bipeds.
     fn filter_hz(&self) -> f64 {
         let falls_hz = (GRAVITY_MPS2 / self.com_m).sqrt() / std::f64::consts::TAU;
-        if self.balances() { 11.0 * falls_hz } else { 0.8 * self.stride_hz() }
+        let most_hz = 0.5 / PERIOD_S; // what control can follow
+        if self.balances() { (11.0 * falls_hz).min(most_hz) } else { 0.8 * self.stride_hz() }
     }
 }
 

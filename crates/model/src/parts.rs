@@ -7,6 +7,9 @@ use crate::pose::Pose;
 use crate::tree::Element;
 use crate::types::{Geom, JointMotion, Softness};
 
+/// Damping over stiffness of a position loop of which a file says only one, or neither, s.
+pub(crate) const UNSAID_DAMPING_S: f64 = 0.025;
+
 /// A robot as it was read.
 #[derive(Default)]
 pub(crate) struct Robot {

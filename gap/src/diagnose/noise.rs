@@ -112,17 +112,19 @@ impl Noise {
         let shown = apart.map(Apart::sd).or_else(|| typical(repeated(all, Apart::sd), of));
         // where none has a repeat, what is rough in all runs: counts come seldom in a slow one, and its own median
         // sees none
-        let most = typical(repeated(all, |a| a.white), of);
-        let most = most.or_else(|| typical(rough.iter().copied(), of)).unwrap_or(0.0);
+        let most = || {
+            let shown = typical(repeated(all, |a| a.white), of);
+            shown.or_else(|| typical(rough.iter().copied(), of)).unwrap_or(0.0)
+        };
         let left = match apart {
             Some(apart) => apart.white / (own.members.len() as f64).sqrt(),
-            None => spread(&unforetold(values)).min(most),
+            None => spread(&unforetold(values)).min(most()),
         };
         self.left[range.clone()].fill(left as f32);
         let time_s = &data.time_s[range.clone()];
         // what the guess holds besides noise is what its law lacks: where repeats show the noise, none is made
         let guess = || unexplained(model, own, (piece.kind, piece.index), time_s, values);
-        let repeat = shown.unwrap_or_else(|| guess().max(most));
+        let repeat = shown.unwrap_or_else(|| guess().max(most()));
         // stretches of a swing that dies away are measured by the whole of it, as a run in one piece is
         let size = match own.base {
             BaseHold::Fixed => spread(&in_all_stretches(data, trial, piece)),

@@ -96,7 +96,8 @@ pub fn summary(
     if context.losses.is_some() {
         text.push_str(" Lost frames show in what repeats differ by, not in their mean.");
     }
-    if verdict == Verdict::Unexplained && !context.fit.noise.repeated {
+    let short = matches!(verdict, Verdict::Unexplained | Verdict::PartlyExplained);
+    if short && !context.fit.noise.repeated {
         text.push_str(
             " No run has a repeat, so its noise is a guess and may be larger: record one motion twice.",
         );

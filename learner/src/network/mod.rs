@@ -220,15 +220,6 @@ impl ActorCritic {
         }
     }
 
-    /// The gradient `[P]` of a loss of which the network's mirror image would have as much: itself, unless
-    /// the network is symmetric.
-    pub fn symmetric_gradient(&self, gradient: Vec<f32>) -> Vec<f32> {
-        match &self.symmetry {
-            None => gradient,
-            Some(symmetry) => symmetry.part_of(&gradient),
-        }
-    }
-
     /// Where the parameters of each layer lie.
     pub fn place(&self) -> Place {
         let layers = |indices: &LayerIndices| {

@@ -168,14 +168,14 @@ fn a_symmetric_network_commutes_with_its_mirror() {
 #[test]
 fn the_gradient_of_a_symmetric_network_agrees_with_autograd() {
     let net = symmetric();
+    let Some(symmetry) = &net.symmetry else { panic!("it has a mirror") };
     let gradient = net.zeros_like();
     let x = input(9);
     let (output, tape) = net.policy().forward_with_tape(&x);
     net.policy().backward(&tape, output, gradient.policy());
-    let own = Tensor::from_slice(&net.symmetric_gradient(gradient.to_vec().unwrap()));
+    let own = Tensor::from_slice(&symmetry.part_of(&gradient.to_vec().unwrap()));
 
     let free = net.flat().copy().set_requires_grad(true);
-    let Some(symmetry) = &net.symmetry else { panic!("it has a mirror") };
     let source: Vec<i64> = symmetry.0.source.iter().map(|&i| i as i64).collect();
     let image = free.index_select(0, &Tensor::from_slice(&source));
     let tied = (image * Tensor::from_slice(&symmetry.0.sign) + &free) * 0.5;
@@ -198,6 +198,7 @@ fn the_gradient_of_a_symmetric_network_agrees_with_autograd() {
 #[test]
 fn a_symmetric_network_stays_so_and_takes_no_other_parameters() {
     let net = symmetric();
+    let Some(symmetry) = &net.symmetry else { panic!("it has a mirror") };
     let plain = ActorCritic::new(spec(Activation::Elu), 7, Device::Cpu);
     let error = net.copy_from_slice(&plain.to_vec().unwrap()).unwrap_err();
     assert!(error.to_string().contains("left and right"), "{error}");
@@ -205,11 +206,11 @@ fn a_symmetric_network_stays_so_and_takes_no_other_parameters() {
     let mut parameters = net.to_vec().unwrap();
     for step in 1..=20 {
         let noise = parameters.iter().map(|p| (p * step as f32).sin() + 0.1);
-        let gradient = net.symmetric_gradient(noise.collect());
+        let gradient = symmetry.part_of(&noise.collect::<Vec<f32>>());
         let rates = [(net.layout().len(), 1e-2)];
         adam.step(&mut parameters, (&gradient, 1.0), &rates);
     }
     net.copy_from_slice(&parameters).unwrap();
-    let again = Tensor::from_slice(&net.symmetric_gradient(parameters));
+    let again = Tensor::from_slice(&symmetry.part_of(&parameters));
     close(&again, net.flat(), 1e-6, "after twenty steps");
 }

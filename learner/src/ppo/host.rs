@@ -12,7 +12,7 @@ use caudata_telemetry::spans::{Laps, Part};
 
 use super::loss::Loss;
 use super::minibatch::{Before, Minibatch, Samples, Step, Total, sums};
-use super::networks::{Networks, norm};
+use super::networks::Networks;
 use super::pool::{Pool, SHARD_ROWS, shards};
 use crate::LearnerError;
 use crate::adam::Adam;
@@ -337,4 +337,15 @@ fn shard_gradient(room: &mut Room, job: GradientJob) -> ([f64; sums::COUNT], Vec
     }
     done(Work::ElementWise);
     (loss.sums(), gradient)
+}
+
+/// Euclidean norm, in f64; sums side by side, since one after the other would wait for each addition.
+fn norm(values: &[f32]) -> f64 {
+    let mut sums = [0.0_f64; 8];
+    for part in values.chunks(sums.len()) {
+        for (sum, value) in sums.iter_mut().zip(part) {
+            *sum += f64::from(*value).powi(2);
+        }
+    }
+    sums.iter().sum::<f64>().sqrt()
 }

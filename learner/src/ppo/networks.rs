@@ -50,14 +50,3 @@ pub trait Networks: Debug + Send {
     /// As [`Networks::begin`].
     fn state(&self) -> Result<(Vec<f32>, Adam), LearnerError>;
 }
-
-/// Euclidean norm, in f64; sums side by side, since one after the other would wait for each addition.
-pub(super) fn norm(values: &[f32]) -> f64 {
-    let mut sums = [0.0_f64; 8];
-    for part in values.chunks(sums.len()) {
-        for (sum, value) in sums.iter_mut().zip(part) {
-            *sum += f64::from(*value).powi(2);
-        }
-    }
-    sums.iter().sum::<f64>().sqrt()
-}

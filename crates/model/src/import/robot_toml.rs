@@ -8,15 +8,14 @@ use std::path::Path;
 use super::finish::{nominal, reaching, two_digits, unsaid_torque_nm, wheel, word};
 use super::sole::{FOOT_LEVEL_M, foot_of, lowest, of_the_sole};
 use crate::error::Remark;
-use crate::parts::{Actuator, Joint, Robot};
+use crate::parts::{Actuator, Joint, Robot, UNSAID_DAMPING_S};
 use crate::pose::{self, Pose};
 use crate::tree::{Element, Remarks};
 use crate::types::JointMotion;
 
 /// Gains that are written where the MJCF commands torque: the whole torque at this error, as legged robots of
-/// 12 to 50 kg are run (Unitree, ANYmal), and this much damping for it.
+/// 12 to 50 kg are run (Unitree, ANYmal), and [`UNSAID_DAMPING_S`] for it.
 const UNSAID_ERROR_RAD: f64 = 0.7;
-const UNSAID_DAMPING_S: f64 = 0.025;
 /// Speed, rad/s, at which a drive has no torque left where the file does not say, and the share of it up to
 /// which it has all.
 const UNSAID_SPEED_RADPS: f64 = 30.0;

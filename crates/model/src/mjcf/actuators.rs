@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::context::Context;
-use crate::parts::{Actuator, Robot};
+use crate::parts::{Actuator, Robot, UNSAID_DAMPING_S};
 use crate::pose::{self, Pose};
 use crate::tree::Element;
 use crate::types::JointMotion;
@@ -149,6 +149,13 @@ fn gains(context: &mut Context<'_>, e: &Element) -> Option<(f64, f64, f64)> {
             }
             // as dampratio is compiled
             servo.then_some((kp, (-kv).max(0.0), kv.max(0.0)))
+        }
+        "velocity" => {
+            let kv = e.number("kv", context.remarks).filter(|kv| *kv > 0.0).unwrap_or(1.0);
+            let message = "a velocity actuator is read as one of position, with its kv as damping and a stiffness of ours: \
+                           a joint follows its target 25 ms late";
+            context.remarks.note_once(e, message);
+            Some((kv / UNSAID_DAMPING_S, kv, 0.0))
         }
         "motor" | "general" => None,
         other => {

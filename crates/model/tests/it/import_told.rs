@@ -136,6 +136,10 @@ fn wheels_are_no_feet_and_a_damping_ratio_becomes_a_gain() {
     assert!(m.feet().is_empty() && !m.rolls(0) && m.rolls(1) && m.rolls(2));
     let gains = m.gains()[0];
     assert_eq!(model(&read("cart.xml", &text(velocity, position)).unwrap()).gains(), m.gains());
+    let by_speed = text(position, velocity)
+        .replace("<motor joint=\"l\"/>", "<velocity joint=\"l\" kv=\"0.5\"/>");
+    let wheel = model(&read("cart.xml", &by_speed).unwrap()).gains()[1];
+    assert_eq!((wheel.kp_nm_per_rad, wheel.kd_nm_s_per_rad), (20.0, 0.5));
     // 0.25 + 0.01 + 0.05 kg·m² at 270 N·m/rad, and 9 × 0.1 N·m·s/rad
     assert!((gains.kp_nm_per_rad - 270.0).abs() < 1e-9);
     assert!((gains.kd_nm_s_per_rad - (270.0_f64 * 0.31).sqrt() - 0.9).abs() < 1e-9, "{gains:?}");
