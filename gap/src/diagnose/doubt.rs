@@ -5,8 +5,9 @@ use super::constancy::{self, Scatter};
 use super::gates;
 use super::judge::Judge;
 use super::levels::MANY_JOINTS;
-use super::state::{Context, Derivatives, On, State};
+use super::state::{Context, On, State};
 use crate::effects::{Effect, Place};
+use crate::error::GapError;
 use crate::replay::Term;
 use crate::report::{Doubt, DoubtKind, Grounds};
 
@@ -30,51 +31,49 @@ impl Left {
 }
 
 /// What is doubtful about a model.
-pub struct Doubts<'a> {
+pub struct Doubts {
     /// What is left, of held-out runs first.
     left: Vec<Left>,
     /// Which of that is much.
     much: Option<usize>,
-    /// Effects that would have to be larger, or otherwise, than they can plausibly be, by their terms.
-    outgrown: Vec<(usize, &'a Term)>,
+    /// Effects that would have to be larger, or otherwise, than they can plausibly be.
+    outgrown: Vec<Term>,
     /// By how much the size of each name differs between parts of the data.
-    scatter: Vec<(Scatter, &'a Term)>,
+    scatter: Vec<(Scatter, Term)>,
     /// From what on it has no size.
     inconstant: f64,
 }
 
-impl<'a> Doubts<'a> {
-    /// About `best`, whose terms `named` have names.
+impl Doubts {
+    /// About `best`, of which `findings` is what is told: a size is asked for where no lead makes up for what its
+    /// law lacks.
+    ///
+    /// # Errors
+    /// As [`crate::replay::Replayer::predict`].
     pub fn about(
         context: &Context,
         base: &State,
-        best: &'a State,
-        derivatives: &Derivatives,
-        named: &[usize],
-    ) -> Self {
-        let calibration = &context.calibration;
+        best: &State,
+        findings: &State,
+    ) -> Result<Self, GapError> {
+        let thresholds = &context.calibration.map.doubts;
         let left = left(context, base, best);
-        let much = |l: &Left| calibration.map.doubts.much(&l.grounds(context));
-        let scatter = constancy::scatter(context, best, derivatives, named);
-        Self {
+        let much = |l: &Left| thresholds.much(&l.grounds(context));
+        let derivatives = context.derivatives(&findings.terms)?;
+        let all: Vec<usize> = (0..findings.terms.len()).collect();
+        let scatter = constancy::scatter(context, findings, &derivatives, &all);
+        let too_large = |t: &&Term| outgrown(context, t);
+        let with_term = |s: Scatter| {
+            let term = findings.terms[s.term].clone();
+            (s, term)
+        };
+        Ok(Self {
             much: left.iter().position(much),
             left,
-            outgrown: (best.terms.iter().enumerate())
-                .filter(|(k, t)| outgrown(context, t, named.contains(k)))
-                .collect(),
-            scatter: (scatter.into_iter())
-                .filter_map(|s| Some((best.terms.get(s.term)?, s)))
-                .map(|(t, s)| (s, t))
-                .collect(),
-            inconstant: calibration.map.doubts.scatter,
-        }
-    }
-
-    /// Those that do not concern the terms `leads`, which nobody is told as findings.
-    pub fn without(mut self, leads: &[usize]) -> Self {
-        self.outgrown.retain(|(k, _)| !leads.contains(k));
-        self.scatter.retain(|(s, _)| !leads.contains(&s.term));
-        self
+            outgrown: findings.terms.iter().filter(too_large).cloned().collect(),
+            scatter: scatter.into_iter().map(with_term).collect(),
+            inconstant: thresholds.scatter,
+        })
     }
 
     /// Whether there are any.
@@ -82,25 +81,20 @@ impl<'a> Doubts<'a> {
         self.much.is_some() || !self.outgrown.is_empty() || self.inconstant().next().is_some()
     }
 
-    fn inconstant(&self) -> impl Iterator<Item = &(Scatter, &'a Term)> {
+    fn inconstant(&self) -> impl Iterator<Item = &(Scatter, Term)> {
         (self.scatter.iter()).filter(|(s, _)| s.share > self.inconstant)
-    }
-
-    /// The terms that have no one size.
-    pub fn without_one_size(&self) -> Vec<usize> {
-        self.inconstant().map(|(s, _)| s.term).collect()
     }
 
     /// What of it concerns a cause at `place`.
     pub fn grounds(&self, context: &Context, place: &Place) -> Grounds {
         let near =
-            |(s, t): &(Scatter, &Term)| one_place(context, &t.place, place).then_some(s.share);
+            |(s, t): &(Scatter, Term)| one_place(context, &t.place, place).then_some(s.share);
         // where much is left, that part of the runs; else the one with most
         let worst = self.much.and_then(|k| self.left.get(k));
         let worst = worst.or_else(|| self.left.iter().max_by(|a, b| a.after.total_cmp(&b.after)));
         Grounds {
             scatter: self.scatter.iter().filter_map(near).fold(0.0, f64::max),
-            at_bound: self.outgrown.iter().any(|(_, t)| meet(&t.place, place)),
+            at_bound: self.outgrown.iter().any(|t| meet(&t.place, place)),
             ..worst.map_or_else(Grounds::default, |l| l.grounds(context))
         }
     }
@@ -118,7 +112,7 @@ impl<'a> Doubts<'a> {
                 l.before
             ),
         });
-        let outgrown = self.outgrown.iter().map(|(_, t)| {
+        let outgrown = self.outgrown.iter().map(|t| {
             let label = t.label();
             Doubt {
                 kind: DoubtKind::ImplausibleSize,
@@ -165,12 +159,10 @@ fn left(context: &Context, base: &State, best: &State) -> Vec<Left> {
 }
 
 /// Whether a term's size wants to be larger than it can plausibly be: it stands in for something else, and
-/// what acts at the same place makes up for where it differs. Of a cause that is a finding the same goes for
-/// what else its law counts, a speed at which friction bends, a number of ripples in a turn.
-fn outgrown(context: &Context, term: &Term, finding: bool) -> bool {
-    let model = context.replayer.model();
-    let at_bound = |p: usize| term.at_bound(model, p);
-    sizes(term.effect).any(at_bound) || (finding && (0..term.values.len()).any(at_bound))
+/// what acts at the same place makes up for where it differs. The same goes for what else its law counts, a
+/// speed at which friction bends, a number of ripples in a turn.
+fn outgrown(context: &Context, term: &Term) -> bool {
+    (0..term.values.len()).any(|p| term.at_bound(context.replayer.model(), p))
 }
 
 /// Parameters of an effect that say how large it is: the first, and those of the same unit (a centre of mass

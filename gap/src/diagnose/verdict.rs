@@ -6,9 +6,11 @@ use caudata_model::RobotModel;
 
 use super::alike::{indistinguishable, wider};
 use super::carried::Model;
+use super::constancy::scatter;
 use super::divergence::divergence;
 use super::doubt::{Doubts, meet, sizes};
 use super::extend::extended;
+use super::fits::fitted;
 use super::floors::floors;
 use super::levels::NOTHING_LEFT;
 use super::local::local_gaps;
@@ -16,7 +18,7 @@ use super::naming::{self, Named};
 use super::request::{Diagnosis, Request, Split};
 use super::search::Found;
 use super::spread::{Spread, beside, correlation, intervals, spread, widen};
-use super::state::{Context, State};
+use super::state::{Context, On, State};
 use super::synonyms::synonyms;
 use super::tracking::Tracking;
 use super::words::{self, evidence, summary};
@@ -62,31 +64,48 @@ pub struct Evidence<'a> {
 }
 
 /// Causes and leads, strongest first, and what is doubtful about them.
-struct Told<'a> {
+struct Told {
     all: Vec<Cause>,
     are_leads: Vec<bool>,
-    doubts: Doubts<'a>,
+    doubts: Doubts,
     spread: Spread,
 }
 
-fn told_of<'a>(context: &Context, found: &'a Found, named: &[Named]) -> Result<Told<'a>, GapError> {
+fn told_of(context: &Context, found: &Found, named: &[Named]) -> Result<Told, GapError> {
     let (base, best) = (&found.base, &found.best);
     let derivatives = context.derivatives(&best.terms)?;
     let spread = spread(context, best, &derivatives);
     let indices: Vec<usize> = named.iter().map(|n| n.index).collect();
-    let doubts = Doubts::about(context, base, best, &derivatives, &indices);
-    let told = named.iter().map(|n| cause(context, best, n, &spread, &doubts));
+    let mut scatter = scatter(context, best, &derivatives, &indices);
+    scatter.retain(|s| s.share > context.calibration.map.doubts.scatter);
+    let inconstant: Vec<usize> = scatter.iter().map(|s| s.term).collect();
+    let are_leads = naming::leads(context, best, named, &inconstant);
+    let leads = indices.iter().zip(&are_leads).filter(|(_, lead)| **lead);
+    let leads: Vec<usize> = leads.map(|(index, _)| *index).collect();
+    let doubts = Doubts::about(context, base, best, &without(context, best, &leads)?)?;
+    let lacks_size =
+        |n: &Named| scatter.iter().find(|s| s.term == n.index).map_or(0.0, |s| s.share);
+    let told = named.iter().zip(&are_leads).map(|(n, lead)| {
+        let own = if *lead { lacks_size(n) } else { 0.0 };
+        cause(context, best, n, &spread, (&doubts, own))
+    });
     let mut all = told.collect::<Result<Vec<_>, _>>()?;
-    let small = naming::leads(context, best, named, &[]);
-    let small = indices.iter().zip(small).filter(|(_, lead)| *lead);
-    let small: Vec<usize> = small.map(|(index, _)| *index).collect();
-    let doubts = doubts.without(&small);
-    // what has no one size beside a greater cause makes up for what that one's law lacks: it stays a doubt
-    let are_leads = naming::leads(context, best, named, &doubts.without_one_size());
     for (cause, own) in all.iter_mut().zip(named) {
         widen(cause, &best.terms[own.index], best, named);
     }
     Ok(Told { all, are_leads, doubts, spread })
+}
+
+/// `best` without the terms `leads`, fitted again.
+fn without(context: &Context, best: &State, leads: &[usize]) -> Result<State, GapError> {
+    if leads.is_empty() {
+        return Ok(best.clone());
+    }
+    let kept = best.terms.iter().enumerate().filter(|(k, _)| !leads.contains(k));
+    let mut state = fitted(context, kept.map(|(_, t)| t.clone()).collect(), None)?;
+    let held_out = context.replayer.predict(&context.holdout.data, &[state.terms.clone()])?;
+    state.holdout = On::new(&context.holdout, held_out.concat());
+    Ok(state)
 }
 
 /// Draws the conclusion.
@@ -168,7 +187,7 @@ fn verdict(
     context: &Context,
     found: &Found,
     causes: &[Cause],
-    doubts: &Doubts<'_>,
+    doubts: &Doubts,
     split: Split,
     local: &[LocalGap],
 ) -> Verdict {
@@ -273,7 +292,7 @@ fn cause(
     best: &State,
     named: &Named,
     spread: &Spread,
-    doubts: &Doubts<'_>,
+    (doubts, own_scatter): (&Doubts, f64),
 ) -> Result<Cause, GapError> {
     let term = &best.terms[named.index];
     let weighed = weigh(best, named, &[]);
@@ -282,7 +301,8 @@ fn cause(
         false => beside(context, best, named.index, &weighed.open, spread)?,
     };
     let parameters = intervals(context, best, named.index, spread, &wider);
-    let grounds = grounds(context, named, term, weighed.same_name, &parameters, doubts);
+    let mut grounds = grounds(context, named, term, weighed.same_name, &parameters, doubts);
+    grounds.scatter = grounds.scatter.max(own_scatter);
     Ok(Cause {
         effect: term.effect.id.to_owned(),
         layer: term.effect.layer.name().to_owned(),
@@ -329,7 +349,7 @@ fn grounds(
     term: &Term,
     among: f64,
     parameters: &BTreeMap<String, Parameter>,
-    doubts: &Doubts<'_>,
+    doubts: &Doubts,
 ) -> Grounds {
     let near = doubts.grounds(context, &term.place);
     Grounds {

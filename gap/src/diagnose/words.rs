@@ -60,7 +60,7 @@ pub fn summary(
     context: &Context,
     verdict: Verdict,
     (causes, leads): (&[Cause], &[Cause]),
-    doubts: &Doubts<'_>,
+    doubts: &Doubts,
     unexplained: &[Unexplained],
     split: Split,
     found: &Found,
@@ -219,7 +219,7 @@ fn names(causes: &[Cause]) -> String {
 fn headline(
     verdict: Verdict,
     causes: &[Cause],
-    doubts: &Doubts<'_>,
+    doubts: &Doubts,
     unexplained: &[Unexplained],
     found: &Found,
 ) -> String {
