@@ -85,6 +85,12 @@ impl Tally {
         behind > LEAST_BEHIND_MOST * (behind + ahead) && behind - ahead > BEYOND_CHANCE * by_chance
     }
 
+    /// Whether none are: a share of [`LEAST_BEHIND`] would have shown [`LEAST_TIMES`] times, and fewer are behind.
+    pub(super) fn shows_none(&self) -> bool {
+        self.samples as f64 * LEAST_BEHIND >= LEAST_TIMES as f64
+            && self.share_behind() < LEAST_BEHIND
+    }
+
     /// Whether frames are lost.
     pub(super) fn shows_losses(&self) -> bool {
         self.times >= LEAST_TIMES
@@ -368,6 +374,10 @@ mod tests {
         assert!(!Tally { at_one_stroke: 5, ..lossy }.shows_losses());
         // of two repeats nobody knows which one is behind
         assert!(!Tally { behind_most: 0, ahead_of_most: 0, ..lossy }.shows_losses());
+        // 40 of 4000 behind are none; of 400 samples a hundredth and a half is six, and fewer than twelve say nothing
+        let none = Tally { behind: 40, times: 10, ..lossy };
+        assert!(none.shows_none() && !lossy.shows_none());
+        assert!(!Tally { samples: 400, behind: 0, ..none }.shows_none());
     }
 
     #[test]

@@ -38,19 +38,31 @@ pub struct Losses {
     fit: Tally,
 }
 
-/// Looks for frames that were lost in the runs `fit` of a robot on a stand. None where none are, where repeats,
-/// speeds or currents are missing, or where the robot file says already that it loses some.
+/// What repeats say of lost frames.
+pub enum Repeats {
+    /// Some are lost.
+    Lose(Losses),
+    /// None are.
+    LoseNone,
+    /// Nothing: repeats, speeds or currents are missing, or the robot file says already that it loses some.
+    SayNothing,
+}
+
+/// Looks for frames that were lost in the runs `fit` of a robot on a stand.
 ///
 /// # Errors
 /// As [`Replayer::predict`].
-pub fn find(replayer: &Replayer, fit: &[Trial]) -> Result<Option<Losses>, GapError> {
+pub fn find(replayer: &Replayer, fit: &[Trial]) -> Result<Repeats, GapError> {
     if replayer.gives(&DROPPED_FRAMES) {
-        return Ok(None);
+        return Ok(Repeats::SayNothing);
     }
     let mut groups = watched(replayer, fit);
     let fit = tally(replayer, &groups);
+    if fit.shows_none() {
+        return Ok(Repeats::LoseNone);
+    }
     if !fit.shows_losses() {
-        return Ok(None);
+        return Ok(Repeats::SayNothing);
     }
     let mut spent_s = 0.0;
     groups.retain(|g| {
@@ -60,10 +72,13 @@ pub fn find(replayer: &Replayer, fit: &[Trial]) -> Result<Option<Losses>, GapErr
     });
     let measured = tally(replayer, &groups);
     let place = Place { domain: Domain::Robot, items: Vec::new(), names: Vec::new() };
-    Ok(like(replayer, &groups, &measured)?.map(|(share, burst)| Losses {
-        term: Term { effect: &DROPPED_FRAMES, place, values: vec![share, burst] },
-        at_bound: burst >= BURSTS[BURSTS.len() - 1],
-        fit,
+    let like = like(replayer, &groups, &measured)?;
+    Ok(like.map_or(Repeats::SayNothing, |(share, burst)| {
+        Repeats::Lose(Losses {
+            term: Term { effect: &DROPPED_FRAMES, place, values: vec![share, burst] },
+            at_bound: burst >= BURSTS[BURSTS.len() - 1],
+            fit,
+        })
     }))
 }
 

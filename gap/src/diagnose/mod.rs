@@ -60,6 +60,7 @@ use crate::replay::{Data, Replayer, SegmentOptions};
 use crate::report::{Compute, RunUse};
 use crate::trial::{Role, Run, Trial};
 use crate::{check, reading, repeats};
+use losses::Repeats;
 
 pub use request::{Diagnosis, Options, Progress, Request, Split, Stage};
 
@@ -278,17 +279,16 @@ fn context(
     let passed = stops::find(&replayer, &Data::new(model, whole, options))?;
     let also = |replayer: Replayer, p: &stops::Passed| replayer.with_also(p.term.clone());
     let replayer = passed.iter().fold(replayer, also);
-    let losses = if effects.iter().any(|e| e.id == DROPPED_FRAMES.id) {
-        losses::find(&replayer, &fit_trials)?
-    } else {
-        None
+    let repeats = match effects.iter().any(|e| e.id == DROPPED_FRAMES.id) {
+        true => losses::find(&replayer, &fit_trials)?,
+        false => Repeats::SayNothing,
     };
-    let replayer = match &losses {
-        Some(losses) => {
-            effects.retain(|e| e.id != DROPPED_FRAMES.id);
-            replayer.with_also(losses.term.clone())
-        }
-        None => replayer,
+    if !matches!(repeats, Repeats::SayNothing) {
+        effects.retain(|e| e.id != DROPPED_FRAMES.id);
+    }
+    let (replayer, losses) = match repeats {
+        Repeats::Lose(losses) => (replayer.with_also(losses.term.clone()), Some(losses)),
+        Repeats::LoseNone | Repeats::SayNothing => (replayer, None),
     };
     let excitation = Excitation::of(model, &fit_trials.iter().collect::<Vec<_>>());
     let judged = |trials| judge::Judge::new(&replayer, Data::new(model, trials, options), options);
