@@ -49,16 +49,21 @@ fn tell(report: &Report) {
         100.0 * behaviour.fall_share,
         behaviour.fell_by.as_ref().map_or_else(String::new, |reason| format!(" ({reason})"))
     ));
-    if behaviour.fell_by.as_deref() == Some(TerminationReason::Diverged.name()) {
+    let breaks_down = behaviour.fell_by.as_deref() == Some(TerminationReason::Diverged.name());
+    if breaks_down {
         say::line(BREAKS_DOWN);
     }
+    let none_suspect = report.causes.is_empty() && report.others.is_empty();
     say::line(match report.verdict {
         Verdict::Walks => "nothing to explain",
         Verdict::Explained => "most likely:",
         Verdict::WalksWhenTrainedAgain => {
             "trained again as it is, from another seed, it walks: train it again, or longer"
         }
-        Verdict::Suspected if report.causes.is_empty() && report.others.is_empty() => {
+        Verdict::Suspected if breaks_down && none_suspect => {
+            "nothing else in its task or robot is suspect so far"
+        }
+        Verdict::Suspected if none_suspect => {
             "nothing in its task or robot is suspect so far; it may need a longer training"
         }
         Verdict::Suspected if report.causes.is_empty() => {
