@@ -401,7 +401,9 @@ fn draw(
         let items = robot_items(model, &moment.base, &moment.joint_pos_rad, &moment.contacts)
             .or_exit(ExitCode::BadInput)?;
         let scene = Scene::new(&items, Arc::clone(terrain), moment.time_s);
-        let far_m = *distance_m.get_or_insert_with(|| Camera::far_enough_m(scene.reach_m(com)));
+        let aspect = f64::from(quality.width) / f64::from(quality.height);
+        let fits = || Camera::far_enough_m(args.view, scene.reach_m(com), aspect);
+        let far_m = *distance_m.get_or_insert_with(fits);
         let camera =
             Camera::of_view(args.view, com, yaw + extra, far_m).or_exit(ExitCode::BadConfig)?;
         let mut image = render(&scene, &camera, &quality).or_exit(ExitCode::BadConfig)?;

@@ -101,9 +101,16 @@ impl Camera {
         Self::orbit(target_m, distance_m, heading_rad + azimuth, elevation)
     }
 
-    /// How far away a ball of this radius fits into the picture with a tenth to spare, m.
-    pub fn far_enough_m(radius_m: f64) -> f64 {
-        (1.1 * radius_m / HALF_VIEW_RAD.sin()).clamp(0.1, 200.0)
+    /// How far away from its target a view has what reaches so far to the sides, and up or down, in a picture
+    /// `aspect` times as wide as high, whichever way it is turned, m.
+    pub fn far_enough_m(view: View, [aside_m, up_m]: [f64; 2], aspect: f64) -> f64 {
+        let (sin, cos) = view.angles_rad().1.sin_cos();
+        let half = HALF_VIEW_RAD.tan();
+        let high_m = (up_m * cos + aside_m * sin) / half;
+        let wide_m = aside_m / (aspect * half);
+        // its near side is so much nearer than the target
+        let near_m = aside_m * cos + up_m * sin;
+        (high_m.max(wide_m) + near_m).clamp(0.1, 200.0)
     }
 
     /// Unit direction through `(x, y)` of a picture of `width × height` pixels, from its upper left corner;

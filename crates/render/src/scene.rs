@@ -68,9 +68,13 @@ impl Scene {
         (norm(sub(point, self.bounds.0)) - self.bounds.1).max(0.0)
     }
 
-    /// Radius of a ball around `point` with all solids in it, m.
-    pub fn reach_m(&self, point: Vec3) -> f64 {
-        norm(sub(point, self.bounds.0)) + self.bounds.1
+    /// How far the solids reach from `point`: to the sides, and up or down, m.
+    pub fn reach_m(&self, point: Vec3) -> [f64; 2] {
+        self.solids.iter().fold([0.0_f64; 2], |[aside_m, up_m], (solid, _)| {
+            let (centre, radius_m) = solid.bounds();
+            let [x, y, z] = sub(centre, point);
+            [aside_m.max(x.hypot(y) + radius_m), up_m.max(z.abs() + radius_m)]
+        })
     }
 
     fn may_meet(&self, ray: &Ray) -> bool {

@@ -78,7 +78,7 @@ fn whatever_its_size_a_robot_fits_into_the_picture() {
         let items = [ball_at(0.3), ball_at(0.3 + above_m)];
         let target = [0.0, 0.0, 0.3 + 0.5 * above_m];
         let reach_m = Scene::new(&items, terrain(TerrainKind::Flat), 0.0).reach_m(target);
-        let far_m = Camera::far_enough_m(reach_m);
+        let far_m = Camera::far_enough_m(View::Side, reach_m, 1.5);
         let camera = Camera::of_view(View::Side, target, 0.0, far_m).unwrap();
         let image = picture(&items, TerrainKind::Flat, &camera);
         let rows: Vec<u32> =

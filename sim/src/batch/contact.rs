@@ -37,9 +37,9 @@ struct Meeting<R> {
     normal: V3<R>,
     /// Touching point from the reference point, world, m.
     arm: V3<R>,
-    /// Likewise the place of the body that stays above the touching point while it rolls: of a rim its centre. (Of
-    /// a ball, which is mostly a foot and hardly rolls, the touching point itself.)
-    above: V3<R>,
+    /// Likewise the centre of a rim, which stays above the touching point while the wheel rolls; `None`: of a ball,
+    /// which is mostly a foot and hardly rolls, it is the point itself that is accelerated.
+    above: Option<V3<R>>,
     /// The ground's factor on friction there.
     grip: R,
 }
@@ -68,7 +68,7 @@ pub(super) fn touch<R: Lanes, const FLAT: bool>(
     let depth = meeting.depth.min(R::uniform(point.deepest));
     let vel = add_cross(frame.lin, frame.ang, arm);
     // classical acceleration with the bias alone, without what turns the touching point of a rim up again
-    let carried = add_cross(frame.lin, frame.ang, meeting.above);
+    let carried = meeting.above.map_or(vel, |at| add_cross(frame.lin, frame.ang, at));
     let acc = add_cross(add_cross(frame.bias_lin, frame.bias_ang, arm), frame.ang, carried);
     let (f0, m);
     if law.convex {
@@ -118,7 +118,7 @@ fn meet<R: Lanes, const FLAT: bool>(
             return None;
         }
         let arm = [coordinate(frame, c, 0), coordinate(frame, c, 1), z - radius];
-        return Some(Meeting { depth, normal: [o, o, one], arm, above: arm, grip: one });
+        return Some(Meeting { depth, normal: [o, o, one], arm, above: None, grip: one });
     }
     let (x, y) = (coordinate(frame, c, 0), coordinate(frame, c, 1));
     let (clearance, normal, grip) = ground.clearance(x + base[0], y + base[1], z + base[2]);
@@ -127,7 +127,7 @@ fn meet<R: Lanes, const FLAT: bool>(
         return None;
     }
     let arm = add_scaled([x, y, z], normal, -radius);
-    Some(Meeting { depth, normal, arm, above: arm, grip })
+    Some(Meeting { depth, normal, arm, above: None, grip })
 }
 
 /// The same of a rim about `axle` (node's frame): what touches is its point that is farthest down the normal.
@@ -154,7 +154,7 @@ fn meet_rim<R: Lanes, const FLAT: bool>(
         return None;
     }
     let down = scale(add_scaled(scale(axle, along), normal, -one), radius / steep);
-    Some(Meeting { depth, normal, arm: add(above, down), above, grip })
+    Some(Meeting { depth, normal, arm: add(above, down), above: Some(above), grip })
 }
 
 /// One world coordinate of a place in a frame, from the reference point, m.

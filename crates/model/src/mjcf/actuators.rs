@@ -152,8 +152,11 @@ fn gains(context: &mut Context<'_>, e: &Element) -> Option<(f64, f64, f64)> {
         }
         "velocity" => {
             let kv = e.number("kv", context.remarks).filter(|kv| *kv > 0.0).unwrap_or(1.0);
-            let message = "a velocity actuator is read as one of position, with its kv as damping and a stiffness of ours: \
-                           a joint follows its target 25 ms late";
+            let message = format!(
+                "a velocity actuator is read as one of position, with its kv as damping and a stiffness of ours: a joint \
+                 follows its target {:.0} ms late",
+                1e3 * UNSAID_DAMPING_S
+            );
             context.remarks.note_once(e, message);
             Some((kv / UNSAID_DAMPING_S, kv, 0.0))
         }
