@@ -105,11 +105,21 @@ impl Size {
         walks.min(0.2 * self.servo_radps * self.leg_m)
     }
 
-    /// Strides per second: about a leg's length each. What stands on two feet must catch itself more often
-    /// than what always has three on the ground.
+    /// Strides per second: about a leg's length each. What walks on two feet falls over the one that it stands
+    /// on for half a stride, and must catch itself before it has fallen far: the smaller, the sooner
+    /// (docs/reference/learning.md).
     fn stride_hz(&self) -> f64 {
-        let least = if self.balances() { 1.25 } else { 0.9 };
-        (self.speed_mps() / self.leg_m).clamp(least, 2.0)
+        let (least, most) = match (self.feet, self.balances()) {
+            (1 | 2, _) => ((2.3 * self.falls_hz()).clamp(1.25, 2.5), 2.5),
+            (_, true) => (1.25, 2.0),
+            _ => (0.9, 2.0),
+        };
+        (self.speed_mps() / self.leg_m).clamp(least, most)
+    }
+
+    /// How fast it tips over, √(g/height), in turns of that many radians per second, Hz.
+    fn falls_hz(&self) -> f64 {
+        (GRAVITY_MPS2 / self.com_m).sqrt() / std::f64::consts::TAU
     }
 
     /// Height that feet are lifted to, m: a fifth of the leg.
@@ -131,25 +141,17 @@ impl Size {
         (steps_w / self.carrying_w()).clamp(1.0, 3.0)
     }
 
-    /// How many times as much steps are paid for: as they take, and twice on two legs, which else catch themselves with
-    /// small ones (docs/reference/learning.md).
-    fn worth_a_step(&self) -> f64 {
-        let least = if matches!(self.feet, 1 | 2) { 2.0 } else { 1.0 };
-        round(self.effort()).max(least)
-    }
-
     /// Whether it tips over when it stands still on one foot of a stride, or on its wheels.
     fn balances(&self) -> bool {
         matches!(self.feet + self.wheels, 1 | 2)
     }
 
     /// Cut-off of the action filter, Hz: below the stride's frequency, so that steps come of it instead of
-    /// vibration; but what balances must act many times as fast as it falls, at √(g/height), since its servos take
-    /// their time too. How many: docs/reference/learning.md, by trainings of published bipeds.
+    /// vibration; but what balances must act many times as fast as it falls, since its servos take their time
+    /// too. How many: docs/reference/learning.md, by trainings of published bipeds.
     fn filter_hz(&self) -> f64 {
-        let falls_hz = (GRAVITY_MPS2 / self.com_m).sqrt() / std::f64::consts::TAU;
         let most_hz = 0.5 / PERIOD_S; // what control can follow
-        if self.balances() { (11.0 * falls_hz).min(most_hz) } else { 0.8 * self.stride_hz() }
+        if self.balances() { (11.0 * self.falls_hz()).min(most_hz) } else { 0.8 * self.stride_hz() }
     }
 }
 
@@ -248,7 +250,8 @@ fn write_layer(
         contact_n = round(0.04 * weight_n),
         costs_full = if size.feet == 2 { 4_000_000 } else { 500_000 },
         trunk_n = round(0.2 * weight_n),
-        phase_weight = 1.75 * walks * size.worth_a_step(),
+        phase_weight = 1.75 * walks * round(size.effort()),
+        in_step = if matches!(size.feet, 1 | 2) { 2.0 } else { 0.0 },
         zero_share = if size.balances() { 0.15 } else { 0.05 },
         power_weight = -round(2e-2 * (2.6 * GRAVITY_MPS2 * 0.3) / size.carrying_w()),
         slip_weight = -round(2.0 * slower) * walks,

@@ -157,6 +157,7 @@ pub(crate) struct FramesTable {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct PassiveTable {
+    #[serde(default)]
     pub locked: bool,
     pub joint: BTreeMap<String, PassiveJoint>,
 }

@@ -194,6 +194,11 @@ reward_terms! {
     /// water. What `phase` is to walking. Default 0 (not in the paper); without it the policy does not find
     /// out how to swim: independent noise in eight joints makes no travelling wave.
     body_wave: Guide, "1", 0.0;
+    /// Mean over the feet of 1 where a foot bears more than `contact_force_n` in the middle two fifths of its
+    /// stance and no more than that in the middle two fifths of its swing, by the gait clock; else 0, and 1 in
+    /// between. Default 0 (not in the paper). `phase` asks for a height, and a small hop has some of it at any
+    /// frequency; this asks for weight on the one foot while the other is up.
+    in_step: Guide, "1", 0.0;
 }
 
 fn check_weight(sense: Sense, weight: f32, field: &'static str) -> Result<(), TaskError> {

@@ -1,5 +1,7 @@
 //! The value of each term: a pure function, ≥ 0, of one control step.
 
+use std::f32::consts::PI;
+
 use super::{RewardConfig, RewardInput};
 use crate::command::along_course;
 use crate::phase::reference_height_m;
@@ -31,6 +33,20 @@ pub fn phase(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
         })
         .sum();
     (-error / config.phase_sigma).exp()
+}
+
+/// Share of the feet that bear weight where the clock asks for it, φ within 0.4·π of ±π, and none within 0.4·π of
+/// 0, the top of the swing; a foot in between, or one that cannot reach the ground, counts as right.
+pub fn in_step(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
+    let feet = input.foot_force_n.len();
+    let right = |&j: &usize| {
+        let phase_rad = input.phase_rad[j].abs();
+        let bears = input.foot_force_n[j][2] > config.contact_force_n;
+        input.on_ground[j] == 0.0
+            || (0.4 * PI..=0.6 * PI).contains(&phase_rad)
+            || bears == (phase_rad > 0.5 * PI)
+    };
+    if feet == 0 { 1.0 } else { (0..feet).filter(right).count() as f32 / feet as f32 }
 }
 
 /// 1: what ends early earns less.

@@ -150,6 +150,24 @@ fn phase_of_the_feet() {
     check(terms::phase, &input, 0.904_837);
 }
 
+/// Trot at φ = 0 of FL and HR: FL is up, FR bears 6 N, HL and HR are the wrong way round: 2 of 4. A quarter of a
+/// turn on, all are between stance and swing.
+#[test]
+fn feet_bear_weight_in_step_with_the_clock() {
+    check(terms::in_step, &rest(), 1.0);
+    let input = RewardInput {
+        phase_rad: [0.0, PI, PI, 0.0].into(),
+        foot_force_n: &[[0.0, 0.0, 0.5], [0.0, 0.0, 6.0], [0.0; 3], [0.0, 0.0, 6.0]],
+        ..rest()
+    };
+    check(terms::in_step, &input, 0.5);
+    let between = RewardInput { phase_rad: [0.5 * PI; 4].into(), ..input };
+    check(terms::in_step, &between, 1.0);
+    // HL cannot reach the ground
+    let shore = RewardInput { on_ground: [1.0, 1.0, 0.0, 1.0].into(), ..input };
+    check(terms::in_step, &shore, 0.75);
+}
+
 #[test]
 fn power_counts_braking_as_well() {
     let power: [f32; ACT_DIM] = std::array::from_fn(|i| if i % 2 == 0 { 0.5 } else { -0.25 });

@@ -156,7 +156,9 @@ fn limit_actuated(robot: &mut Robot, remarks: &mut Remarks) {
         for joint in body.joints.iter_mut().filter(unlimited) {
             let (half, told) = match joint.motion {
                 _ if rolls => (WHEEL_RAD, "a wheel and no foot: a policy sets its speed"),
-                JointMotion::Hinge => (TAU, "no limits; ±6.2832 written, where a wheel would stop"),
+                JointMotion::Hinge => {
+                    (TAU, "no limits; ±6.2832 rad written, where what turns on and on would stop")
+                }
                 JointMotion::Slide => (1.0, "no limits; ±1.0000 written"),
             };
             joint.range = Some((-half, half));

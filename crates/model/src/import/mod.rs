@@ -89,8 +89,8 @@ pub fn import(file: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
     if robot.home.is_empty() && robot.free_base {
         robot.home_is_ours = stance::find(&mut robot);
         let message = if robot.home_is_ours {
-            "no pose to stand in: one was worked out, legs bent and feet below the hips; look at it (`caudata sim show`), \
-             or put angles of yours into [pose.nominal_rad]"
+            "no pose to stand in: one was worked out, with feet or wheels below where their legs begin; look at it \
+             (`caudata sim show`), or put angles of yours into [pose.nominal_rad]"
         } else {
             "no pose to stand in: the nominal pose is 0, or what a joint can do nearest to it; where `caudata robot \
              check` says that it does not stand so, put angles in which it does into [pose.nominal_rad]"

@@ -63,7 +63,7 @@ pub(super) fn write(name: &str, file: &Path, robot: &Robot, notes: &[Remark]) ->
         let _ = writeln!(w, "    {},", quoted(&joint.name));
     }
     let source = if robot.home_is_ours {
-        "[ours] worked out: legs bent, feet below the hips"
+        "[ours] worked out: feet or wheels below where their legs begin"
     } else {
         "[mjcf] the named pose, or 0"
     };
