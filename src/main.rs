@@ -96,7 +96,9 @@ fn main() -> std::process::ExitCode {
         // On a terminal the progress line belongs to the user; the children's logs are in files.
         args.log.log = QUIET_DEFAULT_OF.1.to_owned();
     }
-    Process::run("caudata", &args.log, |process| dispatch(&args.command, process))
+    Process::run("caudata", &args.log, |process| {
+        dispatch(&args.command, process).and_then(|()| say::written())
+    })
 }
 
 /// The shared default filter, and what the command line makes of it.

@@ -1,7 +1,8 @@
 //! Standard output for people and for programs.
 
 use std::fmt::Display;
-use std::io::{IsTerminal, Write};
+use std::io::{ErrorKind, IsTerminal, Write};
+use std::sync::OnceLock;
 use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use caudata_studies::Table;
@@ -23,7 +24,25 @@ pub struct WithJson<P: Args> {
 
 /// One line for a person. A reader that has gone away (`caudata … | head`) is no error.
 pub fn line(text: impl Display) {
-    let _ = writeln!(std::io::stdout(), "{text}");
+    if let Err(error) = writeln!(std::io::stdout(), "{text}")
+        && error.kind() != ErrorKind::BrokenPipe
+    {
+        UNWRITTEN.get_or_init(|| error);
+    }
+}
+
+/// What kept a line from being written.
+static UNWRITTEN: OnceLock<std::io::Error> = OnceLock::new();
+
+/// Fails where a line could not be written: on a full disk `caudata task new … > my.task.toml` is no task.
+///
+/// # Errors
+/// The first error of standard output, with code 74.
+pub fn written() -> Result<(), Failure> {
+    UNWRITTEN.get().map_or(Ok(()), |error| {
+        let why = format!("cannot write to standard output: {error}");
+        Err(Failure::message(ExitCode::IoError, why))
+    })
 }
 
 /// One line for a program: JSON.

@@ -32,6 +32,15 @@ fn an_unknown_configuration_key_names_the_one_that_was_meant() {
 }
 
 #[test]
+fn a_full_disk_behind_standard_output_is_told() {
+    let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+    let mut run = Command::new(binary("caudata").unwrap());
+    let done = run.args(["config", "show"]).stdout(full).output().unwrap();
+    let told = String::from_utf8_lossy(&done.stderr);
+    assert!(done.status.code() == Some(74) && told.contains("standard output"), "{told}");
+}
+
+#[test]
 fn a_value_out_of_range_is_refused_before_anything_starts() {
     let folder = tempfile::tempdir().unwrap();
     let run = train(&folder.path().join("run"), &["--set", "learner.ppo.gamma=1.5"]).unwrap();
