@@ -257,7 +257,7 @@ fn stand(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, 
     let pose = model.nominal_pos_rad();
     let targets: Vec<f32> = pose.iter().map(|&angle| angle as f32).collect();
     let height_m = f64::from(engine.state().base_pos_m[2]);
-    let stands_s = STANDING_S.max(3.0 * (2.0 * height_m / STANDARD_GRAVITY_MPS2).sqrt());
+    let stands_s = STANDING_S.max(FALLS * (2.0 * height_m / STANDARD_GRAVITY_MPS2).sqrt());
     let periods = (stands_s / engine.config().control_period_s()).round() as u64;
     let mut seen = Vec::new();
     for _ in 0..periods {
@@ -297,8 +297,10 @@ fn stand(model: &RobotModel, engine: &mut dyn Engine) -> Result<Option<String>, 
     })
 }
 
-/// How long a robot has to stand, s; what is large falls slowly.
+/// How long a robot has to stand, s, or how many times as long as its height takes to fall freely: what is large
+/// falls slowly, and what soft ankles hold up begins slowly.
 const STANDING_S: f64 = 1.0;
+const FALLS: f64 = 6.0;
 const STANDARD_GRAVITY_MPS2: f64 = 9.81;
 /// How far a servo may give way under the weight, rad: 15°.
 const SAG_MAX_RAD: f64 = 0.26;
@@ -401,7 +403,7 @@ struct Summary<'a> {
     imu: Option<&'a str>,
     /// Why it cannot be trained to walk; `None` where it can.
     cannot_walk: Option<String>,
-    /// Why it does not stand in its nominal pose for a second; `None` where it does, or has no feet.
+    /// Why it does not stand in its nominal pose for a second or two; `None` where it does, or has no feet.
     cannot_stand: Option<String>,
 }
 
@@ -439,7 +441,10 @@ fn print(model: &RobotModel, summary: &Summary<'_>) {
     say::line(format!(
         "feet: {}; IMU: {}",
         or_none(&summary.feet.join(", ")),
-        summary.imu.map_or("none".to_owned(), |link| format!("on {link}")),
+        summary.imu.map_or_else(
+            || format!("not said, taken on {}", model.links()[0].name),
+            |link| format!("on {link}")
+        ),
     ));
     say::line(format!("hash {}", summary.hash));
     if let Some(why) = &summary.cannot_walk {
@@ -517,11 +522,15 @@ mod tests {
             <geom type="box" size="0.12 0.08 0.02" mass="1.5"/>{legs}</body></worldbody>
             <actuator>{motors}</actuator></mujoco>"#
         );
+        imported(&xml)
+    }
+
+    fn imported(xml: &str) -> RobotModel {
         let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("hop.xml");
+        let file = folder.path().join("mine.xml");
         std::fs::write(&file, xml).unwrap();
         let made = import::import(&file, &ImportOptions { name: None, free_base: None }).unwrap();
-        RobotModel::from_bytes("hop", made.robot_toml.as_bytes(), made.mjcf.as_bytes()).unwrap()
+        RobotModel::from_bytes("mine", made.robot_toml.as_bytes(), made.mjcf.as_bytes()).unwrap()
     }
 
     /// In the middle of ± 12 mm a slide is at no stop, and follows within a period. 2 kg on four slides of 100 N/m
@@ -531,6 +540,24 @@ mod tests {
         assert_eq!(check(&hopper(0.012, 4000.0)).unwrap(), None);
         let why = check(&hopper(0.08, 100.0)).unwrap().unwrap();
         assert!(why.contains("mm off its nominal pose"), "{why}");
+    }
+
+    /// 1 kg half a metre above an ankle of 3 N·m/rad, which would have to give 4.9: it begins to fall slowly.
+    #[test]
+    fn a_slow_fall_is_seen() {
+        let why = |kp: f64| {
+            check(&imported(&format!(
+                r#"<mujoco model="pole"><compiler angle="radian"/><worldbody><body name="pole" pos="0 0 0.55"><freejoint/>
+                <geom type="sphere" size="0.05" mass="1"/><body name="foot" pos="0 0 -0.5">
+                <joint name="ankle" axis="0 1 0" range="-1 1" armature="0.01"/>
+                <geom type="box" pos="0 0 -0.04" size="0.1 0.06 0.01" mass="0.3"/></body></body></worldbody><actuator>
+                <position joint="ankle" kp="{kp}" kv="0.3" forcerange="-9 9"/></actuator><keyframe>
+                <key name="home" qpos="0 0 0.55 1 0 0 0 0.02"/></keyframe></mujoco>"#
+            )))
+        };
+        assert_eq!(why(30.0).unwrap(), None);
+        let slow = why(3.0).unwrap().unwrap();
+        assert!(slow.contains("it falls over"), "{slow}");
     }
 
     /// 40 N·m/rad that nothing damps: the legs go on swinging.
