@@ -9,6 +9,8 @@ use super::series::{Together, best_lag, slope, smooth, together};
 
 /// A command that moves less than this (standard deviation of its slow part, rad) tells nothing.
 const MOVES_RAD: f64 = 0.02;
+/// A command of which less than this is slow is a quick swing.
+const SLOW_SHARE: f64 = 0.25;
 /// A joint slower than this rests, rad/s.
 const RESTS_RADPS: f64 = 0.1;
 /// At least so long a stretch is judged, s.
@@ -112,7 +114,9 @@ fn units(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
 
 fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     let Some(t) = follows(run, joint, joint) else { return };
-    if t.r < -0.5 && t.second_sd > 0.2 * t.first_sd {
+    // beyond its resonance a servo goes against a swing: what is left of that alone is no slow motion
+    let whole = joint.cmd.as_ref().map_or(0.0, |u| together(u, u, 0).first_sd);
+    if t.r < -0.5 && t.second_sd > 0.2 * t.first_sd && t.first_sd > SLOW_SHARE * whole {
         let detail = format!(
             "goes against cmd.{} (correlation {:.2}); turn the sign of one of them",
             joint.name, t.r

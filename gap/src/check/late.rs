@@ -119,18 +119,12 @@ fn lags<'a>(run: &Run<'_>, joints: &'a [Channels]) -> Vec<Lag<'a>> {
         if together(&u, &q, 0).first_sd < 0.1 {
             return None;
         }
-        let (lag, at_lag) = best_lag(&u, &q, -most..=most);
+        let (any, possible) = (best_lag(&u, &q, -most..=most), best_lag(&u, &q, 0..=late));
+        // a periodic motion fits a period off, too: one that no servo has must be clearly better
+        let (lag, at_lag) = if any.1.r > possible.1.r + 0.15 { any } else { possible };
         let s = lag as f64 * grid.step_s;
-        // The best among the lags that a servo can have must be clearly worse: a periodic motion fits a
-        // period off, too.
-        let possible = best_lag(&u, &q, 0..=late).1;
         let outside = s < -(2.5 * grid.step_s).max(0.02) || s > LONGEST_LAG_S;
-        Some(Lag {
-            name: &joint.name,
-            s,
-            r: at_lag.r,
-            impossible: outside && at_lag.r > FITS && at_lag.r > possible.r + 0.15,
-        })
+        Some(Lag { name: &joint.name, s, r: at_lag.r, impossible: outside && at_lag.r > FITS })
     };
     joints.iter().filter_map(of).collect()
 }

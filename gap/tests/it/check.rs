@@ -383,6 +383,20 @@ fn readings_that_are_late_are_found() {
     assert!(one(&robot, &late(6)).faults.is_empty());
 }
 
+/// Of a swing that repeats itself a lag fits as well a period later, and beyond its resonance a servo goes against it.
+#[test]
+fn nothing_is_said_of_a_quick_swing() {
+    let robot = robot("xl330_pendulum");
+    let mut trial = excite::trial(&robot, "chirp_small", None, 100.0).unwrap();
+    for hz in [1.7, 2.2, 2.6, 3.1, 4.0] {
+        let at = |k: i32| 0.3 * (std::f64::consts::TAU * hz * f64::from(k) / 100.0).sin();
+        trial.commands_rad = (0..1000).map(|k| vec![at(k)]).collect();
+        let runs = simulate(&robot, &trial, &[5], None);
+        let checked = one(&robot, &record(&robot, &trial, &runs[0], 5));
+        assert!(checked.faults.is_empty(), "{hz} Hz: {:#?}", checked.faults);
+    }
+}
+
 #[test]
 fn wrong_stamps_are_found() {
     let robot = robot("polymander");
