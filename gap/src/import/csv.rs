@@ -72,6 +72,15 @@ impl Table {
                 .collect(),
             hints: BTreeMap::new(),
         };
+        let most = table.header.len();
+        let longer =
+            |(_, row): &&(usize, Vec<String>)| row.iter().skip(most).any(|f| !f.trim().is_empty());
+        if let Some((line, row)) = table.rows.iter().find(longer) {
+            return Err(table.wrong(format!(
+                "line {line}: has {} fields, and the header has {most}: where commas part the fields decimals need points",
+                row.len()
+            )));
+        }
         table.hints = table.named();
         match table.rows.is_empty() {
             true => Err(table.wrong("has no row below its header".to_owned())),
@@ -290,6 +299,8 @@ mod tests {
             assert_eq!((table.header.join(","), table.rows.len()), ("t,q".to_owned(), 1), "{text}");
         }
         assert!(Table::parse("empty.csv", "# nothing\n").is_err());
+        let longer = Table::parse("half.csv", "t,q\n0,1,\n1,0,5\n").err().unwrap().to_string();
+        assert!(longer.contains("line 3: has 3 fields, and the header has 2"), "{longer}");
     }
 
     #[test]
