@@ -199,10 +199,13 @@ fn unnamed(
         parameters: parameters(model, term, |p| halves.get(p).copied().unwrap_or(0.0)),
         confidence: cause.map_or(0.0, |c| c.confidence),
         alternatives: cause.map_or_else(Vec::new, |c| c.alternatives.clone()),
-        evidence: vec![
-            "in the model because the runs that were fitted support it in cross-validation; its name is no finding"
-                .to_owned(),
-        ],
+        evidence: match cause {
+            Some(_) => vec!["a cause of the report, of the size that it has beside all effects of this file".to_owned()],
+            None => vec![
+                "in the model because the runs that were fitted support it in cross-validation; its name is no finding"
+                    .to_owned(),
+            ],
+        },
         ..Cause::default()
     })
 }

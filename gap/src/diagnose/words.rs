@@ -237,14 +237,19 @@ fn headline(
         ),
         Verdict::Explained => format!("Explained by {}: {fall}.", names(causes)),
         Verdict::Ambiguous => {
-            let open: Vec<String> =
-                causes.iter().filter(|c| c.is_open()).map(Cause::rivals).collect();
+            let (open, sure): (Vec<Cause>, Vec<Cause>) =
+                causes.iter().cloned().partition(Cause::is_open);
+            let open: Vec<String> = open.iter().map(Cause::rivals).collect();
+            let what = match sure.is_empty() {
+                true => "The gap is real, its name is open".to_owned(),
+                false => format!("Explained by {}, and by what has no sure name", names(&sure)),
+            };
             let another = causes.iter().any(|c| c.has_open_name() || !c.elsewhere.is_empty());
             let what_tells = match another {
                 true => "The next experiment tells them apart.",
                 false => "They are one robot by different names: no trial tells them apart.",
             };
-            format!("The gap is real, its name is open: {}; {fall}. {what_tells}", open.join("; "))
+            format!("{what}: {}; {fall}. {what_tells}", open.join("; "))
         }
         Verdict::PartlyExplained => {
             let left = unexplained
@@ -256,8 +261,9 @@ fn headline(
                 .map(|d| format!(" {}", d.detail))
                 .collect();
             format!(
-                "{} explain a part: {fall}; {:.0} % of it is left{left}.{others}",
+                "{} explain{} a part: {fall}; {:.0} % of it is left{left}.{others}",
                 names(causes),
+                if causes.len() == 1 { "s" } else { "" },
                 100.0 * best.misfit() / base.misfit().max(1e-9),
             )
         }
