@@ -5,9 +5,8 @@ use super::constancy::{self, Scatter};
 use super::gates;
 use super::judge::Judge;
 use super::levels::MANY_JOINTS;
-use super::state::{Context, On, State};
+use super::state::{Context, Derivatives, On, State};
 use crate::effects::{Effect, Place};
-use crate::error::GapError;
 use crate::replay::Term;
 use crate::report::{Doubt, DoubtKind, Grounds};
 
@@ -45,35 +44,31 @@ pub struct Doubts {
 }
 
 impl Doubts {
-    /// About `best`, of which `findings` is what is told: a size is asked for where no lead makes up for what its
-    /// law lacks.
-    ///
-    /// # Errors
-    /// As [`crate::replay::Replayer::predict`].
+    /// About `best`, of which `findings`, with their derivatives, is what is told: a size is asked for where no lead
+    /// makes up for what its law lacks.
     pub fn about(
         context: &Context,
         base: &State,
         best: &State,
-        findings: &State,
-    ) -> Result<Self, GapError> {
+        (findings, derivatives): (&State, &Derivatives),
+    ) -> Self {
         let thresholds = &context.calibration.map.doubts;
         let left = left(context, base, best);
         let much = |l: &Left| thresholds.much(&l.grounds(context));
-        let derivatives = context.derivatives(&findings.terms)?;
         let all: Vec<usize> = (0..findings.terms.len()).collect();
-        let scatter = constancy::scatter(context, findings, &derivatives, &all);
+        let scatter = constancy::scatter(context, findings, derivatives, &all);
         let too_large = |t: &&Term| outgrown(context, t);
         let with_term = |s: Scatter| {
             let term = findings.terms[s.term].clone();
             (s, term)
         };
-        Ok(Self {
+        Self {
             much: left.iter().position(much),
             left,
             outgrown: findings.terms.iter().filter(too_large).cloned().collect(),
             scatter: scatter.into_iter().map(with_term).collect(),
             inconstant: thresholds.scatter,
-        })
+        }
     }
 
     /// Whether there are any.

@@ -82,7 +82,14 @@ fn told_of(context: &Context, found: &Found, named: &[Named]) -> Result<Told, Ga
     let are_leads = naming::leads(context, best, named, &inconstant);
     let leads = indices.iter().zip(&are_leads).filter(|(_, lead)| **lead);
     let leads: Vec<usize> = leads.map(|(index, _)| *index).collect();
-    let doubts = Doubts::about(context, base, best, &without(context, best, &leads)?)?;
+    let doubts = match leads.is_empty() {
+        true => Doubts::about(context, base, best, (best, &derivatives)),
+        false => {
+            let findings = without(context, best, &leads)?;
+            let own = context.derivatives(&findings.terms)?;
+            Doubts::about(context, base, best, (&findings, &own))
+        }
+    };
     let lacks_size =
         |n: &Named| scatter.iter().find(|s| s.term == n.index).map_or(0.0, |s| s.share);
     let told = named.iter().zip(&are_leads).map(|(n, lead)| {
@@ -98,9 +105,6 @@ fn told_of(context: &Context, found: &Found, named: &[Named]) -> Result<Told, Ga
 
 /// `best` without the terms `leads`, fitted again.
 fn without(context: &Context, best: &State, leads: &[usize]) -> Result<State, GapError> {
-    if leads.is_empty() {
-        return Ok(best.clone());
-    }
     let kept = best.terms.iter().enumerate().filter(|(k, _)| !leads.contains(k));
     let mut state = fitted(context, kept.map(|(_, t)| t.clone()).collect(), None)?;
     let held_out = context.replayer.predict(&context.holdout.data, &[state.terms.clone()])?;
