@@ -88,3 +88,11 @@ impl Channels {
         Finding::note(kind, format!("{column}.{}", self.name), detail)
     }
 }
+
+/// Those whose angles have no fault. What is wrong with angles would be said again of speed and lag.
+pub(super) fn sound<'a>(joints: &'a [Channels], found: &[Finding]) -> Vec<&'a Channels> {
+    let at = |j: &Channels, f: &Finding| {
+        f.at == format!("pos.{}", j.name) || f.at == format!("cmd.{}", j.name)
+    };
+    joints.iter().filter(|j| !found.iter().any(|f| f.fatal && at(j, f))).collect()
+}

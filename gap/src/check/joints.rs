@@ -5,7 +5,8 @@ use caudata_runlog::Signal;
 use super::channels::{Channels, SLOW_S};
 use super::finding::{Finding, Run};
 use super::late::{LAG_RANGE_S, LONGEST_LAG_S, asks_much_rad};
-use super::series::{Together, best_lag, slope, smooth, together};
+use super::parity::speed_parity;
+use super::series::{AGAINST, Together, best_lag, slope, smooth, together};
 
 /// A command that moves less than this (standard deviation of its slow part, rad) tells nothing.
 const MOVES_RAD: f64 = 0.02;
@@ -13,6 +14,8 @@ const MOVES_RAD: f64 = 0.02;
 const SLOW_SHARE: f64 = 0.25;
 /// A joint slower than this rests, rad/s.
 const RESTS_RADPS: f64 = 0.1;
+/// A shift of the stamps explains a position that goes against its command by so much more correlation.
+const CLEARLY: f64 = 0.1;
 /// At least so long a stretch is judged, s.
 const LONG_ENOUGH_S: f64 = 1.0;
 /// A joint may be read beyond its range by this factor and this angle (rad): stops yield, zeros are off.
@@ -44,9 +47,12 @@ const PULLS: f64 = 0.05;
 pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
     let exchanged = order(run, joints, out);
     for (joint, exchanged) in joints.iter().zip(exchanged) {
-        units(run, joint, out);
-        if !exchanged {
-            sign(run, joint, out);
+        let turned = if exchanged { None } else { turned(run, joint) };
+        let is_turned = turned.is_some();
+        out.extend(turned);
+        units(run, joint, is_turned, out);
+        if !exchanged && !is_turned {
+            sign_of_current(run, joint, out);
         }
         stuck(run, joint, out);
         counts(run, joint, out);
@@ -62,7 +68,7 @@ fn follows(run: &Run<'_>, cmd: &Channels, pos: &Channels) -> Option<Together> {
     enough.then_some(t)
 }
 
-fn units(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
+fn units(run: &Run<'_>, joint: &Channels, turned: bool, out: &mut Vec<Finding>) {
     let (low, high) = run.robot.joint_limits_rad()[joint.index];
     let unit = joint.unit;
     let widest = BEYOND.0 * low.abs().max(high.abs()) + BEYOND.1 * joint.per_radian;
@@ -88,9 +94,9 @@ fn units(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     let past = |v: &f64| (low - v).max(v - high);
     let positions = joint.pos.iter().flatten().copied();
     let farthest = positions.max_by(|a, b| past(a).total_cmp(&past(b)));
-    if let Some(at_rad) =
-        farthest.filter(|v| past(v) > PAST_RAD * joint.per_radian && beyond(&joint.pos).is_none())
-    {
+    if let Some(at_rad) = farthest.filter(|v| {
+        !turned && past(v) > PAST_RAD * joint.per_radian && beyond(&joint.pos).is_none()
+    }) {
         let detail = format!(
             "reaches {at_rad:.2} {unit}, past the joint's range of {low:.2} to {high:.2} {unit}, where the simulated \
              robot has an end stop: are range and zero right?"
@@ -112,16 +118,38 @@ fn units(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     }
 }
 
-fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
-    let Some(t) = follows(run, joint, joint) else { return };
+/// A position that goes against its command, and does not just come late or early. The speed says which of the two
+/// is turned.
+fn turned(run: &Run<'_>, joint: &Channels) -> Option<Finding> {
+    let t = follows(run, joint, joint)?;
     // beyond its resonance a servo goes against a swing: what is left of that alone is no slow motion
     let whole = joint.cmd.as_ref().map_or(0.0, |u| together(u, u, 0).first_sd);
-    if t.r < -0.5 && t.second_sd > 0.2 * t.first_sd && t.first_sd > SLOW_SHARE * whole {
-        let detail = format!(
-            "goes against cmd.{} (correlation {:.2}); turn the sign of one of them",
-            joint.name, t.r
-        );
-        out.push(joint.fatal("sign", "pos", detail));
+    let swings = t.first_sd < SLOW_SHARE * whole;
+    if t.r > AGAINST || t.second_sd < 0.2 * t.first_sd || swings {
+        return None;
+    }
+    let (cmd, pos) = (joint.slow_cmd.as_ref()?, joint.slow_pos.as_ref()?);
+    let opposite: Vec<f64> = pos.iter().map(|q| -q).collect();
+    let [late, any] = [LONGEST_LAG_S, LAG_RANGE_S].map(|s| run.grid.points(s) as isize);
+    let as_turned = best_lag(cmd, &opposite, 0..=late).1.r;
+    if best_lag(cmd, pos, -any..=any).1.r > as_turned + CLEARLY {
+        return None;
+    }
+    let name = &joint.name;
+    let speed = joint.pos.as_ref().zip(joint.vel.as_ref());
+    let todo = match speed.and_then(|(pos, vel)| speed_parity(run, pos, vel)) {
+        Some(s) if s.r < AGAINST => format!(" and against vel.{name}: turn its sign"),
+        Some(s) if s.r > -AGAINST => {
+            format!(", and vel.{name} goes with it: turn the sign of the command, or of both")
+        }
+        _ => "; turn the sign of one of them".to_owned(),
+    };
+    let detail = format!("goes against cmd.{name} (correlation {:.2}){todo}", t.r);
+    Some(joint.fatal("sign", "pos", detail))
+}
+
+fn sign_of_current(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
+    if follows(run, joint, joint).is_none() {
         return;
     }
     // At rest the motor pulls towards the command: current follows the error where the sign is right. (In

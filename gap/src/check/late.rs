@@ -1,6 +1,6 @@
 //! Time from a command to its reading: none can be negative, and none longer than a servo needs.
 
-use super::channels::Channels;
+use super::channels::{Channels, sound};
 use super::finding::{Finding, Run};
 use super::series::{best_lag, median, slope, smooth, together};
 
@@ -29,6 +29,7 @@ const FITS: f64 = 0.6;
 /// Says where readings and commands were stamped by clocks that differ.
 pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
     let before = out.len();
+    let joints = &sound(joints, out);
     let lags = lags(run, joints);
     cause_before_effect(&lags, out);
     if out.len() == before {
@@ -56,7 +57,7 @@ pub(super) fn asks_much_rad(run: &Run<'_>, joint: &Channels) -> f64 {
 }
 
 /// A joint at rest that does not stir for longer than any servo and any delay takes.
-fn dead_time(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
+fn dead_time(run: &Run<'_>, joints: &[&Channels], out: &mut Vec<Finding>) {
     let seen: Vec<(&str, Vec<f64>)> =
         (joints.iter()).map(|j| (j.name.as_str(), dead_times_s(run, j))).collect();
     let all: Vec<f64> = seen.iter().flat_map(|(_, s)| s.iter().copied()).collect();
@@ -108,7 +109,7 @@ fn dead_times_s(run: &Run<'_>, joint: &Channels) -> Vec<f64> {
 }
 
 /// Lags of all joints that move, by the speeds of command and reading.
-fn lags<'a>(run: &Run<'_>, joints: &'a [Channels]) -> Vec<Lag<'a>> {
+fn lags<'a>(run: &Run<'_>, joints: &[&'a Channels]) -> Vec<Lag<'a>> {
     let grid = &run.grid;
     let fine = grid.points(0.04);
     let most = grid.points(LAG_RANGE_S) as isize;
@@ -126,7 +127,7 @@ fn lags<'a>(run: &Run<'_>, joints: &'a [Channels]) -> Vec<Lag<'a>> {
         let outside = s < -(2.5 * grid.step_s).max(0.02) || s > LONGEST_LAG_S;
         Some(Lag { name: &joint.name, s, r: at_lag.r, impossible: outside && at_lag.r > FITS })
     };
-    joints.iter().filter_map(of).collect()
+    joints.iter().copied().filter_map(of).collect()
 }
 
 /// A position that moves before its command was sent, or much later than any servo: stamps of two clocks.
@@ -150,7 +151,7 @@ fn cause_before_effect(lags: &[Lag<'_>], out: &mut Vec<Finding>) {
 
 /// Joints that follow their commands later than the servos of the robot file do by what no delay accounts for.
 /// In smooth motions nobody can tell late readings from a slow servo, so that this is a note.
-fn slow(run: &Run<'_>, joints: &[Channels], lags: &[Lag<'_>], out: &mut Vec<Finding>) {
+fn slow(run: &Run<'_>, joints: &[&Channels], lags: &[Lag<'_>], out: &mut Vec<Finding>) {
     let over = |lag: &&Lag<'_>| {
         let own = joints.iter().find(|j| j.name == lag.name);
         lag.r > FITS && own.is_some_and(|j| lag.s > LONGEST_DEAD_S + servo_lag_s(run, j))

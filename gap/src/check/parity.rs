@@ -3,9 +3,9 @@
 
 use caudata_runlog::{Axis, QuatPart, Signal};
 
-use super::channels::Channels;
+use super::channels::{Channels, sound};
 use super::finding::{Finding, Run};
-use super::series::{Together, best_lag, median, slope, smooth, together};
+use super::series::{AGAINST, Together, best_lag, median, slope, smooth, together};
 
 /// Speeds are compared as means over so long, s: encoder steps vanish.
 const PARITY_WINDOW_S: f64 = 0.15;
@@ -20,8 +20,8 @@ const RATIO: f64 = 1.5;
 const LEAST_R: f64 = 0.6;
 
 pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
-    let speeds: Vec<(&Channels, Together)> = joints
-        .iter()
+    let speeds: Vec<(&Channels, Together)> = sound(joints, out)
+        .into_iter()
         .filter_map(|j| Some((j, speed_parity(run, j.pos.as_ref()?, j.vel.as_ref()?)?)))
         .collect();
     // All speeds off by the same factor: it is the clock.
@@ -51,7 +51,7 @@ pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
 
 /// The change of `pos` per time against `speed`, at the lag where they go best together; `None` where nothing
 /// moves.
-fn speed_parity(run: &Run<'_>, pos: &[f64], speed: &[f64]) -> Option<Together> {
+pub(super) fn speed_parity(run: &Run<'_>, pos: &[f64], speed: &[f64]) -> Option<Together> {
     let grid = &run.grid;
     let width = grid.points(PARITY_WINDOW_S).max(2);
     let half = width / 2;
@@ -79,8 +79,11 @@ fn unit_factor(ratio: f64) -> Option<&'static str> {
 }
 
 fn speed_fault(t: Together, at: &str, of: &str) -> Option<Finding> {
-    if t.r < -0.5 {
-        let detail = format!("goes against the change of {of} (correlation {:.2})", t.r);
+    if t.r < AGAINST {
+        let detail = format!(
+            "goes against the change of {of} (correlation {:.2}); turn the sign of one of them",
+            t.r
+        );
         return Some(Finding::fatal("sign", at.to_owned(), detail));
     }
     if t.r < LEAST_R {
@@ -135,6 +138,7 @@ fn imu(run: &Run<'_>, out: &mut Vec<Finding>) {
         }
     }
     if let Some(grav) = &grav {
+        let mut against = None;
         if let Some(length) = median(norms(grav))
             && !(0.9..1.1).contains(&length)
         {
@@ -151,11 +155,17 @@ fn imu(run: &Run<'_>, out: &mut Vec<Finding>) {
                     "points {how} imu.grav (cosine {:.2}) where it must point against it: check signs and axes",
                     along / length
                 );
-                out.push(Finding::fatal(kind, "imu.acc", detail));
+                against = Some(Finding::fatal(kind, "imu.acc", detail));
             }
         }
-        if let Some(gyro) = &gyro {
-            turning(run, gyro, grav, out);
+        let turning = gyro.as_ref().and_then(|gyro| turning(run, gyro, grav));
+        match (against, turning) {
+            // what two go against is at fault, not they
+            (Some(acc), Some(gyro)) if gyro.kind != "unit" => {
+                let detail = format!("imu.acc {}; and imu.gyro {}", acc.detail, gyro.detail);
+                out.push(Finding::fatal(acc.kind, "imu.grav", detail));
+            }
+            (acc, gyro) => out.extend(acc.into_iter().chain(gyro)),
         }
     }
     if let Some(gyro) = &gyro {
@@ -174,7 +184,7 @@ fn along(a: &[Vec<f64>; 3], g: &[Vec<f64>; 3]) -> Option<f64> {
 }
 
 /// Gravity seen from a turning body turns the other way: d(grav)/dt = −ω × grav.
-fn turning(run: &Run<'_>, gyro: &[Vec<f64>; 3], grav: &[Vec<f64>; 3], out: &mut Vec<Finding>) {
+fn turning(run: &Run<'_>, gyro: &[Vec<f64>; 3], grav: &[Vec<f64>; 3]) -> Option<Finding> {
     let half = (run.grid.points(PARITY_WINDOW_S) / 2).max(1);
     let smooth3 = |v: &[Vec<f64>; 3]| [0, 1, 2].map(|k| smooth(&v[k], 2 * half));
     let (w, g) = (smooth3(gyro), smooth3(grav));
@@ -192,17 +202,13 @@ fn turning(run: &Run<'_>, gyro: &[Vec<f64>; 3], grav: &[Vec<f64>; 3], out: &mut 
     };
     let plain = together(&predicted([1.0; 3], [0, 1, 2]), &change, 0);
     if plain.second_sd < 0.02 {
-        return;
+        return None;
     }
     if plain.r > LEAST_R {
-        if let Some(unit) = unit_factor(1.0 / plain.slope) {
-            let detail = format!(
-                "turns {:.1} times as fast as gravity does; is it in {unit}?",
-                1.0 / plain.slope
-            );
-            out.push(Finding::fatal("unit", "imu.gyro", detail));
-        }
-        return;
+        let times = 1.0 / plain.slope;
+        let unit = unit_factor(times)?;
+        let detail = format!("turns {times:.1} times as fast as gravity does; is it in {unit}?");
+        return Some(Finding::fatal("unit", "imu.gyro", detail));
     }
     // Which exchange of axes and signs would explain it?
     let mut best: Option<(f64, String)> = None;
@@ -225,7 +231,7 @@ fn turning(run: &Run<'_>, gyro: &[Vec<f64>; 3], grav: &[Vec<f64>; 3], out: &mut 
         }
         _ => String::new(),
     };
-    let kind = if plain.r < -0.5 {
+    let kind = if plain.r < AGAINST {
         "sign"
     } else if hint.is_empty() {
         "parity"
@@ -233,7 +239,7 @@ fn turning(run: &Run<'_>, gyro: &[Vec<f64>; 3], grav: &[Vec<f64>; 3], out: &mut 
         "order"
     };
     let detail = format!("does not turn imu.grav as it must (correlation {:.2}){hint}", plain.r);
-    out.push(Finding::fatal(kind, "imu.gyro", detail));
+    Some(Finding::fatal(kind, "imu.gyro", detail))
 }
 
 fn base(run: &Run<'_>, out: &mut Vec<Finding>) {

@@ -9,6 +9,9 @@ const BRIDGE_S: f64 = 0.25;
 /// Most grid points: two hours at 100 Hz. A longer log is judged by its beginning.
 const MAX_POINTS: usize = 720_000;
 
+/// From this correlation on, two signals go against each other.
+pub const AGAINST: f64 = -0.5;
+
 /// An even time grid over a log.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Grid {

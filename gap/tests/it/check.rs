@@ -65,20 +65,54 @@ fn a_joint_at_its_stop_is_not_stuck() {
     assert!(checked.faults.iter().all(|f| f.kind != "stuck"), "{:#?}", checked.faults);
 }
 
+/// The log with these signals of a joint turned.
+fn turned(log: &RunLog, kinds: &[&str], joint: &str) -> RunLog {
+    let at: Vec<Signal> = kinds.iter().map(|k| format!("{k}.{joint}").parse().unwrap()).collect();
+    changed(log, |s, _, _, v| if at.contains(s) { v.map(|x| -x) } else { v })
+}
+
 #[test]
-fn turned_signs_are_found() {
-    let robot = robot("polymander");
-    for trial in ["chirp_medium", "steps_medium", "holds", "gait"] {
-        for log in logs(&robot, trial, &[3, 4]) {
-            for joint in ["FL_hip", "HR_knee"] {
-                let at = Signal::Position(joint.to_owned());
-                let turned = changed(&log, |s, _, _, v| if *s == at { v.map(|x| -x) } else { v });
-                found(&one(&robot, &turned), "sign", &format!("pos.{joint}"));
+fn turned_signs_are_found_and_said_once() {
+    let polymander = robot("polymander");
+    let swing = robot("xl330_pendulum");
+    let both = "turn the sign of the command, or of both";
+    for (robot, trials, joints) in [
+        (&polymander, ["chirp_medium", "steps_medium", "holds", "gait"], vec!["FL_hip", "HR_knee"]),
+        (&swing, ["triangle_fast", "reversals_fast", "multisine", "sines"], vec!["swing"]),
+    ] {
+        for (trial, joint) in trials.iter().flat_map(|t| joints.iter().map(move |j| (t, j))) {
+            let log = &logs(robot, trial, &[3])[0];
+            for (kinds, at, says) in [
+                (&["pos"][..], "pos", ": turn its sign"),
+                (&["cmd"], "pos", both),
+                (&["pos", "vel", "cur"], "pos", both),
+                (&["vel"], "vel", "one of them"),
+            ] {
+                let checked = one(robot, &turned(log, kinds, joint));
+                let at = format!("{at}.{joint}");
+                found(&checked, "sign", &at);
+                let [fault] = checked.faults.as_slice() else {
+                    panic!("{trial} {kinds:?}: {:#?}", checked.faults)
+                };
+                assert!(fault.detail.contains(says), "{trial} {kinds:?}: {}", fault.detail);
             }
-            let at = Signal::Velocity("FL_hip".to_owned());
-            let turned = changed(&log, |s, _, _, v| if *s == at { v.map(|x| -x) } else { v });
-            found(&one(&robot, &turned), "sign", "vel.FL_hip");
         }
+    }
+}
+
+/// Half a period late, a reading goes against its command as one that is turned does.
+#[test]
+fn a_late_reading_is_not_a_turned_one() {
+    let robot = robot("xl330_pendulum");
+    for (trial, rows) in [("triangle_fast", 50), ("reversals_fast", 40)] {
+        let log = &logs(&robot, trial, &[3])[0];
+        let late = changed(log, |s, k, _, _| {
+            let back = if matches!(s, Signal::Command(_)) { 0 } else { rows };
+            log.table.column(s).unwrap()[k.saturating_sub(back)]
+        });
+        let checked = one(&robot, &late);
+        found(&checked, "stamps", "pos.swing");
+        assert!(checked.faults.iter().all(|f| f.kind != "sign"), "{:#?}", checked.faults);
     }
 }
 
@@ -454,6 +488,10 @@ fn a_wrong_imu_is_found() {
     found(&imu(Signal::Acceleration, [0, 1, 2], [-1.0; 3]), "sign", "imu.acc");
     found(&imu(Signal::Acceleration, [0, 2, 1], [1.0; 3]), "order", "imu.acc");
     found(&imu(Signal::Gyro, [0, 1, 2], [57.3; 3]), "unit", "imu.gyro");
+    // what both others go against
+    let checked = imu(Signal::Gravity, [0, 1, 2], [1.0, 1.0, -1.0]);
+    found(&checked, "sign", "imu.grav");
+    assert_eq!(checked.faults.len(), 1, "{:#?}", checked.faults);
 }
 
 #[test]
