@@ -283,6 +283,8 @@ pub fn apply(
         let signal = column.signal.parse();
         signals.push(signal.map_err(|e| wrong(format!("{}: {e}", column.signal)))?);
     }
+    let mut notes = recording.notes.clone();
+    notes.extend(not_later(&samples));
     let mut rows = rows(samples, signals.len());
     // stamps of the calendar count from the first
     if let Some(first_s) = rows.first().map(|r| r.0).filter(|t| *t > CALENDAR_S) {
@@ -299,7 +301,7 @@ pub fn apply(
         meta,
         signals,
         rows,
-        notes: recording.notes.clone(),
+        notes,
         unused: unused(recording, map, &used),
     })
 }
@@ -380,6 +382,22 @@ impl Map {
         }
         meta
     }
+}
+
+/// What is to be said of samples (time, signal, value), signal by signal, whose stamps do not come after the one
+/// before.
+fn not_later(samples: &[(f64, usize, f64)]) -> Option<String> {
+    let of = |own: &[(f64, usize, f64)]| {
+        let wrong = own.windows(2).filter(|w| w[1].0 < w[0].0 + SAME_STAMP_S);
+        let at_s: Vec<f64> = wrong.map(|w| w[1].0 - own[0].0).collect();
+        Some((at_s.len(), *at_s.first()?))
+    };
+    let worst = samples.chunk_by(|a, b| a.1 == b.1).filter_map(of).max_by_key(|(count, _)| *count);
+    worst.map(|(count, at_s)| {
+        format!(
+            "{count} stamp(s) do not come after the one before, the first {at_s:.3} s after the beginning: rows are put in order, and of a doubled stamp the last value counts"
+        )
+    })
 }
 
 /// Samples (time, signal, value) as rows.

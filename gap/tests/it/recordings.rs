@@ -9,6 +9,7 @@ use caudata_model::RobotModel;
 use caudata_runlog::ros::messages::{
     BatteryState, Header, Imu, JointState, JointTrajectory, Odometry, TrajectoryPoint,
 };
+use caudata_runlog::ros::parse_mcap;
 use caudata_runlog::{RunLog, Signal};
 use mcap::records::MessageHeader;
 
@@ -293,6 +294,27 @@ fn a_free_robot_has_its_other_sensors() {
     ] {
         assert!((value(run, 0, signal) - want).abs() < 1e-6, "{signal}");
     }
+}
+
+/// Imported or read as it is: of a doubled stamp one reading is lost, and that is said.
+#[test]
+fn doubled_stamps_are_counted() {
+    let dir = tempfile::tempdir().unwrap();
+    let robot = robot("xl330_pendulum");
+    let of = |stamps_ms: &[i64]| {
+        let states = stamps_ms.iter().map(|ms| {
+            let stamp_ns = 1_000_000 * ms;
+            ("/joint_states", JOINTS, stamp_ns as u64, state(stamp_ns, &["swing"], vec![0.1]))
+        });
+        let path = bag(dir.path(), &states.collect::<Vec<_>>());
+        let runs = imported(&path, &drafted(&path, &robot), &robot).unwrap();
+        let read = parse_mcap("run.mcap", &std::fs::read(&path).unwrap()).unwrap();
+        (runs[0].notes.clone(), read.notes().to_vec())
+    };
+    assert_eq!(of(&[10, 20, 30]), (vec![], vec![]));
+    let (notes, read) = of(&[10, 20, 20, 40, 30]);
+    has(&notes.join(""), &["2 stamp(s) do not come after the one before, the first 0.010 s after"]);
+    assert_eq!(read, ["1 value(s) that another of the same signal and stamp follows"]);
 }
 
 #[test]

@@ -139,7 +139,7 @@ fn samples(kind: &str, topic: &str, data: &[u8]) -> Result<(Header, Row), CdrErr
     Ok((header, row))
 }
 
-fn table(rows: BTreeMap<i64, Row>, notes: Vec<String>) -> Result<Table, String> {
+fn table(rows: BTreeMap<i64, Row>, mut notes: Vec<String>) -> Result<Table, String> {
     let mut columns: BTreeMap<Signal, usize> = BTreeMap::new();
     for (signal, value) in rows.values().flatten() {
         signal.check().map_err(|e| e.to_string())?;
@@ -157,11 +157,15 @@ fn table(rows: BTreeMap<i64, Row>, notes: Vec<String>) -> Result<Table, String> 
     let first_ns = rows.keys().next().copied().unwrap_or(0);
     let mut cells: Vec<Vec<Option<f64>>> = vec![vec![None; rows.len()]; columns.len()];
     let mut time_s = Vec::with_capacity(rows.len());
+    let mut doubled = 0;
     for (k, (stamp_ns, row)) in rows.into_iter().enumerate() {
         time_s.push((i128::from(stamp_ns) - i128::from(first_ns)) as f64 * 1e-9);
         for (signal, value) in row {
-            cells[columns[&signal]][k] = Some(value);
+            doubled += usize::from(cells[columns[&signal]][k].replace(value).is_some());
         }
+    }
+    if doubled > 0 {
+        notes.push(format!("{doubled} value(s) that another of the same signal and stamp follows"));
     }
     Ok(Table::from_columns(columns.into_keys().collect(), time_s, cells, notes))
 }
