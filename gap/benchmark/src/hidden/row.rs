@@ -90,23 +90,29 @@ pub struct Hidden {
     truth: [Option<Measure>; 2],
 }
 
-/// On a rig with one joint (effect, what fits exactly as well, beside what): of a hanging link two numbers
-/// show, its moment of gravity and its inertia about the hinge, and where an inertia is free only the first
-/// tells a mass from its centre.
-const EQUIVALENT_BESIDE: &[(&str, &str, &[&str])] = &[
-    ("link_mass", "link_com", &["link_inertia", "armature"]),
-    ("link_com", "link_mass", &["link_inertia", "armature"]),
-];
+/// What changes a link that hangs on one hinge, of which two numbers show: its moment of gravity and its inertia
+/// about the hinge. Two of these are one robot with any other two, but for the two that are inertia alone, and with
+/// a weight on the link.
+const HANGING: [&str; 4] = ["link_mass", "link_com", "link_inertia", "armature"];
+const INERTIA_ALONE: [&str; 2] = ["link_inertia", "armature"];
+const WEIGHT: &str = "point_mass";
 
 impl Hidden {
     /// Ids that the same data fit exactly as well where one of those is named too that they come with, on a
     /// rig with `joints` joints where the effects `hidden` are hidden: (id, named too).
     pub fn same_beside(&self, joints: usize, hidden: &[&str]) -> Vec<(&'static str, &'static str)> {
-        let rows = EQUIVALENT_BESIDE.iter();
-        let here = |(id, _, beside): &&(&str, &str, &[&str])| {
-            joints == 1 && *id == self.id && beside.iter().any(|b| hidden.contains(b))
+        let two = |a: &str, b: &str| {
+            a != b
+                && HANGING.contains(&a)
+                && HANGING.contains(&b)
+                && !(INERTIA_ALONE.contains(&a) && INERTIA_ALONE.contains(&b))
         };
-        rows.filter(here).flat_map(|(_, same, beside)| beside.iter().map(|b| (*same, *b))).collect()
+        if joints != 1 || !hidden.iter().any(|other| two(self.id, other)) {
+            return Vec::new();
+        }
+        let others = HANGING.into_iter().filter(|a| *a != self.id);
+        let beside = others.flat_map(|a| HANGING.map(|b| (a, b))).filter(|(a, b)| two(a, b));
+        beside.chain([(WEIGHT, WEIGHT)]).collect()
     }
 
     /// Puts it into `world`, at joint `a` where it has one.

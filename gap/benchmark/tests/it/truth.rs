@@ -72,13 +72,27 @@ fn where_an_inertia_is_free_a_mass_does_what_its_centre_does() {
     let mut mass = limp(&rig);
     mass.links[arm].mass_scale = 1.2;
     mass.joints[0].rotor_kgm2 = 0.001_84;
-    let [centre, mass] = [centre, mass].map(|s| run(&rig, &s, &[1.0], 4.0));
-    let apart = centre.pos_rad[0].iter().zip(&mass.pos_rad[0]);
-    let apart = apart.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-    assert!(apart < 1e-9, "{apart}");
+    let apart = |a: &Spec, b: &Spec| {
+        let [a, b] = [a, b].map(|s| run(&rig, s, &[1.0], 4.0));
+        let apart = a.pos_rad[0].iter().zip(&b.pos_rad[0]);
+        apart.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    };
+    assert!(apart(&centre, &mass) < 1e-9);
+    // 1.1 of the mass with the same moment: 0.000 66 + 0.048²/0.44 = 0.005 896; the centre 20 mm farther out has
+    // that with 0.2273 of its inertia
+    let mut both = limp(&rig);
+    both.links[arm].mass_scale = 1.1;
+    both.links[arm].com_offset_m = [0.0, 0.0, 0.1 - 0.048 / 0.44];
+    centre.joints[0].rotor_kgm2 = 0.0;
+    centre.links[arm].inertia_scale = (0.000_66 + 0.048 * 0.048 / 0.44 - 0.005_76) / 0.0006;
+    assert!(apart(&centre, &both) < 1e-9);
     let h = CATALOGUE.iter().find(|h| h.id == "link_com").unwrap();
-    let inertias = [("link_mass", "link_inertia"), ("link_mass", "armature")];
-    assert_eq!(h.same_beside(1, &["link_com", "armature"]), inertias);
+    let same = h.same_beside(1, &["link_com", "armature"]);
+    assert!(
+        same.contains(&("link_mass", "armature")) && same.contains(&("point_mass", "point_mass"))
+    );
+    assert!(!same.contains(&("link_inertia", "armature")));
+    assert!(h.same_beside(1, &["link_com"]).is_empty());
     assert!(h.same_beside(1, &["link_com", "kp_error"]).is_empty());
     assert!(h.same_beside(2, &["link_com", "armature"]).is_empty());
 }
