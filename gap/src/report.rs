@@ -112,8 +112,12 @@ pub struct Cause {
     pub parameters: BTreeMap<String, Parameter>,
     /// Calibrated probability that this name is right, 0 to 1.
     pub confidence: f64,
-    /// Effect ids that explain it as well.
+    /// Effect ids that explain it as well, alone or two of them together.
     pub alternatives: Vec<String>,
+    /// Those of `alternatives` that explain it as well two together, and not alone: on a hinge a mass and a rotor
+    /// are what a weight on the link is.
+    #[serde(default)]
+    pub together: Vec<Vec<String>>,
     /// Those of `alternatives` that are the very same robot: no reading of any trial of the battery tells them
     /// from it.
     #[serde(default)]
@@ -177,10 +181,21 @@ impl Cause {
         for place in &self.elsewhere {
             out.push_str(&format!(" or at {}", place.join(", ")));
         }
-        for name in &self.alternatives {
-            out.push_str(&format!(" or {name}"));
+        for names in self.as_good(&str::to_owned) {
+            out.push_str(&format!(" or {names}"));
         }
         out
+    }
+
+    /// What explains it as well, in words: `a`, `b with c`.
+    pub fn as_good(&self, name: &dyn Fn(&str) -> String) -> Vec<String> {
+        let alone =
+            self.alternatives.iter().filter(|a| !self.together.iter().flatten().any(|t| t == *a));
+        let all = |two: &Vec<String>| {
+            let names: Vec<String> = two.iter().map(|id| name(id)).collect();
+            names.join(" with ")
+        };
+        alone.map(|id| name(id)).chain(self.together.iter().map(all)).collect()
     }
 }
 

@@ -28,7 +28,7 @@ class Cause:
     confidence: float
     """Calibrated probability that the name is right."""
     alternatives: List[str]
-    """What explains it as well."""
+    """What explains it as well, alone or two together."""
 
 
 @dataclass(frozen=True)

@@ -186,7 +186,7 @@ fn cause(number: usize, cause: &Cause) {
         ));
     }
     if !cause.alternatives.is_empty() {
-        say::line(format!("   as good: {}", cause.alternatives.join(", ")));
+        say::line(format!("   as good: {}", cause.as_good(&str::to_owned).join(", ")));
     }
     for place in &cause.elsewhere {
         say::line(format!("   as good: at {}", place.join(", ")));

@@ -156,7 +156,7 @@ fn left(context: &Context, base: &State, best: &State) -> Vec<Left> {
 /// Whether a term's size wants to be larger than it can plausibly be: it stands in for something else, and
 /// what acts at the same place makes up for where it differs. The same goes for what else its law counts, a
 /// speed at which friction bends, a number of ripples in a turn.
-fn outgrown(context: &Context, term: &Term) -> bool {
+pub fn outgrown(context: &Context, term: &Term) -> bool {
     (0..term.values.len()).any(|p| term.at_bound(context.replayer.model(), p))
 }
 

@@ -28,6 +28,7 @@ mod naming;
 mod next;
 mod noise;
 mod nuisances;
+mod pairs;
 mod pictures;
 mod pipeline;
 mod product;

@@ -4,10 +4,11 @@
 use std::collections::BTreeSet;
 
 use super::alike::{indistinguishable, trades, wider};
-use super::doubt::one_place;
+use super::doubt::{one_place, outgrown};
 use super::fits::{Before, fitted, penalised, with_each};
 use super::gates::{self, Worth};
 use super::levels::RIGHT_LEAVES;
+use super::pairs::{Pair, misfit_with, pairs, parameters};
 use super::refine::refine;
 use super::screen::{Screened, look_alikes, screen};
 use super::search::{Found, MOST_TERMS};
@@ -26,6 +27,8 @@ const RIVALS: usize = 8;
 const ERRORS_OF_LAW: f64 = 13.0;
 /// A rival with this likelihood, that of the cause being 1, belongs to the answer set.
 const AS_LIKELY: f64 = 0.19;
+/// A rival that is so many times as likely as the cause has the better name.
+const LIKELIER: f64 = 1.5;
 /// A rival that fails to explain this share of what the cause does explains something else that is left.
 const STANDS_IN: f64 = 0.5;
 /// A rival that fails to explain this share of what the cause does is none, even if what it does could as well be
@@ -67,6 +70,8 @@ pub struct Named {
     pub worth: Worth,
     /// Rivals, best first.
     pub rivals: Vec<Rival>,
+    /// Two names each that say in its place what it says, or more, best first.
+    pub pairs: Vec<Pair>,
     /// Probability of its own name.
     pub probability: f64,
     /// Declared look-alikes that there was no time to try.
@@ -104,15 +109,7 @@ pub fn name(context: &Context, found: &mut Found, out: &mut Vec<Named>) -> Resul
         for (index, without) in withouts.into_iter().enumerate().rev() {
             let screened = screened.pop().unwrap_or_default();
             let named = rivals_of(context, &found.best, index, without, &screened)?;
-            let better = match simpler(context, &found.best, &named, &seen) {
-                None if named.worth.cross <= 0.0 => Some(named.without.clone()),
-                None => {
-                    let new = |s: &State| !seen.contains(&s.key());
-                    both(context, &found.best, &named)?.filter(new)
-                }
-                simpler => simpler,
-            };
-            if let Some(better) = better {
+            if let Some(better) = better(context, &found.best, &named, &seen)? {
                 found.best = better;
                 continue 'again;
             }
@@ -120,6 +117,45 @@ pub fn name(context: &Context, found: &mut Found, out: &mut Vec<Named>) -> Resul
         }
         return Ok(());
     }
+}
+
+/// A model that is to be believed before `best` and its cause in `named`, and was not the best before (`seen`).
+fn better(
+    context: &Context,
+    best: &State,
+    named: &Named,
+    seen: &BTreeSet<Vec<String>>,
+) -> Result<Option<State>, GapError> {
+    if let Some(simpler) = simpler(context, best, named, seen)? {
+        return Ok(Some(simpler));
+    }
+    if named.worth.cross <= 0.0 {
+        return Ok(Some(named.without.clone()));
+    }
+    let new = |s: &State| !seen.contains(&s.key());
+    if let Some(other) = likelier(context, best, named)?.filter(new) {
+        return Ok(Some(other));
+    }
+    match better_pair(context, best, named).filter(new) {
+        None => Ok(both(context, best, named)?.filter(new)),
+        pair => Ok(pair),
+    }
+}
+
+/// The model with the likeliest rival of the cause in `named`, if it is clearly another, and likelier with no more
+/// parameters as well.
+fn likelier(context: &Context, best: &State, named: &Named) -> Result<Option<State>, GapError> {
+    let most = best.parameters(context.replayer.model());
+    let surely = |r: &&Rival| {
+        r.probability > LIKELIER * named.probability && !indistinguishable(best, &r.state)
+    };
+    for r in named.rivals.iter().filter(surely) {
+        let misfit = misfit_with(context, &r.state, r.index, most)?;
+        if misfit.is_some_and(|misfit| misfit < best.fit.misfit) {
+            return Ok(Some(r.state.clone()));
+        }
+    }
+    Ok(None)
 }
 
 /// The model with the rival that says the same as the cause in `named` with less, which is the first to be
@@ -130,30 +166,55 @@ fn simpler(
     best: &State,
     named: &Named,
     seen: &BTreeSet<Vec<String>>,
-) -> Option<State> {
-    let model = context.replayer.model();
-    let size = |s: &State| (s.parameters(model), chances(s));
+) -> Result<Option<State>, GapError> {
     let own = &best.terms[named.index];
-    let same = |r: &Rival| {
-        if r.state.parameters(model) == best.parameters(model) {
-            return indistinguishable(best, &r.state);
-        }
-        // what more parameters say beyond it must earn its place as a further cause beside it would
-        let more = gates::worth(context, &r.state, best, Some(&own.place));
-        !more.passed || is_a_lead(gates::quiet(context), &more)
-    };
+    let count = best.parameters(context.replayer.model());
     // a law is never simpler than its special case, whatever else is left free
     let special = |r: &&Rival| !wider(own.effect, r.state.terms[r.index].effect);
     let new = |r: &&Rival| !seen.contains(&r.state.key());
-    let alike = (named.rivals.iter())
-        .filter(new)
-        .filter(special)
-        .filter(|r| r.in_set && size(&r.state) < size(best) && same(r));
-    let first = alike.min_by(|a, b| {
-        let by_size = size(&a.state).cmp(&size(&b.state));
-        by_size.then(a.short.total_cmp(&b.short))
-    })?;
-    Some(first.state.clone())
+    let mut first: Option<((usize, usize), &Rival)> = None;
+    for r in named.rivals.iter().filter(|r| r.in_set).filter(new).filter(special) {
+        let few = parameters(context, &r.state, r.index)?;
+        let size = (few, chances(&r.state));
+        // rivals come best first
+        let ahead = first.as_ref().is_none_or(|(f, _)| size < *f);
+        if ahead && size < (count, chances(best)) && says_the_same(context, best, named, r, few)? {
+            first = Some((size, r));
+        }
+    }
+    Ok(first.map(|(_, r)| r.state.clone()))
+}
+
+/// Whether `best` says nothing beyond rival `r` of its cause in `named`, which needs so `few` parameters.
+fn says_the_same(
+    context: &Context,
+    best: &State,
+    named: &Named,
+    r: &Rival,
+    few: usize,
+) -> Result<bool, GapError> {
+    if few == best.parameters(context.replayer.model()) {
+        return Ok(indistinguishable(best, &r.state));
+    }
+    // what leaves less with as few is as simple
+    let as_few = misfit_with(context, best, named.index, few)?;
+    if as_few.is_some_and(|misfit| misfit < r.state.fit.misfit) {
+        return Ok(false);
+    }
+    // what more parameters say beyond it must earn its place as a further cause beside it would
+    let more = gates::worth(context, &r.state, best, Some(&best.terms[named.index].place));
+    Ok(!more.passed || is_a_lead(gates::quiet(context), &more))
+}
+
+/// The best pair in the place of the cause in `named`, if that would have to be larger than it can plausibly be, and
+/// the pair is plausible and leaves less.
+fn better_pair(context: &Context, best: &State, named: &Named) -> Option<State> {
+    let plausible = |s: &State| s.terms.iter().all(|t| !outgrown(context, t));
+    let less = |s: &&State| penalised(context, s) < penalised(context, best) && plausible(s);
+    if plausible(best) {
+        return None;
+    }
+    named.pairs.iter().map(|p| &p.state).find(less).cloned()
 }
 
 /// What [`name`] did not come to when time ended. What each of these causes is worth is known then; it and its
@@ -182,6 +243,7 @@ pub fn name_untried(
             worth,
             without,
             rivals: Vec::new(),
+            pairs: Vec::new(),
             probability: 1.0 / (1 + untried.len()) as f64,
             untried,
         });
@@ -326,16 +388,29 @@ fn rivals_of(
             (r.in_set, r.probability) = (true, 1.0);
         }
     }
-    let total = 1.0 + rivals.iter().map(|r| r.probability).sum::<f64>();
-    for r in &mut rivals {
-        r.probability /= total;
+    let pair = |state: State| Pair {
+        probability: likelihood(own, penalised(context, &state), concerned),
+        state,
+    };
+    let mut alone: Vec<&Term> = Vec::new();
+    for r in rivals.iter().filter(|r| !r.in_set && r.short < 1.0) {
+        let term = &r.state.terms[r.index];
+        if alone.iter().all(|t| t.effect != term.effect) {
+            alone.push(term);
+        }
     }
+    let mut pairs: Vec<Pair> = pairs(context, best, index, &alone)?.into_iter().map(pair).collect();
+    let all = rivals.iter_mut().map(|r| &mut r.probability);
+    let mut all: Vec<&mut f64> = all.chain(pairs.iter_mut().map(|p| &mut p.probability)).collect();
+    let total = 1.0 + all.iter().map(|p| **p).sum::<f64>();
+    all.iter_mut().for_each(|p| **p /= total);
     Ok(Named {
         index,
         worth: gates::worth(context, &without, best, Some(&term.place)),
         without,
         probability: 1.0 / total,
         rivals,
+        pairs,
         untried: Vec::new(),
     })
 }

@@ -110,15 +110,17 @@ fn between_names(
     named: &[Named],
 ) -> Result<Option<NextExperiment>, GapError> {
     let own = named.iter().find(|n| n.is(&found.best, open));
+    let another = |t: &Term| {
+        let has = |of: &[String]| of.iter().any(|a| a == t.effect.id);
+        has(&open.alternatives) && !has(&open.synonyms)
+    };
     let rival = own.and_then(|n| {
-        let is = |id: &str| {
-            let has = |of: &[String]| of.iter().any(|a| a == id);
-            has(&open.alternatives) && !has(&open.synonyms)
-        };
-        n.rivals.iter().find(|r| r.in_set && is(r.state.terms[r.index].effect.id))
+        let one = n.rivals.iter().find(|r| r.in_set && another(&r.state.terms[r.index]));
+        let two = || n.pairs.iter().find(|p| p.terms().iter().any(another));
+        one.map(|r| &r.state).or_else(|| two().map(|p| &p.state))
     });
     let Some(rival) = rival else { return Ok(None) };
-    let pair = [found.best.terms.clone(), rival.state.terms.clone()];
+    let pair = [found.best.terms.clone(), rival.terms.clone()];
     let bare = most_telling(context, &pair, |_| true, None)?;
     let mut separates = vec![open.effect.clone()];
     separates.extend(open.alternatives.iter().cloned());
@@ -128,7 +130,7 @@ fn between_names(
         reason: format!(
             "{} and {} explain these runs alike; {with}in this trial they would differ by {apart}",
             open.effect,
-            open.alternatives.join(", ")
+            open.as_good(&str::to_owned).join(", ")
         ),
         separates: separates.clone(),
         payload,

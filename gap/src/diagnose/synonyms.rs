@@ -27,6 +27,14 @@ pub fn synonyms(
             out.extend(one_robot(context, &robots)?.then(|| id.to_owned()));
         }
     }
+    for pair in &own.pairs {
+        let robots = [best.without(own.index), best.terms.clone(), pair.state.terms.clone()];
+        if one_robot(context, &robots)? {
+            out.extend(pair.terms().iter().map(|t| t.effect.id.to_owned()));
+        }
+    }
+    out.sort();
+    out.dedup();
     Ok(out)
 }
 

@@ -228,6 +228,8 @@ fn verdict(
 struct Weighed<'a> {
     /// Names that are as good.
     alternatives: Vec<String>,
+    /// Pairs of names that are together, and not alone.
+    together: Vec<Vec<String>>,
     rejected: Vec<Rejected>,
     /// Probability of the name, wherever it is.
     same_name: f64,
@@ -287,6 +289,20 @@ fn weigh<'a>(best: &State, named: &'a Named, synonyms: &[String]) -> Weighed<'a>
             out.rejected.push(Rejected { effect: id, reason });
         }
     }
+    for pair in &named.pairs {
+        let two = pair.terms();
+        let ids: Vec<String> = two.iter().map(|t| t.effect.id.to_owned()).collect();
+        let of_layer = two.iter().all(|t| t.effect.layer == term.effect.layer);
+        if of_layer || ids.iter().all(|id| synonyms.contains(id)) {
+            out.same_name += pair.probability;
+        }
+        out.together.push(ids);
+    }
+    let mut of_pairs = out.together.concat();
+    of_pairs.retain(|id| !out.alternatives.contains(id));
+    of_pairs.sort();
+    of_pairs.dedup();
+    out.alternatives.extend(of_pairs);
     out.alternatives.extend(named.untried.iter().map(|id| (*id).to_owned()));
     out
 }
@@ -314,6 +330,7 @@ fn cause(
         parameters,
         confidence: confidence(context, &grounds, &weighed),
         alternatives: weighed.alternatives,
+        together: weighed.together,
         synonyms: Vec::new(),
         elsewhere: weighed.elsewhere,
         evidence: evidence(context, term, named),
@@ -449,5 +466,8 @@ mod tests {
         assert_eq!(cause.rivals(), "girdle_play at hind or at front or payload");
         cause.elsewhere.clear();
         assert_eq!(cause.rivals(), "girdle_play or payload");
+        cause.alternatives = ["payload", "armature", "link_mass"].map(str::to_owned).to_vec();
+        cause.together = vec![["link_mass", "armature"].map(str::to_owned).to_vec()];
+        assert_eq!(cause.rivals(), "girdle_play or payload or link_mass with armature");
     }
 }

@@ -144,8 +144,7 @@ pub fn causes(report: &Report, plots: Option<&Plots>) -> String {
             );
         }
         if !cause.alternatives.is_empty() {
-            let names: Vec<String> =
-                cause.alternatives.iter().map(|a| escape(&effect_name(a))).collect();
+            let names = cause.as_good(&|id| escape(&effect_name(id)));
             let _ = write!(
                 out,
                 "<p class=\"warn\">As good an explanation in these runs: {}.</p>",

@@ -65,6 +65,7 @@ fn sample() -> (Report, Plots) {
         parameters: BTreeMap::from([("friction_nm".to_owned(), parameter(0.084, "N·m", 0.006))]),
         confidence: 0.93,
         alternatives: vec![],
+        together: Vec::new(),
         synonyms: Vec::new(),
         elsewhere: Vec::new(),
         evidence: vec![
@@ -86,6 +87,7 @@ fn sample() -> (Report, Plots) {
         parameters: BTreeMap::from([("delay_s".to_owned(), parameter(0.0123, "s", 0.0009))]),
         confidence: 0.58,
         alternatives: vec!["command_low_pass".to_owned()],
+        together: Vec::new(),
         synonyms: Vec::new(),
         elsewhere: vec![vec!["FR_knee".to_owned()]],
         evidence: vec!["Lag is 12 ms at every frequency.".to_owned()],
@@ -100,6 +102,7 @@ fn sample() -> (Report, Plots) {
         parameters: BTreeMap::from([("way_rad".to_owned(), parameter(0.0088, "rad", 0.001))]),
         confidence: 0.1,
         alternatives: vec![],
+        together: Vec::new(),
         synonyms: Vec::new(),
         elsewhere: Vec::new(),
         evidence: vec!["takes 39 % off the misfit of held-out runs".to_owned()],

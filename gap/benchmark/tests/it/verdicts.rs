@@ -9,7 +9,7 @@ use caudata_gap_benchmark::examinee;
 use caudata_gap_benchmark::generate;
 use caudata_gap_benchmark::hidden::find;
 use caudata_gap_benchmark::score::outcome::{self, CONFIDENT, Given};
-use caudata_gap_benchmark::sets::Plan;
+use caudata_gap_benchmark::sets::{self, Plan, SetName};
 
 /// Seed of what differs from run to run.
 const SEED: u64 = 5;
@@ -143,6 +143,36 @@ fn two_gains_that_look_alike_are_both_named() {
         let right = effect.named && effect.interval_holds == Some(true);
         assert!(right, "{effect:?}");
     }
+}
+
+#[test]
+fn two_that_are_one_robot_with_another_two_are_in_its_answer_set() {
+    let root = tempfile::tempdir().unwrap();
+    let hidden = ["armature", "link_com"];
+    let answer = recorded_on("pendulum", &hidden, Block::Pair, root.path());
+    let report = diagnosed(&root.path().join("case"));
+    // of a link on one hinge its moment of gravity and its inertia show, whatever makes them
+    assert_eq!(report.verdict, Verdict::Ambiguous, "{}", report.summary);
+    let given = Given { report: Some(report), failure: String::new(), seconds: 0.0 };
+    let links = [("swing".to_owned(), "arm".to_owned())];
+    for effect in outcome::judge(&answer, &given, &links).truth {
+        assert!(effect.named && effect.in_set, "{effect:?}");
+    }
+}
+
+#[test]
+fn a_likelier_name_takes_the_place_of_a_cause() {
+    let root = tempfile::tempdir().unwrap();
+    // a mass explains a displaced centre as long as nobody knows of the play beside it
+    let is_pair = |p: &Plan| p.block == Block::Pair;
+    let plan = sets::plan(SetName::Pr, 929, None).into_iter().find(is_pair).unwrap();
+    let hidden: Vec<&str> = plan.effects.iter().map(|e| e.0.id).collect();
+    assert_eq!(hidden, ["link_com", "gear_backlash"]);
+    generate::make("case", &plan, root.path()).unwrap();
+    let report = diagnosed(&root.path().join("case"));
+    let mut names: Vec<&str> = report.causes.iter().map(|c| c.effect.as_str()).collect();
+    names.sort_unstable();
+    assert_eq!(names, ["gear_backlash", "link_com"], "{}", report.summary);
 }
 
 #[test]
