@@ -115,9 +115,17 @@ const WIDER: &[(&str, &str)] = &[
 ];
 
 /// The same on a rig with one joint. Of a hanging link two numbers show, its moment of gravity and its
-/// inertia about the hinge: any two of its mass, its centre and an inertia are the third one.
-const WIDER_OF_ONE: &[(&str, &str)] =
-    &[("armature", "link_com"), ("link_mass", "link_com"), ("link_com", "link_mass")];
+/// inertia about the hinge: any two of its mass, its centre and an inertia are the third one, and a weight on it,
+/// whose mass and lever are free, is any of them, or is beside another.
+const WIDER_OF_ONE: &[(&str, &str)] = &[
+    ("armature", "link_com"),
+    ("link_mass", "link_com"),
+    ("link_com", "link_mass"),
+    ("armature", "point_mass"),
+    ("link_inertia", "point_mass"),
+    ("link_mass", "point_mass"),
+    ("link_com", "point_mass"),
+];
 
 /// Effects whose starved data leave them among look-alikes.
 const STARVABLE: &[&str] = &[
