@@ -32,6 +32,8 @@ struct Size {
     servo_radps: f64,
     /// Viscous damping of a driven joint, mean, N·m·s/rad; of a slide at a lever of 0.1 m.
     damping_nms: f64,
+    /// Position gain of a joint that carries it, mean, N·m/rad; of a slide alike.
+    stiffness_nm: f64,
 }
 
 impl Size {
@@ -76,6 +78,7 @@ impl Size {
         let leg = |a: usize| model.leg_of(model.joints()[model.actuated()[a]].child_link).is_some();
         let carries = |a: &usize| feet + wheels.len() == 0 || model.rolls(*a) || leg(*a);
         let speed = |a: usize| model.servo(a).qd_max_radps / model.per_radian(a);
+        let turned = |a: usize, of_joint: f64| of_joint * model.per_radian(a).powi(2);
         Ok(Self {
             feet,
             wheels: wheels.len(),
@@ -86,10 +89,10 @@ impl Size {
             },
             com_m: (com_z - lowest).max(0.01),
             servo_radps: (0..count).filter(carries).map(speed).fold(f64::INFINITY, f64::min),
-            damping_nms: (0..count)
-                .map(|i| model.servo(i).damping_nm_s_per_rad * model.per_radian(i).powi(2))
-                .sum::<f64>()
-                / count.max(1) as f64,
+            damping_nms: mean((0..count).map(|a| turned(a, model.servo(a).damping_nm_s_per_rad))),
+            stiffness_nm: mean(
+                (0..count).filter(carries).map(|a| turned(a, model.kp_nm_per_rad(a))),
+            ),
         })
     }
 
@@ -146,6 +149,13 @@ impl Size {
         matches!(self.feet + self.wheels, 1 | 2)
     }
 
+    /// Radians that an action of 1 turns a joint by. On two legs half a radian, or what is worth an eighth of its
+    /// weight at the length of a leg: with soft gains less does not hold it up (docs/reference/learning.md).
+    fn action_scale_rad(&self) -> f64 {
+        let load_nm = self.mass_kg * GRAVITY_MPS2 * self.leg_m;
+        if self.feet == 2 { (load_nm / 8.0 / self.stiffness_nm).clamp(0.5, 1.5) } else { 0.8 }
+    }
+
     /// Cut-off of the action filter, Hz: below the stride's frequency, so that steps come of it instead of
     /// vibration; but what balances must act many times as fast as it falls, since its servos take their time
     /// too. How many: docs/reference/learning.md, by trainings of published bipeds.
@@ -153,6 +163,11 @@ impl Size {
         let most_hz = 0.5 / PERIOD_S; // what control can follow
         if self.balances() { (11.0 * self.falls_hz()).min(most_hz) } else { 0.8 * self.stride_hz() }
     }
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0), |(sum, count), v| (sum + v, count + 1));
+    sum / f64::from(count.max(1))
 }
 
 /// Two digits that count.
@@ -236,7 +251,7 @@ fn write_layer(
         clearance = round(0.6 * swing_m),
         vibration = round(4.5 * stride_hz),
         duty = if size.feet <= 2 { "[0.35, 0.85]" } else { "[0.35, 0.75]" },
-        scale = if size.feet == 2 { 0.5 } else { 0.8 },
+        scale = round(size.action_scale_rad()),
         alpha = round(1.0 - (-std::f64::consts::TAU * size.filter_hz() * PERIOD_S).exp()),
         filter_hz = size.filter_hz(),
         hz_low = round(0.95 * stride_hz),
@@ -266,16 +281,41 @@ fn write_layer(
 mod tests {
     use super::*;
 
+    const BIPED: Size = Size {
+        feet: 2,
+        wheels: 0,
+        mass_kg: 1.8,
+        leg_m: 0.18,
+        com_m: 0.9,
+        servo_radps: 30.0,
+        damping_nms: 0.05,
+        stiffness_nm: 300.0,
+    };
+
     /// Two legs of 0.18 m lifted by 36 mm 1.25 times a second: knees turn at 1.96 rad/s, which takes 4.5 W at
     /// 0.39 N·m·s/rad, where 1.8 kg at 0.13 m/s are worth 2.3 W; no damping counts for more than threefold.
     #[test]
     fn steps_against_the_joints_damping_are_an_effort() {
-        let (mass_kg, leg_m, com_m, servo_radps) = (1.8, 0.18, 0.2, 30.0);
-        let of = |damping_nms| {
-            Size { feet: 2, wheels: 0, mass_kg, leg_m, com_m, servo_radps, damping_nms }.effort()
-        };
+        let of = |damping_nms| Size { damping_nms, ..BIPED }.effort();
         assert_eq!(of(0.05), 1.0);
         assert!((of(0.39) - 4.5 / 2.3).abs() < 0.03, "{}", of(0.39));
         assert_eq!(of(40.0), 3.0);
+    }
+
+    /// From a height of 0.3924 m it tips over at √(9.81/0.3924) = 5 rad/s, 0.796 Hz: 2.3 times that are 1.83 Hz.
+    #[test]
+    fn the_smaller_a_biped_the_quicker_its_clock() {
+        let hz = |com_m| round(Size { com_m, ..BIPED }.stride_hz());
+        assert_eq!([0.9, 0.3924, 0.1].map(hz), [1.3, 1.8, 2.5]);
+    }
+
+    /// 32 kg on legs of 0.6 m: an eighth of 188.4 N·m are 23.5 N·m, a radian at that stiffness.
+    #[test]
+    fn soft_gains_make_an_action_a_wider_turn() {
+        let scale = |stiffness_nm| {
+            round(Size { mass_kg: 32.0, leg_m: 0.6, stiffness_nm, ..BIPED }.action_scale_rad())
+        };
+        assert_eq!([300.0, 23.544, 1.0].map(scale), [0.5, 1.0, 1.5]);
+        assert_eq!(Size { feet: 4, ..BIPED }.action_scale_rad(), 0.8);
     }
 }

@@ -16,6 +16,8 @@ const SLOW_SHARE: f64 = 0.25;
 const RESTS_RADPS: f64 = 0.1;
 /// A shift of the stamps explains a position that goes against its command by so much more correlation.
 const CLEARLY: f64 = 0.1;
+/// One reading this many times beyond the range is no reading, and no simulation can follow it.
+const ABSURD: f64 = 1000.0;
 /// At least so long a stretch is judged, s.
 const LONG_ENOUGH_S: f64 = 1.0;
 /// A joint may be read beyond its range by this factor and this angle (rad): stops yield, zeros are off.
@@ -76,7 +78,8 @@ fn units(run: &Run<'_>, joint: &Channels, turned: bool, out: &mut Vec<Finding>) 
         let x = x.as_ref()?;
         let known = x.iter().filter(|v| v.is_finite()).count();
         let over: Vec<f64> = x.iter().copied().filter(|v| v.abs() > widest).collect();
-        (over.len() * 50 > known).then(|| over.iter().fold(0.0, |m: f64, v| m.max(v.abs())))
+        let most = over.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+        (over.len() * 50 > known || most > ABSURD * widest).then_some(most)
     };
     for (what, column) in [("cmd", &joint.cmd), ("pos", &joint.pos)] {
         if let Some(most) = beyond(column) {
