@@ -417,7 +417,7 @@ fn readings_that_are_late_are_found() {
     assert!(one(&robot, &late(6)).faults.is_empty());
 }
 
-/// Of a swing that repeats itself a lag fits as well a period later, and beyond its resonance a servo goes
+/// A swing that repeats itself fits with a lag of a period as well, and beyond its resonance a servo goes
 /// against it.
 #[test]
 fn nothing_is_said_of_a_quick_swing() {
