@@ -157,7 +157,7 @@ fn limit_actuated(robot: &mut Robot, remarks: &mut Remarks) {
             let (half, told) = match joint.motion {
                 _ if rolls => (WHEEL_RAD, "a wheel and no foot: a policy sets its speed"),
                 JointMotion::Hinge => {
-                    (TAU, "no limits; ±6.2832 rad written, where what turns on and on would stop")
+                    (TAU, "no limits; ±6.2832 rad written: a joint that turns farther stops there")
                 }
                 JointMotion::Slide => (1.0, "no limits; ±1.0000 written"),
             };
