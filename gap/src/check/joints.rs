@@ -88,8 +88,9 @@ fn units(run: &Run<'_>, joint: &Channels, turned: bool, out: &mut Vec<Finding>) 
             } else {
                 "is it in another unit, from another zero, or of another robot?"
             };
+            let most = if most > 1e5 { format!("{most:.0e}") } else { format!("{most:.2}") };
             let detail = format!(
-                "reaches {most:.2} where the joint's range is {low:.2} to {high:.2} {unit}; {why}"
+                "reaches {most} where the joint's range is {low:.2} to {high:.2} {unit}; {why}"
             );
             out.push(joint.fatal("unit", what, detail));
         }

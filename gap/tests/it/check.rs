@@ -65,6 +65,22 @@ fn a_joint_at_its_stop_is_not_stuck() {
     assert!(checked.faults.iter().all(|f| f.kind != "stuck"), "{:#?}", checked.faults);
 }
 
+/// No joint can be where a single reading of 1e300 rad puts it; a glitch just beyond the range is let pass.
+#[test]
+fn one_absurd_reading_is_a_fault_and_is_said_briefly() {
+    let robot = robot("xl330_pendulum");
+    let log = &logs(&robot, "steps_large", &[7])[0];
+    let at = Signal::Position("swing".to_owned());
+    let once = |reading| {
+        changed(log, |s, k, _, v| if *s == at && k == 100 { v.map(|_| reading) } else { v })
+    };
+    found(&one(&robot, &once(1e300)), "unit", "pos.swing");
+    let said = &one(&robot, &once(1e300)).faults[0].detail;
+    assert!(said.len() < 150, "{said}");
+    let glitch = one(&robot, &once(4.0));
+    assert!(glitch.faults.iter().all(|f| f.kind != "unit"), "{:#?}", glitch.faults);
+}
+
 /// The log with these signals of a joint turned.
 fn turned(log: &RunLog, kinds: &[&str], joint: &str) -> RunLog {
     let at: Vec<Signal> = kinds.iter().map(|k| format!("{k}.{joint}").parse().unwrap()).collect();
