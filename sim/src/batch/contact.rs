@@ -31,6 +31,10 @@ use super::vec3::{
 use crate::real::Mask;
 use crate::simd::Lanes;
 
+/// Cosine and sine of the angles from straight down, ± 30 and ± 60°, at which a rim may meet a riser or a slope
+/// before its centre is above it.
+const RIM_AHEAD: [[f64; 2]; 4] = [[0.866, 0.5], [0.866, -0.5], [0.5, 0.866], [0.5, -0.866]];
+
 /// A ball or a rim that reaches into the ground.
 struct Meeting<R> {
     depth: R,
@@ -130,7 +134,8 @@ fn meet<R: Lanes, const FLAT: bool>(
     Some(Meeting { depth, normal, arm, above: None, grip })
 }
 
-/// The same of a rim about `axle` (node's frame): what touches is its point that is farthest down the normal.
+/// The same of a rim about `axle` (node's frame): what touches is its point that is farthest down the normal of
+/// the ground below its centre, or, where it is deeper, a point of the rim ahead or behind.
 #[inline(always)]
 fn meet_rim<R: Lanes, const FLAT: bool>(
     ground: &Ground<R>,
@@ -142,19 +147,40 @@ fn meet_rim<R: Lanes, const FLAT: bool>(
     let (o, one) = (R::zero(), R::one());
     let above = frame.point(point.centre);
     let [x, y, z] = add(above, base);
-    let (clearance, normal, grip) =
+    let (clearance, mut normal, mut grip) =
         if FLAT { (z, [o, o, one], one) } else { ground.clearance(x, y, z) };
     let axle = turn(&frame.rot, axle);
-    let along = dot(axle, normal);
-    // down the normal within the wheel's plane; a wheel that lies on its side has no such direction
-    let steep = (one - along * along).max(R::splat(1e-6)).sqrt();
     let radius = R::uniform(point.radius);
-    let depth = radius * steep - clearance;
+    let (steep, down) = down_the_rim(axle, normal);
+    let mut depth = radius * steep - clearance;
+    let mut to_rim = scale(down, radius);
+    if !FLAT {
+        let (_, down) = down_the_rim(axle, [o, o, one]);
+        let ahead = cross(axle, down);
+        for [along, across] in RIM_AHEAD {
+            let at =
+                scale(add_scaled(scale(down, R::splat(along)), ahead, R::splat(across)), radius);
+            let (clear, upright, grips) = ground.clearance(x + at[0], y + at[1], z + at[2]);
+            let deeper = depth.lt(-clear);
+            depth = depth.max(-clear);
+            to_rim = select3(deeper, at, to_rim);
+            normal = select3(deeper, upright, normal);
+            grip = R::select(deeper, grips, grip);
+        }
+    }
     if !o.lt(depth).any() {
         return None;
     }
-    let down = scale(add_scaled(scale(axle, along), normal, -one), radius / steep);
-    Some(Meeting { depth, normal, arm: add(above, down), above: Some(above), grip })
+    Some(Meeting { depth, normal, arm: add(above, to_rim), above: Some(above), grip })
+}
+
+/// The direction within a wheel's plane that points farthest down a normal, and the cosine between the two. A
+/// wheel that lies on its side has no such direction.
+#[inline(always)]
+fn down_the_rim<R: Lanes>(axle: V3<R>, normal: V3<R>) -> (R, V3<R>) {
+    let along = dot(axle, normal);
+    let steep = (R::one() - along * along).max(R::splat(1e-6)).sqrt();
+    (steep, scale(add_scaled(scale(axle, along), normal, -R::one()), R::one() / steep))
 }
 
 /// One world coordinate of a place in a frame, from the reference point, m.

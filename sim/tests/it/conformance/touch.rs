@@ -93,6 +93,27 @@ pub fn a_wheel_rolls_level(config: &EngineConfig) {
     near("way", way, 1.5 * pushed_s * pushed_s / 2.6, 0.003);
 }
 
+/// A riser of 2 cm on a cell of 2 cm, its foot at x = −0.40 m, is a slope of 45°, which a wheel of r = 5 cm meets where
+/// its axle is r·tan 22.5° = 2.1 cm before the foot. Pushed with 0.3 N the cart stays there: up such a slope takes 13.
+pub fn a_wheel_stops_at_a_riser(config: &EngineConfig) {
+    let model = robots::cart();
+    let ground = TerrainConfig {
+        step_length_m: 0.8,
+        height_m: 0.02,
+        cell_m: 0.02,
+        ..TerrainConfig::of(TerrainKind::Steps)
+    };
+    let mut e = build(model.clone(), 1, config, &ground, 1, 1).unwrap();
+    e.reset(0, &InitialState { base_xy_m: [-0.26, 0.0], ..InitialState::nominal(&model) }).unwrap();
+    run(e.as_mut(), periods(config, 0.5), &[0.0; 4], |_, _| ());
+    let height = f64::from(e.state().com_pos_m[2]);
+    for _ in 0..periods(config, 4.0) {
+        e.step(&[0.0; 4], &[-0.3, 0.0, 0.0, 0.0, 0.0, 0.0]).unwrap();
+    }
+    near("axle behind the foot", f64::from(e.state().base_pos_m[0]) - 0.1, -0.4 + 0.0207, 0.004);
+    near("height", f64::from(e.state().com_pos_m[2]), height, 0.002);
+}
+
 /// At rest the feet carry 19.62 N, each a quarter, straight up; nothing touches but the feet.
 pub fn contact_force_carries_the_weight(config: &EngineConfig) {
     let model = robots::table();
