@@ -149,11 +149,11 @@ impl Size {
         matches!(self.feet + self.wheels, 1 | 2)
     }
 
-    /// Radians that an action of 1 turns a joint by. On two legs half a radian, or what is worth an eighth of its
+    /// Radians that an action of 1 turns a joint by. On two legs half a radian, or what is worth a sixth of its
     /// weight at the length of a leg: with soft gains less does not hold it up (docs/reference/learning.md).
     fn action_scale_rad(&self) -> f64 {
         let load_nm = self.mass_kg * GRAVITY_MPS2 * self.leg_m;
-        if self.feet == 2 { (load_nm / 8.0 / self.stiffness_nm).clamp(0.5, 1.5) } else { 0.8 }
+        if self.feet == 2 { (load_nm / 6.0 / self.stiffness_nm).clamp(0.5, 1.5) } else { 0.8 }
     }
 
     /// Cut-off of the action filter, Hz: below the stride's frequency, so that steps come of it instead of
@@ -309,13 +309,13 @@ mod tests {
         assert_eq!([0.9, 0.3924, 0.1].map(hz), [1.3, 1.8, 2.5]);
     }
 
-    /// 32 kg on legs of 0.6 m: an eighth of 188.4 N·m are 23.5 N·m, a radian at that stiffness.
+    /// 32 kg on legs of 0.6 m: a sixth of 188.4 N·m are 31.4 N·m, a radian at that stiffness.
     #[test]
     fn soft_gains_make_an_action_a_wider_turn() {
         let scale = |stiffness_nm| {
             round(Size { mass_kg: 32.0, leg_m: 0.6, stiffness_nm, ..BIPED }.action_scale_rad())
         };
-        assert_eq!([300.0, 23.544, 1.0].map(scale), [0.5, 1.0, 1.5]);
+        assert_eq!([300.0, 31.392, 1.0].map(scale), [0.5, 1.0, 1.5]);
         assert_eq!(Size { feet: 4, ..BIPED }.action_scale_rad(), 0.8);
     }
 }

@@ -30,12 +30,14 @@ impl Found {
 pub(crate) fn objections(scenario: &ScenarioResult) -> String {
     let missed = scenario.gates.as_ref().map_or_else(Vec::new, |g| g.missed());
     match scenario.walks() {
-        Some(false) if missed.is_empty() => {
-            format!("falls in {:.1} %", 100.0 * scenario.fall_share.mean)
-        }
+        Some(false) if missed.is_empty() => falls_in(scenario),
         Some(false) => format!("gates missed: {}", missed.join("; ")),
         _ => String::new(),
     }
+}
+
+pub(crate) fn falls_in(scenario: &ScenarioResult) -> String {
+    format!("falls in {:.1} %", 100.0 * scenario.fall_share.mean)
 }
 
 /// What is owed, and the aim.

@@ -9,13 +9,17 @@ use caudata_policy::PolicyFile;
 use caudata_sim::TerrainKind;
 use serde::Serialize;
 
-use crate::acceptance::objections;
-use crate::{EvaluationError, Scenario, ScenarioResult, Settings, Suite, run_scenario};
+use crate::acceptance::{falls_in, objections};
+use crate::suite::STAND;
+use crate::{EvaluationError, Gate, Scenario, ScenarioResult, Settings, Suite, run_scenario};
 
 /// A velocity this near an end of the range that was drawn is at that end, m/s.
 const AT_END_MPS: f32 = 1e-4;
 /// Share of the episodes at a shore that must arrive: the acceptance table's aim for coming ashore.
 const ARRIVE_SHARE: f64 = 0.95;
+
+/// What a fall lacks: more than whatever walks and misses gates.
+const FALL: f64 = 10.0;
 
 /// How a version does what it was trained for.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -26,16 +30,17 @@ pub struct Tried {
     pub scenarios: usize,
     /// Those that it fails in, each with what is against it.
     pub missed: Vec<String>,
-    /// What it lacks: 1 for each walk that is missed, and of a missed passage at a shore the share of the
-    /// episodes that did not arrive.
+    /// What it lacks: for each gate that is missed the share by which it is beyond its limit, at most 1; ten
+    /// times the share of the episodes in which it falls; of a missed passage at a shore the share that did not
+    /// arrive.
     pub shortfall: f64,
 }
 
 impl Tried {
     /// Runs `policy` at the commands of the suite `flat` that lie within the range that its training drew from,
-    /// and at the speed that it is judged at; the latter again on the ground of its training, where that is not
-    /// flat; into the water and ashore, where it was trained at a shore. What was trained in deep water is
-    /// judged at nothing.
+    /// standing still where it drew that, and at the speed that it is judged at; the latter again on the ground
+    /// of its training, where that is not flat; into the water and ashore, where it was trained at a shore. What
+    /// was trained in deep water is judged at nothing.
     ///
     /// # Errors
     /// As [`run_scenario`].
@@ -55,13 +60,19 @@ impl Tried {
 
     fn add(&mut self, result: &ScenarioResult) {
         self.scenarios += 1;
-        let (against, lacks) = match &result.transition {
-            Some(passage) if passage.reached.mean >= ARRIVE_SHARE => return,
-            Some(passage) => {
+        let falls = FALL * result.fall_share.mean;
+        let (against, lacks) = match (&result.transition, &result.gates) {
+            (Some(passage), _) if passage.reached.mean >= ARRIVE_SHARE => return,
+            (Some(passage), _) => {
                 let share = passage.reached.mean;
                 (format!("{:.0} % arrive", 100.0 * share), 1.0 - share)
             }
-            None => (objections(result), 1.0),
+            (None, Some(report)) if report.gates.is_empty() => (objections(result), FALL),
+            (None, Some(report)) => {
+                (objections(result), falls + report.gates.iter().map(Gate::lacks).sum::<f64>())
+            }
+            (None, None) if result.stays_up() => return,
+            (None, None) => (falls_in(result), falls),
         };
         if !against.is_empty() {
             self.missed.push(format!("{}: {against}", result.name));
@@ -83,7 +94,10 @@ fn scenarios(config: &Config, mass_kg: f64) -> Vec<Scenario> {
     all.retain(|scenario| {
         let vx = scenario.commands[0][0];
         let inside = vx > low + AT_END_MPS && vx < high - AT_END_MPS;
-        scenario.judged && (std::mem::take(&mut first) || inside)
+        match scenario.judged {
+            true => std::mem::take(&mut first) || inside,
+            false => scenario.name == STAND && config.task.command.zero_share > 0.0,
+        }
     });
     match config.terrain.kind {
         TerrainKind::Flat => {}
@@ -116,13 +130,16 @@ mod tests {
 
     #[test]
     fn versions_are_judged_at_what_was_drawn() {
-        let all = ["0.3", "0.1", "0.2", "0.4", "0.5"].map(|v| format!("flat {v} m/s"));
-        let back = ["back 0.2 m/s".to_owned()];
-        assert_eq!(commands(&[]), [all.as_slice(), back.as_slice()].concat());
+        let [judged, slower @ ..] =
+            ["0.3", "0.1", "0.2", "0.4", "0.5"].map(|v| format!("flat {v} m/s"));
+        let ends = [vec![judged, "stand".into()], slower.to_vec(), vec!["back 0.2 m/s".into()]];
+        assert_eq!(commands(&[]), ends.concat());
         // at 0.2 and at 0.4 only from one side
-        let own = commands(&["task.command.vx_mps=[0.2, 0.4]"]);
+        let drawn = "task.command.vx_mps=[0.2, 0.4]";
+        assert_eq!(commands(&[drawn]), ["flat 0.3 m/s", "stand"]);
+        let own = commands(&[drawn, "task.command.zero_share=0"]);
         assert_eq!(own, ["flat 0.3 m/s"]);
-        let own = commands(&["task.command.vx_mps=[0.5, 0.5]"]);
+        let own = commands(&["task.command.vx_mps=[0.5, 0.5]", "task.command.zero_share=0"]);
         assert_eq!(own, ["flat 0.3 m/s"], "the speed that it is judged at, whatever was drawn");
         assert!(commands(&["terrain.kind=deep_water"]).is_empty());
     }
@@ -131,13 +148,11 @@ mod tests {
     fn versions_are_judged_on_the_ground_of_their_training() {
         let drawn = "task.command.vx_mps=[0.2, 0.4]";
         let own = commands(&[drawn, "terrain.kind=rough", "terrain.size_m=32"]);
-        assert_eq!(own, ["flat 0.3 m/s", "rough 0.3 m/s"]);
+        assert_eq!(own, ["flat 0.3 m/s", "stand", "rough 0.3 m/s"]);
         let own = commands(&[drawn, "terrain.kind=shore"]);
-        let [into, onto] = ["shore: into the water", "shore: onto land"];
-        assert_eq!(
-            own,
-            ["flat 0.3 m/s", into, onto, "shore: onto land, 10°", "shore: there and back"]
-        );
+        assert_eq!(own[..2], ["flat 0.3 m/s", "stand"]);
+        let to = ["into the water", "onto land", "onto land, 10°", "there and back"];
+        assert_eq!(own[2..], to.map(|to| format!("shore: {to}")));
     }
 
     #[test]
@@ -152,9 +167,40 @@ mod tests {
         tried.add(&shore(Estimate::share(31, 32)));
         assert!(tried.passes());
         tried.add(&shore(Estimate::share(24, 32)));
-        let gates = Some(GateReport { walks: false, gates: Vec::new() });
-        tried.add(&ScenarioResult { name: "flat".into(), gates, ..ScenarioResult::default() });
-        assert_eq!((tried.scenarios, tried.shortfall), (3, 1.25));
-        assert_eq!(tried.missed, ["shore: 75 % arrive", "flat: falls in 0.0 %"]);
+        assert_eq!((tried.scenarios, tried.shortfall), (2, 0.25));
+        assert_eq!(tried.missed, ["shore: 75 % arrive"]);
+    }
+
+    /// 24 W of 15 are 60 % too much, 0.135 of 0.15 m/s are nine tenths, of 0.9 wanted; one fall of 16 makes 10/16.
+    #[test]
+    fn a_walk_lacks_what_its_gates_do_and_a_fall_much_more() {
+        let gate = |value, at_least, at_most, met| Gate {
+            name: "one".into(),
+            value,
+            at_least,
+            at_most,
+            met,
+        };
+        let gates = vec![gate(24.0, None, Some(15.0), false), gate(0.9, Some(0.9), None, true)];
+        let report = GateReport { walks: false, gates };
+        let walk = |gates, falls| ScenarioResult {
+            name: "flat".into(),
+            gates,
+            fall_share: Estimate::share(falls, 16),
+            ..ScenarioResult::default()
+        };
+        let lacks = |gates, falls| {
+            let mut tried = Tried::default();
+            tried.add(&walk(gates, falls));
+            (tried.shortfall, tried.missed)
+        };
+        let (shortfall, missed) = lacks(Some(report.clone()), 0);
+        assert!((shortfall - 0.6).abs() < 1e-9);
+        assert_eq!(missed, ["flat: gates missed: one"]);
+        assert!((lacks(Some(report), 1).0 - 1.225).abs() < 1e-9);
+        assert_eq!(lacks(Some(GateReport::default()), 0).0, 10.0, "nothing to measure");
+        let standing = |falls| lacks(None, falls);
+        assert_eq!(standing(0), (0.0, vec![]));
+        assert_eq!(standing(1), (0.625, vec!["flat: falls in 6.2 %".to_owned()]));
     }
 }

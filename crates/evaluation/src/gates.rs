@@ -45,6 +45,15 @@ pub struct Gate {
     pub met: bool,
 }
 
+impl Gate {
+    /// How far beyond its limit, as a share of the limit: 0 where it passes, at most 1.
+    pub fn lacks(&self) -> f64 {
+        let below = self.at_least.map_or(0.0, |least| 1.0 - self.value / least);
+        let above = self.at_most.map_or(0.0, |most| self.value / most - 1.0);
+        if self.met { 0.0 } else { below.max(above).min(1.0) }
+    }
+}
+
 /// All gates of a scenario, on means over its episodes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct GateReport {

@@ -258,9 +258,13 @@ impl ScenarioResult {
     /// Whether it walks by the gates and without falling in more than 5 % of the episodes; `None` where it is
     /// not about walking.
     pub fn walks(&self) -> Option<bool> {
+        Some(self.gates.as_ref()?.walks && self.stays_up())
+    }
+
+    /// Whether it falls in at most 5 % of the episodes.
+    pub fn stays_up(&self) -> bool {
         const FALLS_MOST: f64 = 0.05;
-        let gates = self.gates.as_ref()?;
-        Some(gates.walks && self.fall_share.mean <= FALLS_MOST)
+        self.fall_share.mean <= FALLS_MOST
     }
 }
 
