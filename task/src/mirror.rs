@@ -1,10 +1,11 @@
 //! Left and right exchanged: what a robot that is its own mirror image sees and does on the other side.
 //!
 //! Reflection in the robot's plane y = 0 maps a vector (x, y, z) to (x, −y, z) and a rotation vector to (−x,
-//! y, −z). Each joint has a counterpart, found from where joints are and how they turn in the nominal pose:
-//! for a joint in the plane itself, for a leg that of the other side. Names do not matter.
+//! y, −z). Each joint has a counterpart, found from where its axis and what it moves are in the nominal pose: for
+//! a joint in the plane itself, for a leg that of the other side. Names do not matter, nor where on its axis
+//! the model puts a joint.
 
-use caudata_model::{Foot, JointFrame, Kinematics, Pose, RobotModel, pose};
+use caudata_model::{Foot, Joint, JointMotion, Kinematics, Pose, RobotModel, pose};
 
 use crate::layout::{ObservationLayout, Part};
 use crate::{ACTION_HISTORY, TaskError};
@@ -13,6 +14,9 @@ use crate::{ACTION_HISTORY, TaskError};
 const PLACE_M: f64 = 2e-3;
 /// How far their axes may differ, rad.
 const AXIS_RAD: f64 = 0.02;
+/// How far the centres of mass of what they move may differ, m: CAD puts motors and cables on one side. What is
+/// farther apart is an arm on one side only, even if its axis is its own mirror image.
+const MOVED_M: f64 = 0.02;
 
 /// `mirrored[i] = sign[i]·original[source[i]]`.
 #[derive(Clone, Debug, PartialEq)]
@@ -164,39 +168,47 @@ impl Mirror {
     }
 }
 
-/// The counterpart of each actuated joint, in policy order: the nearest one to its mirror image that turns
-/// about the mirrored axis.
+/// The counterpart of each actuated joint, in policy order: of those about the mirrored axis the one whose link
+/// is nearest to the mirror image of its own.
 fn joints(model: &RobotModel, at_nominal: &Kinematics) -> Result<SignedPermutation, TaskError> {
     let actuated = model.actuated();
-    let frame = |joint: &usize| at_nominal.joints.get(*joint);
     let mut out = SignedPermutation::identity(actuated.len());
-    for (i, joint) in actuated.iter().enumerate() {
-        let counterpart = frame(joint).and_then(|joint| {
-            let others = actuated.iter().enumerate();
-            let found = others.filter_map(|(j, other)| {
-                let (off_m, sign) = mirrored(joint, frame(other)?)?;
-                Some((off_m, j, sign))
-            });
-            found.min_by(|a, b| a.0.total_cmp(&b.0))
+    for (i, &joint) in actuated.iter().enumerate() {
+        let others = actuated.iter().enumerate();
+        let found = others.filter_map(|(j, &other)| {
+            let (off_m, sign) = mirrored(model, at_nominal, [joint, other])?;
+            Some((off_m, j, sign))
         });
-        let Some((_, source, sign)) = counterpart else {
-            return Err(no_counterpart(model, &model.joints()[*joint].name));
+        let Some((_, source, sign)) = found.min_by(|a, b| a.0.total_cmp(&b.0)) else {
+            return Err(no_counterpart(model, &model.joints()[joint].name));
         };
         (out.source[i], out.sign[i]) = (source, sign);
     }
     if out.is_its_own_inverse() { Ok(out) } else { Err(no_counterpart(model, "a joint")) }
 }
 
-/// How far `other` is from the mirror image of `joint`, m, and 1 where it turns as that does, −1 where it
-/// turns the other way; `None` where it is not its counterpart.
-fn mirrored(joint: &JointFrame, other: &JointFrame) -> Option<(f64, f32)> {
-    let off_m = pose::norm(pose::sub(reflect(joint.anchor_m), other.anchor_m));
-    // an axis is a rotation vector
-    let axis = reflect(joint.axis).map(|a| -a);
-    let along = |axis| pose::norm(pose::sub(axis, other.axis)) < AXIS_RAD;
-    let opposite = along(axis.map(|a| -a)).then_some(-1.0);
-    let sign = along(axis).then_some(1.0).or(opposite)?;
-    (off_m < PLACE_M).then_some((off_m, sign))
+/// How far the link of the second of two joints is from the mirror image of the first one's, m, and 1 where it
+/// moves as that does, −1 where it moves the other way; `None` where it is not its counterpart.
+fn mirrored(model: &RobotModel, at_nominal: &Kinematics, pair: [usize; 2]) -> Option<(f64, f32)> {
+    let joint = pair.map(|i| &model.joints()[i]);
+    let (frame, other) = (at_nominal.joints.get(pair[0])?, at_nominal.joints.get(pair[1])?);
+    // the axis of a hinge is a rotation vector, that of a slide a direction
+    let along = reflect(frame.axis);
+    let axis = if joint[0].motion == JointMotion::Hinge { along.map(|a| -a) } else { along };
+    let is_axis = |axis| pose::norm(pose::sub(axis, other.axis)) < AXIS_RAD;
+    let opposite = is_axis(axis.map(|a| -a)).then_some(-1.0);
+    let sign = is_axis(axis).then_some(1.0).or(opposite)?;
+    // a slide moves alike wherever its axis is
+    let apart = pose::sub(reflect(frame.anchor_m), other.anchor_m);
+    let across_m = pose::norm(pose::cross(apart, other.axis));
+    let on_axis = joint[0].motion == JointMotion::Slide || across_m < PLACE_M;
+    let moved = |joint: &Joint| {
+        let link = &model.links()[joint.child_link];
+        at_nominal.links[joint.child_link].point(link.com_m)
+    };
+    let off_m = pose::norm(pose::sub(reflect(moved(joint[0])), moved(joint[1])));
+    let counterpart = joint[0].motion == joint[1].motion && on_axis && off_m < MOVED_M;
+    counterpart.then_some((off_m, sign))
 }
 
 fn reflect([x, y, z]: [f64; 3]) -> [f64; 3] {
@@ -305,6 +317,29 @@ mod tests {
                 row
             });
             assert_eq!(mirror.observation.apply(&seen), image, "{name}");
+        }
+    }
+
+    /// A knee of one side 3 cm farther along its axis turns the leg as before; a tail that slides up and down
+    /// does so in the mirror too, and one that slides to the left goes to the right.
+    #[test]
+    fn a_joint_may_lie_anywhere_on_its_axis_and_a_slide_has_a_direction() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robots");
+        let read = |name: &str| std::fs::read_to_string(folder.join(name)).unwrap();
+        let (robot, mjcf) = (read("polymander.robot.toml"), read("polymander.xml"));
+        let changed = |from: &str, to: &str| {
+            assert!(mjcf.contains(from));
+            let mjcf = mjcf.replacen(from, to, 1);
+            let model = RobotModel::from_bytes("test", robot.as_bytes(), mjcf.as_bytes()).unwrap();
+            Mirror::new(&model, &layout(false)).unwrap().action
+        };
+        let usual = Mirror::new(&polymander(), &layout(false)).unwrap().action;
+        let knee = r#"name="FL_knee" axis="-1 0 0""#;
+        assert_eq!(changed(knee, &format!(r#"{knee} pos="0.03 0 0""#)), usual);
+        for (axis, sign) in [("0 0 1", 1.0), ("1 0 0", 1.0), ("0 1 0", -1.0)] {
+            let slide = format!(r#"name="tail_3" type="slide" axis="{axis}""#);
+            let found = changed(r#"name="tail_3" axis="0 0 1""#, &slide);
+            assert_eq!((found.source, found.sign[7]), (usual.source.clone(), sign), "{axis}");
         }
     }
 
