@@ -206,6 +206,15 @@ pub(crate) fn check_inertia(i: [[f64; 3]; 3]) -> Result<(), String> {
     Ok(())
 }
 
+/// The inertia of a body that is nearest to one that no body has: its negative second moments become as good as 0.
+pub(crate) fn nearest_inertia(inertia: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
+    let ([a, b, c], axes) = principal(inertia);
+    // enough for figures that are rounded to nine digits
+    let least = 1e-6 * (a + b + c).abs();
+    let [x, y, z] = [b + c - a, c + a - b, a + b - c].map(|twice| (0.5 * twice).max(least));
+    pose::rotate_tensor(axes, diagonal([y + z, z + x, x + y]))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -227,6 +236,22 @@ mod tests {
         assert!(check_inertia([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 1.0]]).is_err());
         // Σ = [[0.5, -0.4, 0], [-0.4, 0.5, 0], [0, 0, 0.5]] is positive definite
         assert!(check_inertia([[1.0, 0.4, 0.0], [0.4, 1.0, 0.0], [0.0, 0.0, 1.0]]).is_ok());
+    }
+
+    /// Σ of (1, 2, 4) is (2.5, 1.5, −0.5); with 0 in its place the moments are 1.5, 2.5 and 4.
+    #[test]
+    fn the_nearest_inertia_has_no_negative_second_moment() {
+        let turn = pose::quat_normalised([0.9, 0.1, -0.3, 0.2]).unwrap();
+        let near_to = |moments| nearest_inertia(pose::rotate_tensor(turn, diagonal(moments)));
+        let found = near_to([1.0, 2.0, 4.0]);
+        assert!(check_inertia(found).is_ok());
+        let right = pose::rotate_tensor(turn, diagonal([1.5, 2.5, 4.0]));
+        for i in 0..9 {
+            assert!((found[i / 3][i % 3] - right[i / 3][i % 3]).abs() < 2e-5, "{found:?}");
+        }
+        // what a body can have stays
+        let same = near_to([3.0, 4.0, 5.0]);
+        near(same[0][0], pose::rotate_tensor(turn, diagonal([3.0, 4.0, 5.0]))[0][0]);
     }
 
     #[test]

@@ -2,7 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::geometry::Inertial;
+use crate::error::Remark;
+use crate::geometry::{Inertial, check_inertia, nearest_inertia};
 use crate::pose::Pose;
 use crate::tree::Element;
 use crate::types::{Geom, JointMotion, Softness};
@@ -21,6 +22,8 @@ pub(crate) struct Robot {
     pub actuators: Vec<Actuator>,
     /// What the file fixes to the world.
     pub world_geoms: Vec<Geom>,
+    /// A bit of what touches the ground alone, 0 where nothing does.
+    pub ground_bit: u32,
     /// Pairs of bodies that never touch, by name.
     pub excluded: Vec<[String; 2]>,
     /// Joint positions of a named pose.
@@ -29,6 +32,8 @@ pub(crate) struct Robot {
     pub home_is_ours: bool,
     /// Sites that a gyroscope or an accelerometer sits at.
     pub sensed: BTreeSet<String>,
+    /// Bodies of an inertia that none has, and what is said where it makes one that is refused.
+    pub impossible: Vec<(String, Remark)>,
     /// Bodies that became part of others, and of which.
     pub merged: BTreeMap<String, String>,
 }
@@ -37,6 +42,20 @@ impl Robot {
     /// Joints in model order.
     pub fn joints(&self) -> impl Iterator<Item = &Joint> {
         self.bodies.iter().flat_map(|body| &body.joints)
+    }
+
+    /// Keeps in mind that no body has this inertia, and what is nearest to it: `[xx, yy, zz, xy, xz, yz]` in words.
+    pub fn weigh(
+        &mut self,
+        (name, element): (&str, &Element),
+        inertia: [[f64; 3]; 3],
+        words: impl Fn([String; 6]) -> String,
+    ) {
+        let Err(why) = check_inertia(inertia) else { return };
+        let [[xx, xy, xz], [_, yy, yz], [_, _, zz]] = nearest_inertia(inertia);
+        let near = words([xx, yy, zz, xy, xz, yz].map(|x| format!("{x:.8e}")));
+        let message = format!("{why}; the nearest that one has is {near}");
+        self.impossible.push((name.to_owned(), element.remark_of(message)));
     }
 }
 

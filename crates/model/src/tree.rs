@@ -212,20 +212,23 @@ impl Element {
         Some(number)
     }
 
-    /// Refuses attributes that are one letter off a known one.
+    /// Refuses attributes that are one letter off a known one, and notes others that are not known.
     pub fn misspelt(&self, known: &[&str], remarks: &mut Remarks) {
         for key in self.attributes.keys().filter(|key| !known.contains(&key.as_str())) {
             if let Some(meant) = meant(key, known) {
                 let message = format!("attribute `{key}`: is not known; did you mean `{meant}`?");
                 remarks.refuse_of(self, message);
+            } else {
+                let message = format!("<{}>: attribute `{key}` is not read", self.tag);
+                remarks.note_once(self, message);
             }
         }
     }
 }
 
-/// The known word of four letters or more that another one is one letter off.
+/// The known word that another one is one letter off; of two letters each, all words are alike.
 pub(crate) fn meant<'a>(word: &str, known: &[&'a str]) -> Option<&'a str> {
-    let slip = |k: &&&str| k.len() > 3 && strsim::osa_distance(k, word) == 1;
+    let slip = |k: &&&str| k.len().max(word.len()) > 2 && strsim::osa_distance(k, word) == 1;
     known.iter().find(slip).copied()
 }
 
@@ -248,6 +251,10 @@ pub(crate) fn read(file: &Path, remarks: &mut Remarks) -> Result<Element, ModelE
 
 fn parse(file: &Path) -> Result<Element, ModelError> {
     let bytes = bytes(file)?;
+    if bytes.starts_with(b"\xff\xfe") || bytes.starts_with(b"\xfe\xff") {
+        let message = "is UTF-16; save it as UTF-8".to_owned();
+        return Err(ModelError::Xml(Remark { file: file.display().to_string(), line: 1, message }));
+    }
     of_text(&file.display().to_string(), &String::from_utf8_lossy(&bytes))
 }
 
@@ -256,10 +263,24 @@ pub(crate) fn of_text(file: &str, text: &str) -> Result<Element, ModelError> {
     let wrong = |line: u32, message: String| {
         ModelError::Xml(Remark { file: file.to_owned(), line, message })
     };
-    let document = Document::parse(text)
-        .map_err(|e| wrong(e.pos().row, format!("not well-formed XML: {e}")))?;
+    let document = Document::parse(text).map_err(|e| match e {
+        roxmltree::Error::DtdDetected => {
+            let before = text.split("<!DOCTYPE").next().unwrap_or_default();
+            wrong(lines(before), "a <!DOCTYPE …> is not read; take it out".to_owned())
+        }
+        // told at line 1 by the parser
+        roxmltree::Error::UnclosedRootNode | roxmltree::Error::UnexpectedEndOfStream => {
+            wrong(lines(text.trim_end()), format!("not well-formed XML, at its end: {e}"))
+        }
+        _ => wrong(e.pos().row, format!("not well-formed XML: {e}")),
+    })?;
     own(&document, document.root_element(), file, 0)
         .ok_or_else(|| wrong(0, format!("elements nest more than {DEPTH_LIMIT} deep")))
+}
+
+/// The line that a text ends in.
+fn lines(text: &str) -> u32 {
+    1 + text.matches('\n').count() as u32
 }
 
 /// The element and what it holds; `None`: it nests too deeply.

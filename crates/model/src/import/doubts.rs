@@ -2,6 +2,7 @@
 //! belong, and inertias that no body has.
 
 use super::finish::{GRAVITY_MPS2, reach_m, weight_n, wheel};
+use crate::error::Remark;
 use crate::geometry::{check_inertia, principal};
 use crate::parts::{Body, Joint, Robot};
 use crate::tree::{Element, Remarks};
@@ -25,7 +26,7 @@ pub(super) fn say(robot: &Robot, root: &Element, remarks: &mut Remarks) {
     let reach_m = reach_m(robot);
     let mut beyond = Vec::new();
     for body in &robot.bodies {
-        inertia(body, reach_m, remarks);
+        inertia(robot, body, reach_m, remarks);
         let turns = |j: &&Joint| j.motion == JointMotion::Hinge && !wheel(body);
         for joint in body.joints.iter().filter(turns) {
             if let Some((low, high)) = joint.range.filter(|(l, h)| l.min(-h) < -FAR_RAD) {
@@ -47,7 +48,10 @@ pub(super) fn say(robot: &Robot, root: &Element, remarks: &mut Remarks) {
         );
         remarks.note(root, message);
     }
-    let strongest_nm = robot.actuators.iter().filter_map(|a| a.force_limit).fold(0.0, f64::max);
+    let turns =
+        |name: &str| robot.joints().any(|j| j.name == name && j.motion == JointMotion::Hinge);
+    let drives = robot.actuators.iter().filter(|a| turns(&a.joint));
+    let strongest_nm = drives.filter_map(|a| a.force_limit).fold(0.0, f64::max);
     let load_nm = weight_n(robot) * reach_m;
     let share = strongest_nm / load_nm;
     if strongest_nm > 0.0 && !(TORQUE_SHARE.0..TORQUE_SHARE.1).contains(&share) {
@@ -62,7 +66,7 @@ pub(super) fn say(robot: &Robot, root: &Element, remarks: &mut Remarks) {
 
 const RADIANS: &str = "A URDF has radians, an MJCF what its <compiler angle> says";
 
-fn inertia(body: &Body, reach_m: f64, remarks: &mut Remarks) {
+fn inertia(robot: &Robot, body: &Body, reach_m: f64, remarks: &mut Remarks) {
     let Some(inertial) = body.inertial.filter(|i| i.mass_kg > 0.0) else { return };
     let moments = principal(inertial.inertia_kgm2).0;
     let shown = moments.map(|m| format!("{m:.3e}")).join(", ");
@@ -77,9 +81,16 @@ fn inertia(body: &Body, reach_m: f64, remarks: &mut Remarks) {
     match check_inertia(inertial.inertia_kgm2) {
         Err(why) if far => remarks.refuse_of(&body.element, format!("{why}; {unit}")),
         Err(why) => {
-            let message =
-                format!("{why}; its principal moments are {shown} kg·m², with what is fixed to it");
-            remarks.refuse_of(&body.element, message);
+            let host = |name: &String| robot.merged.get(name).unwrap_or(name) == &body.name;
+            let own = robot.impossible.iter().filter(|(name, _)| host(name));
+            let own: Vec<Remark> = own.map(|(_, remark)| remark.clone()).collect();
+            if own.is_empty() {
+                let message = format!(
+                    "{why}; its principal moments are {shown} kg·m², with what is fixed to it"
+                );
+                remarks.refuse_of(&body.element, message);
+            }
+            remarks.refusals.extend(own);
         }
         Ok(()) if radius_m > GYRATION_MOST * reach_m => remarks.refuse_of(&body.element, unit),
         Ok(()) if far => remarks.note_of(&body.element, unit),

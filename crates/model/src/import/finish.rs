@@ -22,6 +22,7 @@ pub(super) fn finish(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
         remarks.refuse(root, "holds no body that moves");
         return;
     }
+    drop_empty_root(robot);
     merge_welded(robot);
     drop_empty_root(robot);
     if root.tag == "mujoco" && root.all("actuator").next().is_none() {
@@ -120,15 +121,17 @@ fn merge_welded(robot: &mut Robot) {
 
 const MJCF_WORLD: &str = "world";
 
-/// A held root that is nothing but a place gives way to the one body that hangs on it.
+/// A root that is nothing but a place gives way to the one body that hangs on it, a free one to what is welded to it.
 fn drop_empty_root(robot: &mut Robot) {
-    let children = robot.bodies.iter().filter(|b| b.parent == Some(0)).count();
+    let mut children = robot.bodies.iter().filter(|b| b.parent == Some(0));
     let root = &robot.bodies[0];
     let has_mass = root.inertial.is_some_and(|i| i.mass_kg > 0.0);
     let empty = root.joints.is_empty() && root.geoms.is_empty() && root.sites.is_empty();
-    if robot.free_base || has_mass || !empty || children != 1 {
+    let (Some(heir), None) = (children.next(), children.next()) else { return };
+    if robot.free_base && !heir.joints.is_empty() || has_mass || !empty {
         return;
     }
+    robot.merged.insert(root.name.clone(), heir.name.clone());
     let root = robot.bodies.remove(0);
     for body in &mut robot.bodies {
         body.parent = match body.parent {
@@ -159,7 +162,7 @@ fn limit_actuated(robot: &mut Robot, remarks: &mut Remarks) {
                 JointMotion::Hinge => {
                     (TAU, "no limits; ±6.2832 rad written: a joint that turns farther stops there")
                 }
-                JointMotion::Slide => (1.0, "no limits; ±1.0000 written"),
+                JointMotion::Slide => (1.0, "no limits; ±1.0000 m written"),
             };
             joint.range = Some((-half, half));
             let (_, names) =
@@ -246,8 +249,15 @@ fn strengthen(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
         }
     }
     if !weak.is_empty() {
-        let message =
-            format!("no greatest torque of {}: {torque_nm} N·m written, {source}", weak.join(", "));
+        let slides = |j: &Joint| j.motion == JointMotion::Slide && weak.contains(&j.name.as_str());
+        let unit = match robot.bodies.iter().flat_map(|b| &b.joints).any(slides) {
+            true => "N·m (of a slide N)",
+            false => "N·m",
+        };
+        let message = format!(
+            "no greatest torque of {}: {torque_nm} {unit} written, {source}",
+            weak.join(", ")
+        );
         remarks.note(root, message);
     }
     if root.tag == "robot" {

@@ -88,6 +88,7 @@ pub fn import(file: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
     }
     if robot.home.is_empty() && robot.free_base {
         robot.home_is_ours = stance::find(&mut robot);
+        stance::off_the_stops(&mut robot);
         let message = if robot.home_is_ours {
             "no pose to stand in: one was worked out, with feet or wheels below where their legs begin; look at it \
              (`caudata sim show`), or put angles of yours into [pose.nominal_rad]"
@@ -122,7 +123,7 @@ pub fn import(file: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
     // whatever this reader let through that the strict one does not
     let label = format!("{name}.robot.toml");
     if let Err(error) = RobotModel::from_bytes(&label, robot_toml.as_bytes(), mjcf.as_bytes()) {
-        remarks.refuse_plain(&root.file, error.to_string());
+        remarks.refuse_plain(&root.file, format!("what it was made into is refused: {error}"));
         return Err(ImportError::Refused(remarks.refusals));
     }
     Ok(Imported { name, mjcf, robot_toml, notes: remarks.notes })

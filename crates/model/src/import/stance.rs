@@ -1,5 +1,6 @@
 //! A pose to stand in, for a robot whose file has none: knees bent, feet below the hips, all at one height.
 
+use super::finish::nominal;
 use super::robot_toml::{moved, places};
 use super::sole::{foot_of, middle};
 use crate::parts::{Joint, Robot};
@@ -173,6 +174,19 @@ pub(super) fn find(robot: &mut Robot) -> bool {
         robot.home = before;
     }
     bent
+}
+
+/// Moves joints with a drive that would be at an end of their range, where 0 is or nearest to it, away from there.
+pub(super) fn off_the_stops(robot: &mut Robot) {
+    let moved = |joint: &Joint| {
+        let driven = robot.actuators.iter().any(|a| a.joint == joint.name);
+        let (low, high) = joint.range.filter(|_| driven)?;
+        let (margin, q) = (MARGIN * (high - low), nominal(robot, joint));
+        let at_stop = (q - low).min(high - q) < 0.5 * margin;
+        at_stop.then(|| (joint.name.clone(), q.clamp(low + margin, high - margin)))
+    };
+    let moved: Vec<(String, f64)> = robot.joints().filter_map(moved).collect();
+    robot.home.extend(moved);
 }
 
 /// Which bodies are of the trunk: the root, and what carries ends on both sides, like a part before a waist.

@@ -45,9 +45,12 @@ const PARTS: &[(&str, &[&str], &[&str])] = &[
     ("geometry", &[], &["box", "sphere", "cylinder", "capsule", "mesh"]),
     ("parent", &["link"], &[]),
     ("child", &["link"], &[]),
+    ("origin", &["xyz", "rpy"], &[]),
+    ("axis", &["xyz"], &[]),
     ("limit", &["lower", "upper", "effort", "velocity"], &[]),
     ("dynamics", &["damping", "friction"], &[]),
     ("mass", &["value"], &[]),
+    ("inertia", &["ixx", "iyy", "izz", "ixy", "ixz", "iyz"], &[]),
     ("box", &["size"], &[]),
     ("sphere", &["radius"], &[]),
     ("cylinder", &["radius", "length"], &[]),
@@ -102,9 +105,7 @@ pub(super) fn read(
     };
     let Some(base) = reader.base() else {
         // what else is wrong is said all the same
-        for element in root.all("link").filter_map(|l| l.first("inertial")) {
-            reader.inertial(element);
-        }
+        root.all("link").for_each(|link| _ = reader.inertial(link));
         for element in root.all("joint") {
             reader.joint(element);
         }
@@ -112,8 +113,9 @@ pub(super) fn read(
     };
     reader.link(base, None, Pose::IDENTITY, None, 0);
     if let Some((mesh, first)) = reader.lost.first() {
-        let links: Vec<&str> =
+        let mut links: Vec<&str> =
             reader.lost.iter().filter_map(|(_, link)| link.get("name")).collect();
+        links.dedup();
         let message = format!(
             "mesh `{mesh}` cannot be read; looked for beside this file and in the folders above it. Nothing touches in its \
              place; the same goes for all of {}",
@@ -257,7 +259,7 @@ impl<'a> Reader<'a> {
             return;
         }
         let index = self.robot.bodies.len();
-        let inertial = element.first("inertial").and_then(|i| self.inertial(i));
+        let inertial = self.inertial(element);
         let shapes: Vec<&Element> = element.children.iter().collect();
         let mut geoms = Vec::new();
         for shape in shapes {
@@ -298,6 +300,10 @@ impl<'a> Reader<'a> {
             "continuous" => (JointMotion::Hinge, false),
             "prismatic" => (JointMotion::Slide, true),
             "fixed" => return None,
+            "" => {
+                self.remarks.refuse_of(e, "attribute `type`: is missing");
+                return None;
+            }
             "floating" => {
                 let message = "a floating joint is the base's own; name its child as the root link";
                 self.remarks.refuse_of(e, message);
@@ -391,7 +397,8 @@ impl<'a> Reader<'a> {
         Pose { pos_m, quat_wxyz }
     }
 
-    fn inertial(&mut self, e: &Element) -> Option<Inertial> {
+    fn inertial(&mut self, link: &Element) -> Option<Inertial> {
+        let e = link.first("inertial")?;
         let at = self.origin(e);
         let mass = e.first("mass")?;
         let mut mass_kg = mass.number("value", self.remarks)?;
@@ -407,6 +414,11 @@ impl<'a> Reader<'a> {
             com_m: [0.0; 3],
             inertia_kgm2: [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]],
         };
+        let place = (link.get("name").unwrap_or_default(), link);
+        self.robot.weigh(place, own.inertia_kgm2, |near| {
+            let keys = ["ixx", "iyy", "izz", "ixy", "ixz", "iyz"].into_iter().zip(near);
+            keys.map(|(key, x)| format!("{key}=\"{x}\"")).collect::<Vec<_>>().join(" ")
+        });
         Some(own.seen_from(&at))
     }
 

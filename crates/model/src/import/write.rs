@@ -17,7 +17,11 @@ pub(super) fn mjcf(name: &str, robot: &Robot) -> String {
     line(w, 1, "<compiler angle=\"radian\" autolimits=\"true\" inertiafromgeom=\"false\"/>");
     line(w, 1, &format!("<option gravity=\"{gx} {gy} {gz}\" integrator=\"implicitfast\"/>"));
     line(w, 1, "<worldbody>");
-    line(w, 2, "<geom name=\"floor\" type=\"plane\" size=\"0 0 0.05\"/>");
+    let contype = match robot.ground_bit {
+        0 => String::new(),
+        bit => format!(" contype=\"{}\"", 1 | bit),
+    };
+    line(w, 2, &format!("<geom name=\"floor\" type=\"plane\" size=\"0 0 0.05\"{contype}/>"));
     body(w, robot, 0, 2);
     line(w, 1, "</worldbody>");
     let pairs: Vec<[&str; 2]> = robot.excluded.iter().filter_map(|p| pair(robot, p)).collect();

@@ -83,6 +83,10 @@ impl<'a> Context<'a> {
             match (key.as_str(), value.as_str()) {
                 ("angle", "radian") => self.compiler.rad_per_unit = 1.0,
                 ("angle", "degree") => self.compiler.rad_per_unit = 1f64.to_radians(),
+                ("angle", other) => {
+                    let what = "is neither radian nor degree";
+                    self.remarks.refuse(e, format!("<compiler>: angle `{other}` {what}"));
+                }
                 ("autolimits", on) => self.compiler.autolimits = on != "false",
                 ("eulerseq", sequence) if self.compiler.set_euler(sequence) => {}
                 ("eulerseq", sequence) => {
@@ -148,9 +152,11 @@ impl<'a> Context<'a> {
     pub fn resolved(&mut self, e: &Element, childclass: Option<&str>) -> Element {
         let name = e.get("class").or(childclass).unwrap_or("main");
         let Some(class) = self.classes.get(name) else {
-            let attribute = if e.get("class").is_some() { "class" } else { "childclass" };
-            let message = format!("attribute `{attribute}`: there is no default class `{name}`");
-            self.remarks.refuse_of(e, message);
+            // a childclass is refused where it stands
+            if e.get("class").is_some() {
+                let message = format!("attribute `class`: there is no default class `{name}`");
+                self.remarks.refuse_of(e, message);
+            }
             return e.clone();
         };
         let mut out = Element { children: Vec::new(), ..e.clone() };

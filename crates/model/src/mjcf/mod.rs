@@ -5,6 +5,7 @@
 
 mod actuators;
 mod compiler;
+mod contact;
 mod context;
 mod joint;
 mod read;

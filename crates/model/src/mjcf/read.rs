@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use super::context::{Context, FromGeoms};
-use super::{actuators, joint, subset};
+use super::{actuators, contact, joint, subset};
 use crate::geometry::{Inertial, check_inertia, diagonal};
 use crate::parts::{Body, Robot};
 use crate::pose::Pose;
@@ -36,7 +36,7 @@ const PASSED_OVER: &[(&str, &str)] = &[
 /// Reads `<mujoco>`.
 pub(crate) fn read(root: &Element, file: &Path, remarks: &mut Remarks) -> Option<Robot> {
     if !remarks.strict {
-        subset::misspelt(root, remarks);
+        subset::look_over(root, remarks);
     }
     let mut context = Context::new(root, file, remarks);
     let mut robot = Robot {
@@ -46,7 +46,7 @@ pub(crate) fn read(root: &Element, file: &Path, remarks: &mut Remarks) -> Option
     };
     for section in &root.children {
         match section.tag.as_str() {
-            "compiler" | "default" | "worldbody" | "actuator" | "keyframe" => {}
+            "compiler" | "default" | "worldbody" | "actuator" | "keyframe" | "contact" => {}
             "option" => {
                 let gravity = section.array("gravity", context.remarks);
                 robot.gravity_mps2 = gravity.unwrap_or(robot.gravity_mps2);
@@ -59,11 +59,6 @@ pub(crate) fn read(root: &Element, file: &Path, remarks: &mut Remarks) -> Option
                         context.remarks.note_of(section, message);
                     }
                 }
-            }
-            "contact" => {
-                let names =
-                    |e: &Element| Some([e.get("body1")?.to_owned(), e.get("body2")?.to_owned()]);
-                robot.excluded.extend(section.all("exclude").filter_map(names));
             }
             tag => match PASSED_OVER.iter().find(|(known, _)| *known == tag) {
                 Some((_, why)) => context.remarks.note(section, format!("<{tag}>: {why}")),
@@ -78,18 +73,7 @@ pub(crate) fn read(root: &Element, file: &Path, remarks: &mut Remarks) -> Option
         robot.world_geoms = context.scenery(root);
     }
     context.body(&tree, None, Pose::IDENTITY, None, &mut robot);
-    for pair in root.all("contact").flat_map(|c| c.all("exclude")) {
-        for key in ["body1", "body2"] {
-            let name = pair.get(key);
-            if !robot.bodies.iter().any(|b| Some(b.name.as_str()) == name) {
-                let name = name.unwrap_or_default();
-                let message = format!("attribute `{key}`: there is no body `{name}`");
-                context.remarks.refuse_if_strict(pair, message);
-            }
-        }
-    }
-    let pairs = root.all("contact").flat_map(|c| c.all("pair"));
-    pairs.for_each(|pair| touch_the_ground(&mut context, pair, &mut robot));
+    contact::read(&mut context, root, &mut robot);
     actuators::read(&mut context, root, &mut robot);
     let sensors = root.all("sensor").flat_map(|sensor| &sensor.children);
     robot.sensed = sensors
@@ -99,25 +83,6 @@ pub(crate) fn read(root: &Element, file: &Path, remarks: &mut Remarks) -> Option
     let order = joint_order(&robot);
     home(&mut context, root, &order, &mut robot);
     Some(robot)
-}
-
-/// Lets a shape that a `<pair>` names beside what is no part of the robot, the ground, touch that. Two parts of
-/// the robot touch each other by their bits alone.
-fn touch_the_ground(context: &mut Context<'_>, pair: &Element, robot: &mut Robot) {
-    let named = [pair.get("geom1"), pair.get("geom2")];
-    let geoms = robot.bodies.iter_mut().flat_map(|body| &mut body.geoms).map(|g| &mut g.geom);
-    let mut own: Vec<&mut Geom> =
-        geoms.filter(|g| g.name.is_some() && named.contains(&g.name.as_deref())).collect();
-    let [geom] = own.as_mut_slice() else {
-        let message = "<pair>: two parts of the robot touch by contype and conaffinity alone";
-        context.remarks.note_once(pair, message);
-        return;
-    };
-    if !geom.collides() {
-        geom.conaffinity = 1;
-        let friction = pair.numbers("friction", context.remarks);
-        geom.friction = friction.and_then(|f| f.first().copied()).unwrap_or(geom.friction);
-    }
 }
 
 /// Joint names in the order of MuJoCo's positions.
@@ -234,7 +199,8 @@ impl Context<'_> {
                 .note_once(e, "gravcomp is not simulated: the robot carries its own weight");
         }
         let index = robot.bodies.len();
-        let name = e.get("name").map_or_else(|| format!("body_{index}"), str::to_owned);
+        let name = e.get("name").filter(|name| !name.trim().is_empty());
+        let name = name.map_or_else(|| format!("body_{index}"), str::to_owned);
         if let Some(class) = e.get("childclass").filter(|c| !self.classes.contains_key(*c)) {
             let message = format!("attribute `childclass`: there is no default class `{class}`");
             self.remarks.refuse_of(e, message);
@@ -253,7 +219,7 @@ impl Context<'_> {
         });
         let mut solids = Vec::new();
         self.contents(e, index, Pose::IDENTITY, childclass, robot, &mut solids);
-        let own = e.first("inertial").and_then(|i| self.inertial(i));
+        let own = e.first("inertial").and_then(|i| self.inertial(i, index, robot));
         let from_geoms = || solids.into_iter().reduce(|a: Inertial, b| a.with(&b));
         let inertial = match self.from_geoms {
             FromGeoms::Never => own,
@@ -335,7 +301,7 @@ impl Context<'_> {
         }
     }
 
-    fn inertial(&mut self, e: &Element) -> Option<Inertial> {
+    fn inertial(&mut self, e: &Element, index: usize, robot: &mut Robot) -> Option<Inertial> {
         let at = self.pose(e);
         let inertia = e.get("diaginertia").or(e.get("fullinertia"));
         let needed = [("pos", e.get("pos")), ("mass", e.get("mass")), ("diaginertia", inertia)];
@@ -359,6 +325,11 @@ impl Context<'_> {
         }
         let own = Inertial { mass_kg, com_m: [0.0; 3], inertia_kgm2: own };
         let own = if self.balance { own.balanced() } else { own };
+        let body = robot.bodies[index].element.clone();
+        robot.weigh((&robot.bodies[index].name.clone(), &body), own.inertia_kgm2, |near| {
+            let count = if key == "diaginertia" { 3 } else { 6 };
+            format!("{key}=\"{}\"", near[..count].join(" "))
+        });
         Some(own.seen_from(&at))
     }
 }

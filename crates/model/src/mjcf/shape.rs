@@ -83,6 +83,7 @@ impl Context<'_> {
             let half_size_m = mesh.half_size_m.map(|h| h.max(1e-4));
             return Some((Some(Shape::Box { half_size_m }), at, Some(solid)));
         }
+        let before = self.remarks.refusals.len();
         let size = e.some_numbers("size", 3, self.remarks);
         let (mut at, mut size) = (self.pose(e), size.unwrap_or_default());
         if let Some(ends) = e.array::<6>("fromto", self.remarks) {
@@ -98,8 +99,7 @@ impl Context<'_> {
                 self.remarks.refuse_if_strict(e, message);
             }
             if half_length < 0.5e-9 {
-                let message = "attribute `fromto`: its two points coincide";
-                self.remarks.refuse_if_strict(e, message);
+                self.remarks.refuse_of(e, "attribute `fromto`: its two points coincide");
             }
             let radius = size.first().copied().unwrap_or(0.0);
             size = match kind {
@@ -109,14 +109,28 @@ impl Context<'_> {
             at = middle;
         }
         let Some(shape) = Shape::from_mjcf(kind, &size) else {
-            let message = match kind {
-                "plane" => "attribute `type`: a plane belongs in <worldbody>, not on a link",
-                _ => "attribute `size`: is missing, too short or not above zero",
-            };
-            if self.remarks.strict || size.iter().any(|s| *s < 0.0) {
-                self.remarks.refuse_of(e, message);
-            } else if matches!(kind, "plane" | "hfield") || collides {
-                self.remarks.note_of(e, format!("a {kind} of this size is left out"));
+            // what was refused already is why, a class that there is not may be
+            let refusals = &self.remarks.refusals;
+            let unclassed = refusals.iter().any(|r| r.message.contains("no default class"));
+            match kind {
+                _ if refusals.len() > before || unclassed => {}
+                "plane" if self.remarks.strict => self.remarks.refuse_of(
+                    e,
+                    "attribute `type`: a plane belongs in <worldbody>, not on a link",
+                ),
+                "sphere" | "capsule" | "cylinder" | "box" | "ellipsoid"
+                    if e.get("mesh").is_none() =>
+                {
+                    let message = "attribute `size`: is missing, too short or not above zero";
+                    self.remarks.refuse_of(e, message);
+                }
+                "plane" | "hfield" | "sphere" | "capsule" | "cylinder" | "box" | "ellipsoid" => {
+                    self.remarks.note_of(e, format!("a {kind} of this size is left out"));
+                }
+                _ => {
+                    let message = format!("attribute `type`: there is no shape `{kind}`");
+                    self.remarks.refuse_of(e, message);
+                }
             }
             return None;
         };

@@ -110,19 +110,53 @@ pub(super) fn check(root: &Element, remarks: &mut Remarks) {
 const MORE: &[(&str, &[&str])] = &[
     ("compiler", &["boundmass", "boundinertia", "settotalmass", "discardvisual", "meshdir", "assetdir"]),
     ("body", &["axisangle", "xyaxes", "zaxis", "gravcomp", "mocap"]),
-    ("joint", &["actuatorfrcrange", "springdamper"]),
+    ("inertial", &["axisangle", "xyaxes", "zaxis"]),
+    ("joint", &["actuatorfrcrange", "springdamper", "ref"]),
     ("geom", &["mass", "density", "mesh", "axisangle", "xyaxes", "zaxis"]),
-    ("position", &["inheritrange", "dampratio"]),
-    ("general", &["joint", "class", "forcerange", "ctrlrange", "gainprm", "biasprm", "gaintype", "biastype"]),
+    ("site", &["axisangle", "xyaxes", "zaxis"]),
+    ("position", &["inheritrange", "dampratio", "timeconst"]),
+    ("velocity", ACTUATOR),
+    ("general", &["name", "joint", "class", "forcerange", "ctrlrange", "gainprm", "biasprm", "gaintype", "biastype"]),
+    ("pair", &["name", "class", "geom1", "geom2", "friction", "condim", "solref", "solimp", "margin", "gap"]),
 ];
 
-/// Refuses in a file of another tool what is one letter off an attribute that is read: MuJoCo has no such one.
-pub(super) fn misspelt(e: &Element, remarks: &mut Remarks) {
-    let own = ELEMENTS.iter().find(|row| row.0 == e.tag).map_or(&[][..], |row| row.1);
-    let more = MORE.iter().find(|row| row.0 == e.tag).map_or(&[][..], |row| row.1);
-    e.misspelt(&[own, more].concat(), remarks);
+/// Attributes of any element that nothing here follows from, or that the reader speaks of itself.
+#[rustfmt::skip]
+const QUIET: &[&str] = &[
+    "user", "group", "material", "rgba", "margin", "gap", "condim", "priority", "solmix", "hfield", "fromto", "align",
+    "gear", "ctrllimited", "forcelimited", "actuatorfrclimited", "jointinparent", "tendon", "site", "refsite", "body",
+    "cranksite", "slidersite", "cranklength", "lengthrange", "texturedir", "strippath", "usethread", "fusestatic",
+    "solreffriction", "dyntype", "dynprm",
+];
+
+/// Looks over a file of another tool: refuses second things of one name and what is one letter off an attribute that
+/// is read, since MuJoCo has neither, and notes attributes that are not read.
+pub(super) fn look_over(root: &Element, remarks: &mut Remarks) {
+    let read = ["compiler", "default", "worldbody", "actuator", "contact"];
+    let mut taken = BTreeSet::new();
+    for section in root.children.iter().filter(|section| read.contains(&section.tag.as_str())) {
+        looked_over(section, &mut taken, remarks);
+    }
+}
+
+fn looked_over<'a>(
+    e: &'a Element,
+    taken: &mut BTreeSet<(&'a str, &'a str)>,
+    remarks: &mut Remarks,
+) {
+    let own = ELEMENTS.iter().find(|row| row.0 == e.tag).map(|row| row.1);
+    let more = MORE.iter().find(|row| row.0 == e.tag).map(|row| row.1);
+    if own.or(more).is_some() {
+        e.misspelt(&[own.unwrap_or_default(), more.unwrap_or_default(), QUIET].concat(), remarks);
+    }
+    let unique = ["body", "joint", "site"].contains(&e.tag.as_str());
+    if let Some(name) = e.get("name").filter(|_| unique)
+        && !taken.insert((&e.tag, name))
+    {
+        remarks.refuse_of(e, "there is another of this name");
+    }
     for child in &e.children {
-        misspelt(child, remarks);
+        looked_over(child, taken, remarks);
     }
 }
 

@@ -6,6 +6,7 @@ mod common;
 mod general;
 mod import;
 mod import_feet;
+mod import_slips;
 mod import_told;
 mod mujoco;
 mod polymander;

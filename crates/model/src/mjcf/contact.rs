@@ -1,0 +1,137 @@
+//! MJCF: `<contact>`: bodies that never touch, shapes that do whatever their bits are.
+
+use std::collections::BTreeSet;
+
+use super::context::{Context, softness};
+use crate::parts::Robot;
+use crate::tree::{Element, meant};
+use crate::types::Geom;
+
+/// Attributes of a `<pair>` that are kept, or say nothing.
+const KEPT: &[&str] = &["name", "class", "geom1", "geom2", "friction", "solref", "solimp"];
+
+/// What a name in a `<pair>` stands for.
+#[derive(PartialEq)]
+enum Named {
+    Robot,
+    /// What is fixed to the world, or stands in another file.
+    Ground,
+    /// A shape that was left out, or of a body that was.
+    Nothing,
+}
+
+/// Reads all of `<contact>`.
+pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot) {
+    let mut known = BTreeSet::new();
+    names(root, &mut known);
+    for e in root.all("contact").flat_map(|contact| &contact.children) {
+        match e.tag.as_str() {
+            "exclude" => exclude(context, e, robot),
+            "pair" => pair(context, e, (root, &known), robot),
+            _ => context.remarks.note_of(e, "is not known and not kept"),
+        }
+    }
+}
+
+/// Names of all shapes.
+fn names<'a>(e: &'a Element, into: &mut BTreeSet<&'a str>) {
+    into.extend(e.get("name").filter(|_| e.tag == "geom"));
+    e.children.iter().for_each(|child| names(child, into));
+}
+
+fn exclude(context: &mut Context<'_>, e: &Element, robot: &mut Robot) {
+    for key in ["body1", "body2"] {
+        let name = e.get(key).unwrap_or_default();
+        if !robot.bodies.iter().any(|b| b.name == name) {
+            let message = format!("attribute `{key}`: there is no body `{name}`");
+            context.remarks.refuse_if_strict(e, &message);
+            if !context.remarks.strict && name != "world" {
+                let message = format!("{message} in the robot; not kept");
+                context.remarks.note_of(e, message);
+            }
+        }
+    }
+    let names = [e.get("body1"), e.get("body2")];
+    if let [Some(one), Some(other)] = names {
+        robot.excluded.push([one.to_owned(), other.to_owned()]);
+    }
+}
+
+/// Keeps that a shape of the robot touches the ground, and how.
+fn pair(
+    context: &mut Context<'_>,
+    e: &Element,
+    (root, known): (&Element, &BTreeSet<&str>),
+    robot: &mut Robot,
+) {
+    let e = &context.resolved(e, None);
+    let mut both = [Named::Nothing, Named::Nothing];
+    for (named, key) in both.iter_mut().zip(["geom1", "geom2"]) {
+        let Some(name) = e.get(key) else {
+            return context.remarks.refuse_of(e, format!("attribute `{key}`: is missing"));
+        };
+        let own = |g: &Geom| g.name.as_deref() == Some(name);
+        let fixed = root.all("worldbody").flat_map(|w| w.all("geom"));
+        *named = if robot.bodies.iter().flat_map(|b| &b.geoms).any(|g| own(&g.geom)) {
+            Named::Robot
+        } else if fixed.into_iter().any(|g| g.get("name") == Some(name)) {
+            Named::Ground
+        } else if known.contains(name) {
+            Named::Nothing
+        } else {
+            let message = format!("attribute `{key}`: there is no geom `{name}`");
+            if let Some(meant) = meant(name, &known.iter().copied().collect::<Vec<_>>()) {
+                let message = format!("{message}; did you mean `{meant}`?");
+                return context.remarks.refuse_of(e, message);
+            }
+            let message = format!("<pair>: {message} in this file; it is taken for the ground");
+            context.remarks.note_once(e, message);
+            Named::Ground
+        };
+    }
+    let name = match both {
+        [Named::Robot, Named::Ground] => e.get("geom1"),
+        [Named::Ground, Named::Robot] => e.get("geom2"),
+        [Named::Robot, Named::Robot] => {
+            let message = "<pair>: two parts of the robot; whether parts touch each other is engine.self_collision's to \
+                           say, for all of them";
+            return context.remarks.note_once(e, message);
+        }
+        _ => {
+            let message = "names no shape that is kept beside the ground; it is not kept";
+            return context.remarks.note_of(e, message);
+        }
+    };
+    let lost = |(key, value): &(&String, &String)| {
+        !KEPT.contains(&key.as_str()) && !(*key == "condim" && value.trim() == "3")
+    };
+    let lost: Vec<&str> = e.attributes.iter().filter(lost).map(|(key, _)| key.as_str()).collect();
+    if !lost.is_empty() {
+        let message = format!("<pair>: not kept: {}", lost.join(", "));
+        context.remarks.note_once(e, message);
+    }
+    let friction = e.some_numbers("friction", 5, context.remarks).unwrap_or_default();
+    let friction = friction.first().copied();
+    if friction.is_some_and(|f| f < 0.0) {
+        context.remarks.refuse_of(e, "attribute `friction`: must not be negative");
+    }
+    let soft = softness(e, "solref", "solimp", context.remarks);
+    // one that no shape of the robot has: what touches the ground so touches nothing else
+    let geoms = || robot.bodies.iter().flat_map(|body| &body.geoms).map(|painted| &painted.geom);
+    let taken = geoms().fold(1, |bits, geom| bits | geom.contype);
+    let ground_bit = 1u32.checked_shl(taken.trailing_ones()).unwrap_or(1);
+    let geoms = robot.bodies.iter_mut().flat_map(|body| &mut body.geoms);
+    for geom in geoms.map(|painted| &mut painted.geom).filter(|g| g.name.as_deref() == name) {
+        if !geom.collides() {
+            geom.conaffinity = ground_bit;
+            robot.ground_bit = ground_bit;
+        }
+        geom.friction = friction.unwrap_or(geom.friction);
+        if e.get("solref").is_some() {
+            geom.soft.solref = soft.solref;
+        }
+        if e.get("solimp").is_some() {
+            geom.soft.solimp = soft.solimp;
+        }
+    }
+}
