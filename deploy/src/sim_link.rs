@@ -62,13 +62,23 @@ impl SimLink {
         };
         let own = hello_of(model, control_period_s);
         link.send(&RobotMessage::Hello(Box::new(own.clone())))?;
-        let RobotMessage::Hello(theirs) = link.receive(HELLO_TIMEOUT)? else {
+        let silent = |error| match error {
+            BusError::Timeout { deadline } => BusError::Connect {
+                address: address.to_owned(),
+                reason: format!(
+                    "it says nothing for {} ms: does it serve another program?",
+                    deadline.as_millis()
+                ),
+            },
+            other => other,
+        };
+        let RobotMessage::Hello(theirs) = link.receive(HELLO_TIMEOUT).map_err(silent)? else {
             return Err(link.protocol("it did not say hello"));
         };
         if let Some(reason) = compare(&own, &theirs) {
             return Err(link.protocol(reason));
         }
-        let first = link.receive_sensors(HELLO_TIMEOUT)?;
+        let first = link.receive_sensors(HELLO_TIMEOUT).map_err(silent)?;
         link.sensors = Some((first, false));
         Ok(link)
     }

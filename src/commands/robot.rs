@@ -466,10 +466,12 @@ fn print(model: &RobotModel, summary: &Summary<'_>) {
         if model.rolls(index) {
             angles[1..].fill("rolls".to_owned());
         }
-        let gains = [summary.kp_nm_per_rad[index], summary.kd_nm_s_per_rad[index]];
+        let gain = |x: f64, unit: &str| if slides { format!("{x} {unit}") } else { x.to_string() };
+        let kp = gain(summary.kp_nm_per_rad[index], "N/m");
+        let kd = gain(summary.kd_nm_s_per_rad[index], "N·s/m");
         let own = vec![index.to_string(), (*name).to_owned()];
         let servo = vec![summary.servos[index].to_owned()];
-        [own, angles.to_vec(), gains.map(|g| g.to_string()).to_vec(), servo].concat()
+        [own, angles.to_vec(), vec![kp, kd], servo].concat()
     };
     let head =
         ["#", "joint", "nominal °", "lower °", "upper °", "kp N·m/rad", "kd N·m·s/rad", "servo"];

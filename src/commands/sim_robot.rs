@@ -83,7 +83,8 @@ pub fn run(args: &SimRobotArgs, stop: &StopFlag) -> Result<(), Failure> {
     let mut robot = SimulatedRobot::new(engine, start, args.seed, contact_force_n, water);
     robot.imu_gravity = args.imu_gravity;
     let listener = TcpListener::bind(args.addr)
-        .or_exit_with(ExitCode::OsResource, || format!("cannot listen on {}", args.addr))?;
+        .or_exit_with(ExitCode::OsResource, || format!("cannot listen on {}", args.addr))
+        .map_err(|failure| failure.hint("--addr takes another; with port 0 any that is free"))?;
     listener.set_nonblocking(true).or_exit(ExitCode::OsResource)?;
     announce("robot_link", listener.local_addr().or_exit(ExitCode::OsResource)?);
     while !stop.is_set() {

@@ -48,7 +48,7 @@ pub struct ShowArgs {
     #[arg(long, value_name = "X,Y", value_parser = pair, allow_hyphen_values = true)]
     place: Option<[f32; 2]>,
     /// Which way a policy's robot faces at first, degrees from the x axis to the left
-    #[arg(long, value_name = "DEG", value_parser = degrees, default_value = "0", allow_negative_numbers = true)]
+    #[arg(long, value_name = "DEG", value_parser = degrees, default_value = "0", allow_negative_numbers = true, requires = "policy")]
     heading_deg: f32,
     /// How long a scene's robot settles before the picture, s
     #[arg(long, default_value_t = 1.0)]
@@ -60,13 +60,13 @@ pub struct ShowArgs {
     #[arg(long, value_name = "P.onnx", conflicts_with = "log")]
     policy: Option<PathBuf>,
     /// What the policy is told: vx, vy (m/s), yaw rate (rad/s)
-    #[arg(long, value_name = "X,Y,YAW", value_parser = triple, default_value = "0.3,0,0", allow_hyphen_values = true)]
+    #[arg(long, value_name = "X,Y,YAW", value_parser = triple, default_value = "0.3,0,0", allow_hyphen_values = true, requires = "policy")]
     command: [f32; 3],
     /// How long its walk is drawn after it has settled, s
-    #[arg(long, default_value_t = 4.0)]
+    #[arg(long, default_value_t = 4.0, requires = "policy")]
     seconds: f64,
     /// Moment of the log, s
-    #[arg(long, value_name = "T")]
+    #[arg(long, value_name = "T", requires = "log")]
     at: Option<f64>,
     /// From where
     #[arg(long, value_enum, default_value_t = View::Iso)]

@@ -196,9 +196,13 @@ impl<'a> Supervisor<'a> {
             return Err(fatal);
         }
         let clean = status.is_some_and(|status| status.success());
-        let Some(finished) = self.finished.take().filter(|_| clean) else {
+        let Some(mut finished) = self.finished.take().filter(|_| clean) else {
             return Err(self.learner_failure());
         };
+        if let (true, Some(reason)) = (finished.reason == "SIGTERM", self.stop.reason()) {
+            // which it was passed on as
+            finished.reason = reason;
+        }
         let restarts = self.actors.iter().map(Watched::restarts).sum();
         // Of the whole run, as the learner's account is.
         let ledgers = caudata_actor::ledgers_in(&self.folder.ledgers());
