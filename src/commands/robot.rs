@@ -466,7 +466,10 @@ fn print(model: &RobotModel, summary: &Summary<'_>) {
         if model.rolls(index) {
             angles[1..].fill("rolls".to_owned());
         }
-        let gain = |x: f64, unit: &str| if slides { format!("{x} {unit}") } else { x.to_string() };
+        let gain = |x: f64, unit: &str| {
+            let x: f64 = format!("{x:.3e}").parse().unwrap_or(x);
+            if slides { format!("{x} {unit}") } else { x.to_string() }
+        };
         let kp = gain(summary.kp_nm_per_rad[index], "N/m");
         let kd = gain(summary.kd_nm_s_per_rad[index], "N·s/m");
         let own = vec![index.to_string(), (*name).to_owned()];
