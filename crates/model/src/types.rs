@@ -108,9 +108,16 @@ impl Joint {
 
     /// What counts on this joint as a radian does on a hinge: of a slide the way at the end of a lever of 0.1 m.
     pub fn per_radian(&self) -> f64 {
-        match self.motion {
-            JointMotion::Hinge => 1.0,
-            JointMotion::Slide => 0.1,
+        self.motion.per_radian()
+    }
+}
+
+impl JointMotion {
+    /// [`Joint::per_radian`].
+    pub(crate) fn per_radian(self) -> f64 {
+        match self {
+            Self::Hinge => 1.0,
+            Self::Slide => 0.1,
         }
     }
 }

@@ -222,9 +222,11 @@ pub(super) fn reach_m(robot: &Robot) -> f64 {
     farthest_m.max(0.01)
 }
 
-/// Torque that is written where nothing limits any drive: it carries the weight at the end of the longest limb.
-pub(super) fn unsaid_torque_nm(robot: &Robot) -> f64 {
-    two_digits(weight_n(robot) * reach_m(robot)).max(0.01)
+/// Torque (of a slide force) that is written where nothing limits any drive: it carries the weight at the end of the
+/// longest limb.
+pub(super) fn unsaid_torque_nm(robot: &Robot, motion: JointMotion) -> f64 {
+    let lever_m = if motion == JointMotion::Hinge { reach_m(robot) } else { 1.0 };
+    two_digits(weight_n(robot) * lever_m).max(0.01)
 }
 
 /// Inertia of rotor and gears at the joint for each N·m of the drive, s²: a URDF has no word for it, and a light
@@ -235,37 +237,40 @@ const ROTOR_S2: f64 = 8.5e-4;
 /// A drive without a greatest torque and gains gets the median of those that have one; one of a URDF
 /// also a rotor.
 fn strengthen(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
-    let mut known: Vec<f64> = robot.actuators.iter().filter_map(|a| a.force_limit).collect();
-    known.sort_by(f64::total_cmp);
-    let (torque_nm, source) = match known.get(known.len() / 2) {
-        Some(median) => (*median, "the median of the others"),
-        None => (unsaid_torque_nm(robot), "a guess: the weight times the reach of its limbs"),
-    };
-    let mut weak: Vec<&str> = Vec::new();
-    for drive in &mut robot.actuators {
-        if drive.force_limit.is_none() && drive.gains.is_none() {
-            drive.force_limit = Some(torque_nm);
+    for (motion, unit) in [(JointMotion::Hinge, "N·m"), (JointMotion::Slide, "N")] {
+        let such = robot.joints().filter(|j| j.motion == motion);
+        let such: BTreeSet<String> = such.map(|j| j.name.clone()).collect();
+        let own = robot.actuators.iter().filter(|a| such.contains(&a.joint));
+        let mut known: Vec<f64> = own.filter_map(|a| a.force_limit).collect();
+        known.sort_by(f64::total_cmp);
+        let (torque, source) = match known.get(known.len() / 2) {
+            Some(median) => (*median, "the median of the others"),
+            None if unit == "N" => (unsaid_torque_nm(robot, motion), "a guess: the weight"),
+            None => {
+                let guess = unsaid_torque_nm(robot, motion);
+                (guess, "a guess: the weight times the reach of its limbs")
+            }
+        };
+        let lacks = |a: &&mut Actuator| a.force_limit.is_none() && a.gains.is_none();
+        let mut weak: Vec<&str> = Vec::new();
+        for drive in robot.actuators.iter_mut().filter(|a| such.contains(&a.joint)).filter(lacks) {
+            drive.force_limit = Some(torque);
             weak.push(&drive.joint);
         }
-    }
-    if !weak.is_empty() {
-        let slides = |j: &Joint| j.motion == JointMotion::Slide && weak.contains(&j.name.as_str());
-        let unit = match robot.bodies.iter().flat_map(|b| &b.joints).any(slides) {
-            true => "N·m (of a slide N)",
-            false => "N·m",
-        };
-        let message = format!(
-            "no greatest torque of {}: {torque_nm} {unit} written, {source}",
-            weak.join(", ")
-        );
-        remarks.note(root, message);
+        if !weak.is_empty() {
+            let what = if unit == "N" { "force" } else { "torque" };
+            let weak = weak.join(", ");
+            let message =
+                format!("no greatest {what} of {weak}: {torque} {unit} written, {source}");
+            remarks.note(root, message);
+        }
     }
     if root.tag == "robot" {
         for drive in &robot.actuators {
             let mut joints = robot.bodies.iter_mut().flat_map(|b| &mut b.joints);
             if let Some(joint) = joints.find(|j| j.name == drive.joint) {
                 // every drive of a URDF has a torque by now
-                joint.armature = two_digits(ROTOR_S2 * drive.force_limit.unwrap_or(torque_nm));
+                joint.armature = two_digits(ROTOR_S2 * drive.force_limit.unwrap_or_default());
             }
         }
     }

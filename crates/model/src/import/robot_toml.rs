@@ -161,14 +161,14 @@ struct DriveType {
 
 /// One type for all drives that are alike, and which each drive is.
 fn drive_types(robot: &Robot, driven: &[&Joint]) -> (Vec<DriveType>, Vec<usize>) {
-    let unsaid_nm = unsaid_torque_nm(robot);
     let mut types: Vec<DriveType> = Vec::new();
     let mut of = Vec::new();
     for (joint, drive) in driven.iter().zip(&robot.actuators) {
         let own = DriveType {
             motion: joint.motion,
-            torque_nm: drive.force_limit.unwrap_or(unsaid_nm),
-            speed_radps: drive.speed_limit.unwrap_or(UNSAID_SPEED_RADPS),
+            torque_nm: drive.force_limit.unwrap_or_else(|| unsaid_torque_nm(robot, joint.motion)),
+            speed_radps: (drive.speed_limit)
+                .unwrap_or(UNSAID_SPEED_RADPS * joint.motion.per_radian()),
             armature_kgm2: joint.armature,
             damping: joint.damping,
             friction_nm: joint.friction_loss,
@@ -188,13 +188,14 @@ fn drive_types(robot: &Robot, driven: &[&Joint]) -> (Vec<DriveType>, Vec<usize>)
 /// Gains.
 fn gains(w: &mut String, robot: &Robot, driven: &[&Joint]) {
     // where a drive has no gains, it has a torque by now
-    let gains_of = |drive: &Actuator| {
+    let gains_of = |(joint, drive): (&&Joint, &Actuator)| {
         drive.gains.unwrap_or_else(|| {
-            let kp = two_digits(drive.force_limit.unwrap_or_default() / UNSAID_ERROR_RAD);
+            let error = UNSAID_ERROR_RAD * joint.motion.per_radian();
+            let kp = two_digits(drive.force_limit.unwrap_or_default() / error);
             (kp, two_digits(kp * UNSAID_DAMPING_S))
         })
     };
-    let gains: Vec<(f64, f64)> = robot.actuators.iter().map(gains_of).collect();
+    let gains: Vec<(f64, f64)> = driven.iter().zip(&robot.actuators).map(gains_of).collect();
     let common = gains.first().copied().unwrap_or_default();
     let source = if robot.actuators.iter().all(|a| a.gains.is_some()) {
         "[mjcf]"

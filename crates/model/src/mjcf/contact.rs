@@ -5,13 +5,11 @@ use std::collections::BTreeSet;
 use super::context::{Context, softness};
 use crate::parts::Robot;
 use crate::tree::{Element, meant};
-use crate::types::Geom;
 
 /// Attributes of a `<pair>` that are kept, or say nothing.
 const KEPT: &[&str] = &["name", "class", "geom1", "geom2", "friction", "solref", "solimp"];
 
 /// What a name in a `<pair>` stands for.
-#[derive(PartialEq)]
 enum Named {
     Robot,
     /// What is fixed to the world, or stands in another file.
@@ -57,42 +55,54 @@ fn exclude(context: &mut Context<'_>, e: &Element, robot: &mut Robot) {
     }
 }
 
+/// What a name in a `<pair>` stands for; `None`: it is refused.
+fn named(
+    context: &mut Context<'_>,
+    e: &Element,
+    key: &str,
+    (root, known): (&Element, &BTreeSet<&str>),
+    robot: &Robot,
+) -> Option<Named> {
+    let Some(name) = e.get(key) else {
+        context.remarks.refuse_of(e, format!("attribute `{key}`: is missing"));
+        return None;
+    };
+    let mut own = robot.bodies.iter().flat_map(|b| &b.geoms);
+    let mut fixed = root.all("worldbody").flat_map(|w| w.all("geom"));
+    if own.any(|g| g.geom.name.as_deref() == Some(name)) {
+        return Some(Named::Robot);
+    }
+    if fixed.any(|g| g.get("name") == Some(name)) {
+        return Some(Named::Ground);
+    }
+    if known.contains(name) {
+        return Some(Named::Nothing);
+    }
+    let message = format!("attribute `{key}`: there is no geom `{name}`");
+    let known: Vec<&str> = known.iter().copied().collect();
+    if let Some(meant) = meant(name, &known) {
+        context.remarks.refuse_of(e, format!("{message}; did you mean `{meant}`?"));
+        return None;
+    }
+    let message = format!("<pair>: {message} in this file; it is taken for the ground");
+    context.remarks.note_once(e, message);
+    Some(Named::Ground)
+}
+
 /// Keeps that a shape of the robot touches the ground, and how.
 fn pair(
     context: &mut Context<'_>,
     e: &Element,
-    (root, known): (&Element, &BTreeSet<&str>),
+    file: (&Element, &BTreeSet<&str>),
     robot: &mut Robot,
 ) {
     let e = &context.resolved(e, None);
-    let mut both = [Named::Nothing, Named::Nothing];
-    for (named, key) in both.iter_mut().zip(["geom1", "geom2"]) {
-        let Some(name) = e.get(key) else {
-            return context.remarks.refuse_of(e, format!("attribute `{key}`: is missing"));
-        };
-        let own = |g: &Geom| g.name.as_deref() == Some(name);
-        let fixed = root.all("worldbody").flat_map(|w| w.all("geom"));
-        *named = if robot.bodies.iter().flat_map(|b| &b.geoms).any(|g| own(&g.geom)) {
-            Named::Robot
-        } else if fixed.into_iter().any(|g| g.get("name") == Some(name)) {
-            Named::Ground
-        } else if known.contains(name) {
-            Named::Nothing
-        } else {
-            let message = format!("attribute `{key}`: there is no geom `{name}`");
-            if let Some(meant) = meant(name, &known.iter().copied().collect::<Vec<_>>()) {
-                let message = format!("{message}; did you mean `{meant}`?");
-                return context.remarks.refuse_of(e, message);
-            }
-            let message = format!("<pair>: {message} in this file; it is taken for the ground");
-            context.remarks.note_once(e, message);
-            Named::Ground
-        };
-    }
-    let name = match both {
-        [Named::Robot, Named::Ground] => e.get("geom1"),
-        [Named::Ground, Named::Robot] => e.get("geom2"),
-        [Named::Robot, Named::Robot] => {
+    let [one, other] = ["geom1", "geom2"].map(|key| named(context, e, key, file, robot));
+    let (Some(one), Some(other)) = (one, other) else { return };
+    let name = match (one, other) {
+        (Named::Robot, Named::Ground) => e.get("geom1"),
+        (Named::Ground, Named::Robot) => e.get("geom2"),
+        (Named::Robot, Named::Robot) => {
             let message = "<pair>: two parts of the robot; whether parts touch each other is engine.self_collision's to \
                            say, for all of them";
             return context.remarks.note_once(e, message);
@@ -116,10 +126,7 @@ fn pair(
         context.remarks.refuse_of(e, "attribute `friction`: must not be negative");
     }
     let soft = softness(e, "solref", "solimp", context.remarks);
-    // one that no shape of the robot has: what touches the ground so touches nothing else
-    let geoms = || robot.bodies.iter().flat_map(|body| &body.geoms).map(|painted| &painted.geom);
-    let taken = geoms().fold(1, |bits, geom| bits | geom.contype);
-    let ground_bit = 1u32.checked_shl(taken.trailing_ones()).unwrap_or(1);
+    let ground_bit = ground_bit(robot);
     let geoms = robot.bodies.iter_mut().flat_map(|body| &mut body.geoms);
     for geom in geoms.map(|painted| &mut painted.geom).filter(|g| g.name.as_deref() == name) {
         if !geom.collides() {
@@ -134,4 +141,13 @@ fn pair(
             geom.soft.solimp = soft.solimp;
         }
     }
+}
+
+/// A bit that no shape of the robot has, but for those that a pair gave it to: what it lets touch the ground touches
+/// nothing else.
+fn ground_bit(robot: &Robot) -> u32 {
+    let geoms = robot.bodies.iter().flat_map(|body| &body.geoms).map(|painted| &painted.geom);
+    let bits = geoms.fold(1, |bits, g| bits | g.contype | g.conaffinity & !robot.ground_bit);
+    // MuJoCo's bits are those of a signed number
+    if bits.trailing_ones() < 31 { 1 << bits.trailing_ones() } else { 1 }
 }

@@ -112,30 +112,30 @@ impl Context<'_> {
             // what was refused already is why, a class that there is not may be
             let refusals = &self.remarks.refusals;
             let unclassed = refusals.iter().any(|r| r.message.contains("no default class"));
-            match kind {
-                _ if refusals.len() > before || unclassed => {}
-                "plane" if self.remarks.strict => self.remarks.refuse_of(
-                    e,
-                    "attribute `type`: a plane belongs in <worldbody>, not on a link",
-                ),
-                "sphere" | "capsule" | "cylinder" | "box" | "ellipsoid"
-                    if e.get("mesh").is_none() =>
-                {
-                    let message = "attribute `size`: is missing, too short or not above zero";
-                    self.remarks.refuse_of(e, message);
-                }
-                "plane" | "hfield" | "sphere" | "capsule" | "cylinder" | "box" | "ellipsoid" => {
-                    self.remarks.note_of(e, format!("a {kind} of this size is left out"));
-                }
-                _ => {
-                    let message = format!("attribute `type`: there is no shape `{kind}`");
-                    self.remarks.refuse_of(e, message);
-                }
+            if refusals.len() == before && !unclassed {
+                self.shapeless(e, kind);
             }
             return None;
         };
         let solid = Solid::of(&shape);
         Some((Some(shape), at, solid))
+    }
+
+    /// Says why a geom is no shape.
+    fn shapeless(&mut self, e: &Element, kind: &str) {
+        let known = ["plane", "hfield", "sphere", "capsule", "cylinder", "box", "ellipsoid"];
+        let left_out = matches!(kind, "plane" | "hfield") || e.get("mesh").is_some();
+        let message = match kind {
+            "plane" if self.remarks.strict => {
+                "attribute `type`: a plane belongs in <worldbody>, not on a link".to_owned()
+            }
+            _ if !known.contains(&kind) => format!("attribute `type`: there is no shape `{kind}`"),
+            _ if left_out && !self.remarks.strict => {
+                return self.remarks.note_of(e, format!("a {kind} of this size is left out"));
+            }
+            _ => "attribute `size`: is missing, too short or not above zero".to_owned(),
+        };
+        self.remarks.refuse_of(e, message);
     }
 }
 

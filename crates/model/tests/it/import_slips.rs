@@ -159,3 +159,30 @@ fn a_place_above_the_trunk_is_not_the_trunk() {
     // 8 % of the range of 0 to 2 rad
     assert_eq!(m.nominal_pos_rad(), [0.16, 0.16]);
 }
+
+/// A lift of 60 N and a hinge of 9 N·m beside a gripper and a second hinge of which nothing is said: forces are not
+/// made of torques. The whole force is reached at 0.7 of what counts as a radian on a slide, 0.1 m: 60/0.07 = 857.
+#[test]
+fn a_slide_is_as_strong_as_slides() {
+    let part = |name: &str, kind: &str| {
+        format!(
+            "<body name=\"{name}\"><joint name=\"{name}\" type=\"{kind}\" axis=\"0 1 0\"/><geom size=\"0.05\"/></body>"
+        )
+    };
+    let text = format!(
+        "<mujoco><worldbody><body name=\"base\"><freejoint/><geom size=\"0.05\"/>{}{}{}{}</body></worldbody><actuator>\
+         <motor joint=\"lift\" forcerange=\"-60 60\"/><motor joint=\"grip\"/><motor joint=\"turn\" forcerange=\"-9 9\"/>\
+         <motor joint=\"bend\"/></actuator></mujoco>",
+        part("lift", "slide"),
+        part("grip", "slide"),
+        part("turn", "hinge"),
+        part("bend", "hinge")
+    );
+    let made = read("lift.xml", &text).unwrap();
+    assert!(told(&made, "no greatest force of grip: 60 N written"), "{:?}", made.notes);
+    assert!(told(&made, "no greatest torque of bend: 9 N·m written"), "{:?}", made.notes);
+    let m = model(&made);
+    assert_eq!((m.servo(1).tau_max_nm, m.kp_nm_per_rad(1)), (60.0, 860.0));
+    assert_eq!((m.servo(3).tau_max_nm, m.kp_nm_per_rad(3)), (9.0, 13.0));
+    assert_eq!((m.servo(1).qd_max_radps, m.servo(3).qd_max_radps), (3.0, 30.0));
+}
