@@ -82,8 +82,7 @@ fn act(args: &Args, process: &Process) -> Result<(), Failure> {
             .hint("give --actor-id, or set actors.lockstep=false"));
     }
     let robot_path = config.robot_path();
-    let model = RobotModel::load(&robot_path)
-        .or_exit_with(ExitCode::BadInput, || format!("robot file {}", robot_path.display()))?;
+    let model = RobotModel::load(&robot_path).or_exit_with(ExitCode::BadInput, || "robot file")?;
 
     let registry = Metrics::new();
     let metrics = ActorMetrics::register(&registry);

@@ -23,8 +23,8 @@ use crate::verify::{Refusal, VerifyError};
 #[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum DeployError {
     /// The robot file is missing or wrong.
-    #[error("robot file {}: {source}", path.display())]
-    Robot { path: PathBuf, source: ModelError },
+    #[error("robot file: {source}")]
+    Robot { source: ModelError },
     /// Nothing that was sent can have counted.
     #[error(
         "{robot} never answered: nothing was sent that counts; is it the robot's --link-addr, and is the key the same?"

@@ -49,8 +49,8 @@ pub enum LearnerError {
     #[error("transport: {0}")]
     Transport(#[from] caudata_transport::TransportError),
     /// The robot file cannot be used.
-    #[error("robot file {path}: {source}")]
-    Robot { path: PathBuf, source: caudata_model::ModelError },
+    #[error("robot file: {source}")]
+    Robot { source: caudata_model::ModelError },
     /// The task does not fit the robot.
     #[error("task: {0}")]
     Task(#[from] caudata_task::TaskError),

@@ -18,8 +18,7 @@ pub(crate) struct Task {
 impl Task {
     pub fn new(config: &Config) -> Result<Self, LearnerError> {
         let path = config.robot_path();
-        let model =
-            RobotModel::load(&path).map_err(|source| LearnerError::Robot { path, source })?;
+        let model = RobotModel::load(&path).map_err(|source| LearnerError::Robot { source })?;
         let contract = PolicyContract::new(&model, &config.task)?;
         let (network, dims) = (&config.learner.network, (contract.obs_dim(), contract.act_dim()));
         let mut networks = NetworkSpec::new(network, dims.0, dims.1)?;

@@ -47,7 +47,7 @@ pub fn robot(path: &Path) -> Result<RobotModel, Failure> {
             ModelError::Read { .. } => ExitCode::NoInput,
             _ => ExitCode::BadInput,
         };
-        let failure = Failure::new(code, error).context(format!("robot file {}", path.display()));
+        let failure = Failure::new(code, error).context("robot file");
         let failure = meant(failure, path, "robots", |file| ends_with(file, ".robot.toml"));
         if path.exists() || !path.is_absolute() {
             return failure;
@@ -242,5 +242,15 @@ mod tests {
         let none = run_folder(&runs.path().join("walk-not-a-run")).unwrap_err();
         assert!(none.to_string().ends_with("is no run folder"), "{none}");
         assert_eq!(none.hint_text(), None);
+    }
+
+    #[test]
+    fn a_wrong_robot_file_is_named_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("wrong.robot.toml");
+        std::fs::write(&file, "name = \"a\"\nname = \"b\"\n").unwrap();
+        let said = robot(&file).unwrap_err().to_string();
+        assert!(said.contains("wrong.robot.toml:2: "), "{said}");
+        assert_eq!(said.matches("wrong.robot.toml").count(), 1, "{said}");
     }
 }

@@ -97,7 +97,7 @@ fn run(args: &Args, process: &Process) -> Result<(), Failure> {
             ModelError::Read { .. } => ExitCode::NoInput,
             _ => ExitCode::BadInput,
         };
-        Failure::new(code, error).context(format!("robot file {}", args.robot.display()))
+        Failure::new(code, error).context("robot file")
     })?;
     let joints = model.actuated_names();
     let torque = (0..joints.len()).map(|i| model.servo(i).torque_per_current_nm_per_a);

@@ -165,8 +165,7 @@ fn host_name() -> String {
 }
 
 pub(super) fn load_model(path: &Path) -> Result<Arc<RobotModel>, DeployError> {
-    let model = RobotModel::load(path)
-        .map_err(|source| DeployError::Robot { path: path.to_owned(), source })?;
+    let model = RobotModel::load(path).map_err(|source| DeployError::Robot { source })?;
     // Refuses a robot that the task cannot drive, before anything is fetched.
     caudata_task::JointTable::from_model(&model)
         .map_err(|source| DeployError::Task { path: path.to_owned(), source })?;
