@@ -403,7 +403,7 @@ struct Summary<'a> {
     imu: Option<&'a str>,
     /// Why it cannot be trained to walk; `None` where it can.
     cannot_walk: Option<String>,
-    /// Why it does not stand in its nominal pose for a second or two; `None` where it does, or has no feet.
+    /// Why it does not stand in its nominal pose for some seconds; `None` where it does, or has no feet.
     cannot_stand: Option<String>,
 }
 
