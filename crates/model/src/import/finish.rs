@@ -22,9 +22,9 @@ pub(super) fn finish(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
         remarks.refuse(root, "holds no body that moves");
         return;
     }
-    drop_empty_root(robot);
+    while drop_empty_root(robot) {}
     merge_welded(robot);
-    drop_empty_root(robot);
+    while drop_empty_root(robot) {}
     if root.tag == "mujoco" && root.all("actuator").next().is_none() {
         drive_all(robot, root, remarks);
     }
@@ -121,15 +121,16 @@ fn merge_welded(robot: &mut Robot) {
 
 const MJCF_WORLD: &str = "world";
 
-/// A root that is nothing but a place gives way to the one body that hangs on it, a free one to what is welded to it.
-fn drop_empty_root(robot: &mut Robot) {
+/// Whether the root was nothing but a place and gave way to the one body that hangs on it, a free one to what is
+/// welded to it.
+fn drop_empty_root(robot: &mut Robot) -> bool {
     let mut children = robot.bodies.iter().filter(|b| b.parent == Some(0));
     let root = &robot.bodies[0];
     let has_mass = root.inertial.is_some_and(|i| i.mass_kg > 0.0);
     let empty = root.joints.is_empty() && root.geoms.is_empty() && root.sites.is_empty();
-    let (Some(heir), None) = (children.next(), children.next()) else { return };
+    let (Some(heir), None) = (children.next(), children.next()) else { return false };
     if robot.free_base && !heir.joints.is_empty() || has_mass || !empty {
-        return;
+        return false;
     }
     robot.merged.insert(root.name.clone(), heir.name.clone());
     let root = robot.bodies.remove(0);
@@ -142,6 +143,7 @@ fn drop_empty_root(robot: &mut Robot) {
             other => other.map(|p| p - 1),
         };
     }
+    true
 }
 
 /// Limits of a wheel, rad, either way: no run goes so far.

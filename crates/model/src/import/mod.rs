@@ -93,8 +93,8 @@ pub fn import(file: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
             "no pose to stand in: one was worked out, with feet or wheels below where their legs begin; look at it \
              (`caudata sim show`), or put angles of yours into [pose.nominal_rad]"
         } else {
-            "no pose to stand in: the nominal pose is 0, or what a joint can do nearest to it; where `caudata robot \
-             check` says that it does not stand so, put angles in which it does into [pose.nominal_rad]"
+            "no pose to stand in: the nominal pose is 0, or near it and off the end of a joint's range; where `caudata \
+             robot check` says that it does not stand so, put angles in which it does into [pose.nominal_rad]"
         };
         remarks.note(&root, message);
     }

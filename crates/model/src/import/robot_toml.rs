@@ -65,7 +65,7 @@ pub(super) fn write(name: &str, file: &Path, robot: &Robot, notes: &[Remark]) ->
     let source = if robot.home_is_ours {
         "[ours] worked out: feet or wheels below where their legs begin"
     } else {
-        "[mjcf] the named pose, or 0"
+        "[mjcf] the named pose, or 0, off the ends of ranges"
     };
     let _ = writeln!(w, "]\n\n# {source}\n[pose.nominal_rad]");
     for joint in &driven {

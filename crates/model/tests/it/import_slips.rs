@@ -130,7 +130,7 @@ fn an_inertia_that_no_body_has_is_told_with_the_nearest() {
     near("trace", trace, 0.0015 + 0.0025 + 0.004, 1e-7);
 }
 
-/// Above the trunk stands a link that is nothing but a place, on the ground.
+/// Above the trunk stand two links that are nothing but places, one of them on the ground.
 #[test]
 fn a_place_above_the_trunk_is_not_the_trunk() {
     let link = |name: &str| {
@@ -147,7 +147,8 @@ fn a_place_above_the_trunk_is_not_the_trunk() {
         )
     };
     let text = format!(
-        "<robot name=\"cart\"><link name=\"base_footprint\"/>{}<joint name=\"up\" type=\"fixed\">\
+        "<robot name=\"cart\"><link name=\"place\"/><joint name=\"on\" type=\"fixed\"><parent link=\"place\"/>\
+         <child link=\"base_footprint\"/></joint><link name=\"base_footprint\"/>{}<joint name=\"up\" type=\"fixed\">\
          <origin xyz=\"0 0 0.3\"/><parent link=\"base_footprint\"/><child link=\"base_link\"/></joint>{}{}</robot>",
         link("base_link"),
         leg("l", 0.2),
