@@ -113,7 +113,7 @@ fn pair(
         }
     };
     let lost = |(key, value): &(&String, &String)| {
-        !KEPT.contains(&key.as_str()) && !(*key == "condim" && value.trim() == "3")
+        !(KEPT.contains(&key.as_str()) || *key == "condim" && value.trim() == "3")
     };
     let lost: Vec<&str> = e.attributes.iter().filter(lost).map(|(key, _)| key.as_str()).collect();
     if !lost.is_empty() {
