@@ -8,8 +8,8 @@ use crate::replay::{Data, Replayer, Term, Variant};
 use crate::report::DataFault;
 use crate::trial::Kind;
 
-/// A stop gives way by less than this share of the range, beyond what the simulated one does.
-const GIVES_WAY: f64 = 0.01;
+/// What would go on farther without a stop, by this share of the range, is held by one.
+const HELD: f64 = 0.01;
 /// So many samples are no slip of the encoder.
 const SAMPLES: usize = 5;
 /// Farther than any stop, rad or m.
@@ -71,8 +71,10 @@ pub fn find(replayer: &Replayer, data: &Data) -> Result<Vec<Passed>, GapError> {
         .collect();
     let Some(first) = limits.first() else { return Ok(Vec::new()) };
     let measured = Beyond::of(&limits, data, &data.value);
-    let gives_way = |a: usize| GIVES_WAY * (first[a].1 - first[a].0);
-    let may = |a: usize, s: usize| measured.at(a, s, SAMPLES) > gives_way(a);
+    // what matters of a stop, or a count, beyond what the simulated one gives way
+    let least = |a: usize| PASSED_STOP.parameters[0].scale * model.per_radian(a);
+    let passes = |a: usize| least(a).max(model.servo(a).encoder_lsb_rad());
+    let may = |a: usize, s: usize| measured.at(a, s, SAMPLES) > passes(a);
     if !(0..first.len()).any(|a| may(a, 0) || may(a, 1)) {
         return Ok(Vec::new());
     }
@@ -82,7 +84,7 @@ pub fn find(replayer: &Replayer, data: &Data) -> Result<Vec<Passed>, GapError> {
     };
     let simulated = beyond(Vec::new())?;
     let passed =
-        |a: usize, s: usize| measured.at(a, s, SAMPLES) > simulated.at(a, s, 0) + gives_way(a);
+        |a: usize, s: usize| measured.at(a, s, SAMPLES) > simulated.at(a, s, 0) + passes(a);
     let term = |a: usize, out: &dyn Fn(usize) -> f64| {
         let place = Place::of_joint(model, a);
         let values = [0, 1].map(|s| if passed(a, s) { out(s) } else { 0.0 });
@@ -94,7 +96,7 @@ pub fn find(replayer: &Replayer, data: &Data) -> Result<Vec<Passed>, GapError> {
         let unit = model.joints()[model.actuated()[a]].unit();
         let over = |s: usize| measured.at(a, s, 0);
         // farther without a stop than it was ever measured: there is one
-        let held = |s: usize| free.at(a, s, SAMPLES) > over(s) + gives_way(a);
+        let held = |s: usize| free.at(a, s, SAMPLES) > over(s) + HELD * (first[a].1 - first[a].0);
         let sides = [0, 1].map(|s| passed(a, s));
         let ends = [0, 1].map(|s| sides[s] && held(s));
         let term = term(a, &|s| if held(s) { over(s) } else { FARTHER });
@@ -112,9 +114,9 @@ fn note(
     over: impl Fn(usize) -> f64,
 ) -> DataFault {
     let reached = match sides {
-        [true, false] => format!("{:.2} {unit}", low - over(0)),
-        [false, true] => format!("{:.2} {unit}", high + over(1)),
-        _ => format!("{:.2} and {:.2} {unit}", low - over(0), high + over(1)),
+        [true, false] => format!("{:.3} {unit}", low - over(0)),
+        [false, true] => format!("{:.3} {unit}", high + over(1)),
+        _ => format!("{:.3} and {:.3} {unit}", low - over(0), high + over(1)),
     };
     let simulated = match ends {
         [false, false] => "without this stop",
@@ -126,7 +128,7 @@ fn note(
         kind: "range".to_owned(),
         location: joint.to_owned(),
         detail: format!(
-            "reaches {reached}, past the end stop of the robot file ({low:.2} to {high:.2} {unit}), which the simulated robot does not: range or zero of the file, or the encoder, are wrong. It is simulated {simulated}, and so is the extended robot"
+            "reaches {reached}, past the end stop of the robot file ({low:.3} to {high:.3} {unit}), which the simulated robot does not: range or zero of the file, or the encoder, are wrong. It is simulated {simulated}, and so is the extended robot"
         ),
         fatal: false,
     }
