@@ -90,7 +90,7 @@ fn unless(holds: bool, missing: &'static str) -> Option<&'static str> {
 #[rustfmt::skip]
 const NEEDS: &[Need] = &[
     (&["encoder_offset"], |e| unless((e.has("cur") || e.has("tau") || e.sees_links()) && e.total(|j| j.holds as f64) >= 4.0, "holds in four or more poses with current, IMU, foot or motion capture"), "holds"),
-    (&["encoder_gain"], |e| unless(e.has("mocap") || e.has("foot"), "motion capture or foot positions: joint logs alone cannot show it"), "sweep_full"),
+    (&["encoder_gain"], |e| unless(e.has("mocap") || e.has("foot") || e.has("cur") || e.has("tau"), "motion capture, foot positions or motor current: angles alone cannot show it"), "sweep_full"),
     (&["velocity_lag"], |e| unless(e.has("vel") && e.joint(|j| j.band_hz[1] > 1.0), "speeds logged, above 1 Hz"), "chirp_medium"),
     (&["current_bias"], |e| unless(e.has("cur"), "motor current"), "holds"),
     (&["current_lag"], |e| unless(e.has("cur") && e.joint(|j| j.band_hz[1] > 1.0), "motor current, above 1 Hz"), "chirp_medium"),
