@@ -28,7 +28,7 @@ pub fn print_end(result: &SuiteResult) {
     if let Some(referee) = &result.referee {
         for there in &referee.scenarios {
             let Some(here) = result.scenario(&there.name) else { continue };
-            let kept = match here.vx_mps.mean.abs() > 1e-3 {
+            let kept = match here.vx_mps.mean.abs() > STILL {
                 true => format!("{:.1} %", 100.0 * there.vx_mps.mean / here.vx_mps.mean),
                 false => "–".to_owned(),
             };
@@ -121,8 +121,8 @@ fn stands(r: &ScenarioResult) -> bool {
     told > 0.0 && r.fall_share.mean < 0.5 && !moves && !turns
 }
 
-/// Slower than this, m/s and rad/s, a robot that is told to stand has no gait, and its cost of transport is a
-/// division by nothing.
+/// Slower than this, m/s and rad/s, a robot that is told to stand has no gait, and its cost of transport and what it
+/// keeps of its speed elsewhere are divisions by nothing.
 const STILL: f64 = 0.01;
 
 fn has_no_gait(r: &ScenarioResult) -> bool {
