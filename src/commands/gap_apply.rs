@@ -79,11 +79,11 @@ pub fn run(args: &ApplyArgs) -> Result<(), Failure> {
             &json!({ "robot": args.out, "hash": made.hash_hex(), "effects": effects, "parameters": extension.lane }),
         );
     }
-    say::line(format!(
-        "{}: {} effect(s), {} parameter(s) of the simulator",
-        args.out.display(),
-        effects.len(),
-        extension.lane.len()
-    ));
+    let out = args.out.display();
+    let (effects, lane) = (effects.len(), extension.lane.len());
+    say::line(match effects {
+        0 => format!("{out}: the robot as given, nothing was found that it lacks"),
+        _ => format!("{out}: {effects} effect(s), {lane} parameter(s) of the simulator"),
+    });
     Ok(())
 }

@@ -36,7 +36,7 @@ pub struct Plan {
     /// Logs to fit to: folders, files of rows with their circumstances beside them, or folders of such
     #[arg(long = "log", value_name = "LOG", required = true, num_args = 1..)]
     pub logs: Vec<PathBuf>,
-    /// Logs that are only judged on; default: every third trial is set aside
+    /// Logs that are only judged on; default: a third of the trials is set aside
     #[arg(long = "holdout", value_name = "LOG", num_args = 1..)]
     pub holdouts: Vec<PathBuf>,
     /// Folder for report.json, report.html and extended.robot.toml

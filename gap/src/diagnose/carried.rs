@@ -24,12 +24,13 @@ pub const NO_NEARER: &str = "held-out runs are no nearer with it than as given";
 pub struct Model {
     /// The model.
     pub state: State,
-    /// Standard deviations of all its parameters, SI; empty where it is the one that causes were named in.
-    deviations: Vec<f64>,
+    /// Standard deviations of the parameters of each term, SI; empty where it is the one that causes were named in.
+    deviations: Vec<Vec<f64>>,
 }
 
 /// Which model to carry: the one that causes were named in, the one before they were, or the one that was built
-/// joint by joint; of these two what goes with the names. Where held-out runs are no nearer to it, it is the first.
+/// joint by joint; of these two what goes with the names. Where held-out runs are no nearer to it, it is the first; and
+/// so it is where there is no gap, which is the robot as given if nothing was named.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
@@ -39,13 +40,29 @@ pub fn choose(
     tracking: &Tracking,
 ) -> Result<Model, GapError> {
     let mut carried = supported_most(context, &found.best, &found.supported, tracking)?;
+    keep_what_matters(context, &found.best, &mut carried)?;
     let terms = found.best.terms.clone();
     let Found { base, best, .. } = &mut *found;
     context.judge_held_out(&terms, &mut [base, best, &mut carried.state])?;
-    if !nearer(context, base, &carried.state) {
+    if gates::no_gap(context, base) || !nearer(context, base, &carried.state) {
         carried = Model { state: best.clone(), deviations: Vec::new() };
     }
     Ok(carried)
+}
+
+/// Leaves out of `model` what has no name in `named` and is so small that it does not matter.
+fn keep_what_matters(context: &Context, named: &State, model: &mut Model) -> Result<(), GapError> {
+    let of = |t: &Term| is_among(t, &named.terms) || gates::matters(context, t);
+    let kept: Vec<bool> = model.state.terms.iter().map(of).collect();
+    if kept.contains(&false) {
+        let mut terms = model.state.terms.clone();
+        let mut keep = kept.iter();
+        terms.retain(|_| keep.next() != Some(&false));
+        model.state = single(context, terms)?;
+        let mut keep = kept.iter();
+        model.deviations.retain(|_| keep.next() != Some(&false));
+    }
+    Ok(())
 }
 
 /// What the runs that were fitted support most.
@@ -80,9 +97,16 @@ fn supported_most(
     }
     let built = model;
     let whole = built.joints.fixed.iter().chain(&built.joints.shared);
-    let mut deviations = vec![0.0; whole.map(|t| t.values.len()).sum()];
-    deviations.extend(built.deviations.iter().flatten());
-    Ok(Model { state: single(context, built.joints.variant())?, deviations })
+    let mut flat = vec![0.0; whole.map(|t| t.values.len()).sum()];
+    flat.extend(built.deviations.iter().flatten());
+    let state = single(context, built.joints.variant())?;
+    Ok(Model { deviations: by_term(&state.terms, &flat), state })
+}
+
+/// So many of `flat` to each of `terms` as it has parameters.
+fn by_term(terms: &[Term], flat: &[f64]) -> Vec<Vec<f64>> {
+    let mut flat = flat.iter().copied();
+    terms.iter().map(|t| flat.by_ref().take(t.values.len()).collect()).collect()
 }
 
 /// The model that causes were `named` in, or, if that leaves much more, what was found `before` with it.
@@ -95,7 +119,7 @@ fn supported(context: &Context, named: &State, before: &State) -> Result<Model, 
         state = fitted(context, together, None)?;
     }
     Ok(match much(&state) {
-        true => Model { deviations: deviations(context, &state)?, state },
+        true => Model { deviations: by_term(&state.terms, &deviations(context, &state)?), state },
         false => Model { state: named.clone(), deviations: Vec::new() },
     })
 }
@@ -145,13 +169,9 @@ impl Model {
     /// Each term as the extended file has it: as a cause of `causes` says where there is one of that effect
     /// and place with that size, else without a name that anybody vouches for.
     pub fn entries(&self, context: &Context, causes: &[Cause]) -> Vec<ExtensionEffect> {
-        let mut first = 0;
-        self.state
-            .terms
-            .iter()
-            .map(|term| {
-                let own = first..first + term.values.len();
-                first = own.end;
+        let terms = self.state.terms.iter().enumerate();
+        terms
+            .map(|(k, term)| {
                 let same = |c: &&Cause| {
                     let names = term.effect.parameters.iter().zip(&term.values);
                     names
@@ -161,7 +181,7 @@ impl Model {
                 let cause = cause_of(term, causes);
                 match cause.filter(same) {
                     Some(cause) => entry(cause),
-                    None => unnamed(context, term, self.deviations.get(own), cause),
+                    None => unnamed(context, term, self.deviations.get(k), cause),
                 }
             })
             .collect()
@@ -188,15 +208,15 @@ fn cause_of<'a>(term: &Term, causes: &'a [Cause]) -> Option<&'a Cause> {
 fn unnamed(
     context: &Context,
     term: &Term,
-    deviations: Option<&[f64]>,
+    deviations: Option<&Vec<f64>>,
     cause: Option<&Cause>,
 ) -> ExtensionEffect {
     let model = context.replayer.model();
-    let halves: Vec<f64> = (deviations.unwrap_or_default().iter()).map(|d| 1.96 * d).collect();
+    let half = |p: usize| deviations.and_then(|own| own.get(p)).map_or(0.0, |d| 1.96 * d);
     entry(&Cause {
         effect: term.effect.id.to_owned(),
         location: term.place.names.clone(),
-        parameters: parameters(model, term, |p| halves.get(p).copied().unwrap_or(0.0)),
+        parameters: parameters(model, term, half),
         confidence: cause.map_or(0.0, |c| c.confidence),
         alternatives: cause.map_or_else(Vec::new, |c| c.alternatives.clone()),
         evidence: match cause {

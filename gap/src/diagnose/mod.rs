@@ -38,6 +38,7 @@ mod scout;
 mod screen;
 mod search;
 mod signature;
+mod split;
 mod spread;
 mod state;
 mod stops;
@@ -95,12 +96,13 @@ pub fn diagnose(
         .map(|run| reading::trial(&model, run))
         .collect::<Result<Vec<_>, _>>()?;
     repeats::group(&model, &mut trials);
-    let split = hold_out(&mut trials);
+    let replayer = replayer(request, &model)?;
+    let split = split::hold_out(&replayer, &mut trials)?;
     for (run, trial) in runs.iter_mut().zip(&trials) {
         run.role = role_name(trial.role).to_owned();
     }
     mask_touched(request, &model, &mut trials);
-    let mut context = context(request, &model, trials, split)?;
+    let mut context = context(request, replayer, trials, split)?;
     let mut found = search::Found::nothing(&context)?;
     let mut named = Vec::new();
     let mut tracking = tracking::Tracking::default();
@@ -166,9 +168,9 @@ fn explore(
     let [fitting, searching, naming] = ENDS.map(end);
     context.replayer.set_go_on(options.go_on.until(fitting));
     ended(tracking.fit_standard(context, progress))?;
-    // where there is no gap a model is built as well, if a standard one would be nearer to the angles
-    let gap = gates::worst(context, &found.base) >= levels::NOTHING_LEFT;
-    ended(tracking.build(context, gap, progress))?;
+    if gates::worst(context, &found.base) >= levels::NOTHING_LEFT {
+        ended(tracking.build(context, progress))?;
+    }
     context.replayer.set_go_on(options.go_on.until(searching));
     let built = tracking.built.as_ref().map(|m| &m.joints);
     ended(search::search(context, found, built, progress))?;
@@ -205,26 +207,6 @@ fn uses(request: &Request) -> Vec<RunUse> {
         .collect()
 }
 
-/// Sets runs aside where none are held out.
-fn hold_out(trials: &mut [Trial]) -> Split {
-    let held = trials.iter().any(|t| t.role == Role::Holdout);
-    let fitted = trials.iter().any(|t| t.role == Role::Fit);
-    if held && fitted {
-        return Split::Given;
-    }
-    let groups = trials.iter().map(|t| t.group).max().map_or(0, |g| g + 1);
-    if groups < 3 {
-        for t in trials.iter_mut() {
-            t.role = Role::Fit;
-        }
-        return Split::Same;
-    }
-    for t in trials.iter_mut() {
-        t.role = if t.group % 3 == 2 { Role::Holdout } else { Role::Fit };
-    }
-    Split::SetAside
-}
-
 /// Takes out what one of three or more repeats has and the others have not, as if somebody had touched the robot.
 fn mask_touched(request: &Request, model: &RobotModel, trials: &mut [Trial]) {
     let logs: Vec<_> = request.runs.iter().map(|r| (r.name.as_str(), &r.log)).collect();
@@ -243,12 +225,24 @@ fn water_level(run: &Run) -> Option<f64> {
     }
 }
 
+/// Replays the robot as given, in the water that the runs note.
+fn replayer(request: &Request, model: &Arc<RobotModel>) -> Result<Replayer, GapError> {
+    let options = &request.options;
+    let replayer = Replayer::new(Arc::clone(model), options.threads)?;
+    let replayer = replayer.with_go_on(options.go_on.clone());
+    Ok(match request.runs.iter().find_map(water_level) {
+        Some(level_m) => replayer.with_water_level(level_m),
+        None => replayer,
+    })
+}
+
 fn context(
     request: &Request,
-    model: &Arc<RobotModel>,
+    replayer: Replayer,
     trials: Vec<Trial>,
     split: Split,
 ) -> Result<state::Context, GapError> {
+    let model = &Arc::clone(replayer.model());
     let last = trials.len().max(2) as f64 - 1.0;
     let mut trials = trials;
     for (k, t) in trials.iter_mut().enumerate() {
@@ -260,12 +254,6 @@ fn context(
             of.clone_from(&trials);
         }
         repeats::collapse(&of)
-    };
-    let replayer = Replayer::new(Arc::clone(model), request.options.threads)?
-        .with_go_on(request.options.go_on.clone());
-    let replayer = match request.runs.iter().find_map(water_level) {
-        Some(level_m) => replayer.with_water_level(level_m),
-        None => replayer,
     };
     let options = SegmentOptions::default();
     let (fit_trials, held_out) = (of(Role::Fit), of(Role::Holdout));

@@ -106,7 +106,7 @@ impl Progress {
 pub enum Split {
     /// They were given.
     Given,
-    /// Every third group of repeats was set aside.
+    /// A third of the groups of repeats was set aside.
     SetAside,
     /// There are too few runs: what was fitted is judged on the same runs.
     Same,
