@@ -1,5 +1,5 @@
-//! What to record next: the trial of the battery in which what is still possible differs most, by simulating
-//! it; never one that is in the logs, never for what leaves no trace on this robot. Where a weight is in
+//! What to record next: the trial of the battery in which what is still possible differs most in what the runs
+//! have, by simulating it; never one that is in the logs, never for what leaves no trace on this robot. Where a weight is in
 //! question, with a known one hung on as well: without one, all torques less and all weights more are alike.
 
 use caudata_model::RobotModel;
@@ -16,15 +16,12 @@ use crate::error::GapError;
 use crate::excitation::Excitation;
 use crate::excite::{self, DEFAULT_RATE_HZ};
 use crate::plant::{anchor_m, lever};
-use crate::prospects::{LONGEST_S, as_run};
+use crate::prospects::{LONGEST_S, as_run, measured, tolerance};
 use crate::repeats;
 use crate::replay::{Data, SegmentOptions, Term, Variant};
 use crate::report::{Cause, LocalGap, NextExperiment, Verdict};
 use crate::trial::{Kind, Trial};
 
-/// Root mean square difference of a joint's angle that tells two models apart, rad: several counts of an
-/// encoder, and more than repeats of a careful lab differ by.
-const TELLS_RAD: f64 = 0.003;
 /// A known weight, as a share of the link that it hangs on, …
 const OF_LINK: f64 = 0.5;
 /// … which may take this share of the joint's torque, …
@@ -53,14 +50,13 @@ pub fn next(
         Verdict::NoGap | Verdict::Explained | Verdict::DataFault => Ok(None),
         Verdict::Ambiguous => {
             // names first, places after them
-            let of_name = causes.iter().find(|c| c.has_open_name());
-            match of_name {
-                Some(open) => between_names(context, open, found, named),
-                None => {
-                    let of_place = causes.iter().find(|c| !c.elsewhere.is_empty());
-                    Ok(of_place.map(between_places))
+            for open in causes.iter().filter(|c| c.has_open_name()) {
+                if let Some(told) = between_names(context, open, found, named)? {
+                    return Ok(Some(told));
                 }
             }
+            let of_place = causes.iter().find(|c| !c.elsewhere.is_empty());
+            Ok(of_place.map(between_places))
         }
         Verdict::InsufficientData | Verdict::Unexplained | Verdict::PartlyExplained => {
             let elsewhere = || gates::worst(context, &found.best) >= NOTHING_LEFT;
@@ -102,44 +98,50 @@ fn between_places(open: &Cause) -> NextExperiment {
     }
 }
 
-/// The trial in which a cause and its first alternative differ most.
+/// The trial that tells a cause from most of its alternatives.
 fn between_names(
     context: &Context,
     open: &Cause,
     found: &Found,
     named: &[Named],
 ) -> Result<Option<NextExperiment>, GapError> {
-    let own = named.iter().find(|n| n.is(&found.best, open));
+    let Some(own) = named.iter().find(|n| n.is(&found.best, open)) else { return Ok(None) };
     let another = |t: &Term| {
         let has = |of: &[String]| of.iter().any(|a| a == t.effect.id);
         has(&open.alternatives) && !has(&open.synonyms)
     };
-    let rival = own.and_then(|n| {
-        let one = n.rivals.iter().find(|r| r.in_set && another(&r.state.terms[r.index]));
-        let two = || n.pairs.iter().find(|p| p.terms().iter().any(another));
-        one.map(|r| &r.state).or_else(|| two().map(|p| &p.state))
-    });
-    let Some(rival) = rival else { return Ok(None) };
-    let pair = [found.best.terms.clone(), rival.terms.clone()];
-    let bare = most_telling(context, &pair, |_| true, None)?;
-    let mut separates = vec![open.effect.clone()];
-    separates.extend(open.alternatives.iter().cloned());
-    let told = |(trial, apart): (String, String), with: &str, payload| NextExperiment {
-        trial,
-        joints: open.location.clone(),
-        reason: format!(
-            "{} and {} explain these runs alike; {with}in this trial they would differ by {apart}",
-            open.effect,
-            open.as_good(&str::to_owned).join(", ")
-        ),
-        separates: separates.clone(),
-        payload,
+    let mut names: Vec<Vec<&str>> = Vec::new();
+    let mut models = vec![found.best.terms.clone()];
+    let alone = own.rivals.iter().filter(|r| r.in_set);
+    let alone = alone.map(|r| (&r.state, vec![&r.state.terms[r.index]]));
+    let together = own.pairs.iter().map(|p| (&p.state, p.terms().iter().collect::<Vec<_>>()));
+    for (state, terms) in alone.chain(together).filter(|(_, t)| t.iter().any(|t| another(t))) {
+        let ids: Vec<&str> = terms.iter().map(|t| t.effect.id).collect();
+        if !names.contains(&ids) {
+            names.push(ids);
+            models.push(state.terms.clone());
+        }
+    }
+    let told = |best: Telling, with: &str, payload| {
+        let others: Vec<String> = best.from.iter().map(|&k| names[k].join(" with ")).collect();
+        let ids = best.from.iter().flat_map(|&k| &names[k]).copied();
+        NextExperiment {
+            trial: best.trial,
+            joints: open.location.clone(),
+            reason: format!(
+                "{} and {} explain these runs alike; {with}in this trial they would differ by {}",
+                open.effect,
+                others.join(", "),
+                best.apart
+            ),
+            separates: [open.effect.as_str()].into_iter().chain(ids).map(str::to_owned).collect(),
+            payload,
+        }
     };
-    if let Some(weight) = known_weight(context.replayer.model(), &pair) {
+    if let Some(weight) = known_weight(context.replayer.model(), &models) {
         // a weight is not let fall
         let held = |t: &excite::Trial| t.on.is_empty();
-        let weighted = most_telling(context, &pair, held, Some(&weight))?;
-        if let Some(best) = weighted {
+        if let Some(best) = most_telling(context, &models, held, Some(&weight))? {
             let [x, y, z] = weight.at_m;
             let with = format!(
                 "weigh `{0}`, or hang a known weight on it ({1:.0} g at [{x:.3}, {y:.3}, {z:.3}] m of its frame, say so in the map or log.toml: [[payload]]), and ",
@@ -149,15 +151,17 @@ fn between_names(
             return Ok(Some(told(best, &with, Some(weight))));
         }
     }
+    let bare = most_telling(context, &models, |_| true, None)?;
     Ok(bare.map(|best| told(best, "", None)))
 }
 
-/// The weight to hang on the link that one of two models makes heavier where the other changes something else.
-fn known_weight(model: &RobotModel, pair: &[Variant; 2]) -> Option<Payload> {
+/// The weight to hang on the link that one of the first two models makes heavier where the other changes something else.
+fn known_weight(model: &RobotModel, models: &[Variant]) -> Option<Payload> {
+    let [one, other, ..] = models else { return None };
     let weighs = |t: &&Term| t.effect.layer == Layer::Inertia && t.place.domain == Domain::Links;
     let not_in = |t: &&Term, other: &Variant| !other.iter().any(|o| o.effect == t.effect);
-    let of = |a: usize| pair[a].iter().filter(weighs).find(|t| not_in(t, &pair[1 - a]));
-    let l = match (of(0), of(1)) {
+    let of = |a: &'_ Variant, b: &Variant| a.iter().filter(weighs).find(|t| not_in(t, b)).cloned();
+    let l = match (of(one, other), of(other, one)) {
         (Some(one), None) | (None, Some(one)) => *one.place.items.first()?,
         _ => return None,
     };
@@ -213,12 +217,12 @@ fn in_the_dark<'a>(
             let seen = || (effect.unseen)(&excited, &place).is_none();
             trial.excites.iter().any(|e| e == effect.id) && seen()
         };
-        if let Some((trial, apart)) = most_telling(context, &pair, made_for, None)? {
+        if let Some(told) = most_telling(context, &pair, made_for, None)? {
             return Ok(Some(NextExperiment {
-                trial,
+                trial: told.trial,
                 reason: format!(
-                    "{} could not be seen: {why}; in this trial one of middling size would change angles by {apart}",
-                    effect.id
+                    "{} could not be seen: {why}; in this trial one of middling size would show by {}",
+                    effect.id, told.apart
                 ),
                 separates: vec![effect.id.to_owned()],
                 ..NextExperiment::default()
@@ -252,28 +256,37 @@ fn apart(
 ) -> Result<Option<NextExperiment>, GapError> {
     let pair = [found.best.terms.clone(), terms.clone()];
     let best = most_telling(context, &pair, |_| true, None)?;
-    Ok(best.map(|(trial, apart)| NextExperiment {
-        trial,
+    Ok(best.map(|told| NextExperiment {
+        trial: told.trial,
         joints: term.place.names.clone(),
-        reason: format!("{why} they would differ by {apart}"),
+        reason: format!("{why} they would differ by {}", told.apart),
         separates: vec![term.effect.id.to_owned()],
         ..NextExperiment::default()
     }))
 }
 
-/// The trial that is not in the logs in which a joint's angle differs most between two models, and by how
-/// much. None where it does not in any.
+/// A trial and what it tells.
+struct Telling {
+    trial: String,
+    /// Which of the other models it tells from the first one.
+    from: Vec<usize>,
+    /// By how much the one of these that it tells least.
+    apart: String,
+}
+
+/// The trial that is not in the logs that tells most of `models` from the first of them, and of such trials the one that
+/// does it best: by a tolerance or more in a channel that the runs have. None where none tells any.
 fn most_telling(
     context: &Context,
-    pair: &[Variant; 2],
+    models: &[Variant],
     among: impl Fn(&excite::Trial) -> bool,
     weight: Option<&Payload>,
-) -> Result<Option<(String, String)>, GapError> {
+) -> Result<Option<Telling>, GapError> {
     let model = context.replayer.model();
     let Ok(battery) = excite::battery(model, None, DEFAULT_RATE_HZ) else {
         return Ok(None);
     };
-    let mut best: Option<(String, String, f64)> = None;
+    let mut best: Option<((usize, f64), Telling)> = None;
     for trial in battery.iter().filter(|t| t.duration_s <= LONGEST_S && among(t)) {
         let run = asked_for(context, trial, weight);
         let runs = context.fit.data.trials.iter().chain(&context.holdout.data.trials);
@@ -281,26 +294,60 @@ fn most_telling(
             continue;
         }
         let data = Data::new(model, vec![run], SegmentOptions::default());
-        let predictions = context.replayer.predict(&data, pair)?;
-        for piece in data.pieces() {
-            let off = |k: usize| f64::from(predictions[0][k] - predictions[1][k]).powi(2);
-            let square: f64 = piece.range.clone().map(off).sum();
-            let apart = (square / piece.range.len().max(1) as f64).sqrt();
-            let per_radian = model.per_radian(piece.index);
-            if apart / per_radian > best.as_ref().map_or(TELLS_RAD, |b| b.2) {
-                let unit = model.joints()[model.actuated()[piece.index]].unit();
-                let apart_told = format!("{:.1} m{unit}", 1e3 * apart);
-                best = Some((trial.name.clone(), apart_told, apart / per_radian));
+        let predictions = context.replayer.predict(&data, models)?;
+        let mut from = Vec::new();
+        let mut least = (f64::INFINITY, String::new());
+        for (other, prediction) in predictions[1..].iter().enumerate() {
+            let (tolerances, apart) = differ(context, &data, &predictions[0], prediction);
+            if tolerances >= 1.0 {
+                from.push(other);
+                if tolerances < least.0 {
+                    least = (tolerances, apart);
+                }
             }
         }
+        let score = (from.len(), least.0);
+        if !from.is_empty() && best.as_ref().is_none_or(|b| score > b.0) {
+            best = Some((score, Telling { trial: trial.name.clone(), from, apart: least.1 }));
+        }
     }
-    Ok(best.map(|(trial, apart, _)| (trial, apart)))
+    Ok(best.map(|(_, told)| told))
+}
+
+/// By how many tolerances two predictions of `data` differ in the channel in which they differ most (root mean square),
+/// and by how much in words.
+fn differ(context: &Context, data: &Data, one: &[f32], other: &[f32]) -> (f64, String) {
+    let model = context.replayer.model();
+    let mut most = (0.0, String::new());
+    for piece in data.pieces() {
+        let Some(tolerance) = tolerance(model, piece) else { continue };
+        let off = |k: usize| f64::from(one[k] - other[k]).powi(2);
+        let square: f64 = piece.range.clone().map(off).sum();
+        let apart = (square / piece.range.len().max(1) as f64).sqrt();
+        if apart / tolerance > most.0 {
+            let slide = piece.kind.of_joint()
+                && model.joints()[model.actuated()[piece.index]].unit() == "m";
+            let unit = match slide {
+                true => piece.kind.unit().replace("rad", "m"),
+                false => piece.kind.unit().to_owned(),
+            };
+            let joint = match piece.kind.of_joint() {
+                true => format!(".{}", model.actuated_names()[piece.index]),
+                false => String::new(),
+            };
+            let told = format!("{:.1} m{unit} ({}{joint})", 1e3 * apart, piece.kind.name());
+            most = (apart / tolerance, told);
+        }
+    }
+    most
 }
 
 /// `trial` under the conditions of the first run that was held as it is, of those without a weight if there are any,
 /// with this weight.
 fn asked_for(context: &Context, trial: &excite::Trial, weight: Option<&Payload>) -> Trial {
-    let mut own = as_run(trial, &[Kind::Position]);
+    let mut kinds = measured(context.replayer.model(), trial, true);
+    kinds.retain(|kind| context.excitation.has(*kind));
+    let mut own = as_run(trial, &kinds);
     let held = || context.fit.data.trials.iter().filter(|r| r.base == own.base);
     if let Some(first) = held().find(|r| r.meta.payload.is_empty()).or_else(|| held().next()) {
         (own.meta, own.supply_v) = (first.meta.clone(), first.supply_v);

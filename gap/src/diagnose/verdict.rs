@@ -136,7 +136,17 @@ pub fn conclude(
     if verdict == Verdict::Ambiguous && !evidence.unfinished {
         count_synonyms(context, &mut causes, best, named)?;
     }
-    let told = (&causes[..], &leads[..]);
+    let next_experiment = next::next(
+        context,
+        request,
+        verdict,
+        &causes,
+        (found, named),
+        &local,
+        evidence.unfinished,
+    )?;
+    let tells = words::what_tells(verdict, &causes, next_experiment.as_ref(), evidence.unfinished);
+    let told = (&causes[..], &leads[..], tells);
     let told = summary(context, verdict, told, &doubts, &unexplained, split, found);
     let errors = evidence.tracking.errors(context, &model.terms)?;
     let listed = carried.listed(&entries);
@@ -166,15 +176,7 @@ pub fn conclude(
             model: listed,
             unfinished: evidence.unfinished,
             unexplained,
-            next_experiment: next::next(
-                context,
-                request,
-                verdict,
-                &causes,
-                (found, named),
-                &local,
-                evidence.unfinished,
-            )?,
+            next_experiment,
             local_gaps: local,
             detection_floor: floors(context, &found.first, best.misfit()),
             causes,
@@ -196,9 +198,8 @@ fn verdict(
     local: &[LocalGap],
 ) -> Verdict {
     let base = &found.base;
-    let both = [(&context.fit, &base.fit), (&context.holdout, &base.holdout)];
     if causes.is_empty() {
-        if gates::worst_of(context, &both) < NOTHING_LEFT {
+        if gates::no_gap(context, base) {
             if !local.is_empty() {
                 return Verdict::Unexplained;
             }
@@ -280,8 +281,8 @@ fn weigh<'a>(best: &State, named: &'a Named, synonyms: &[String]) -> Weighed<'a>
             }
         } else if !out.alternatives.contains(&id) && !out.rejected.iter().any(|r| r.effect == id) {
             let reason = format!(
-                "in its place, refitted, it leaves {:.0} % of what {} explains (misfit {:.2} against {:.2})",
-                100.0 * rival.short.min(9.99),
+                "in its place, refitted, it {} of what {} explains (misfit {:.2} against {:.2})",
+                words::leaves(rival.short),
                 term.effect.id,
                 rival.state.misfit(),
                 best.misfit()

@@ -11,7 +11,8 @@ use crate::check::ASSUMED;
 use crate::extension::ExtensionEffect;
 use crate::replay::Term;
 use crate::report::{
-    Carried, Cause, DataFault, DoubtKind, LocalGap, PositionError, Unexplained, Verdict,
+    Carried, Cause, DataFault, DoubtKind, LocalGap, NextExperiment, PositionError, Unexplained,
+    Verdict,
 };
 
 /// What speaks for a cause.
@@ -37,7 +38,7 @@ pub fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {
         let other = &rival.state.terms[rival.index];
         let label = other.label();
         lines.push(match rival.short > 0.0 {
-            true => format!("{as_what} {label} leaves {:.0} % of it", 100.0 * rival.short),
+            true => format!("{as_what} {label} {} of it", leaves(rival.short)),
             false => format!("{as_what} {label} takes as much off, or more"),
         });
     };
@@ -55,17 +56,51 @@ pub fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {
     lines
 }
 
+/// How much of what a cause explains is left by a rival that falls short of so much of it.
+pub fn leaves(short: f64) -> String {
+    match short < 1.0 {
+        true => format!("leaves {:.0} %", 100.0 * short),
+        false => "explains nothing".to_owned(),
+    }
+}
+
+/// What there is to record so that open names are told apart.
+pub fn what_tells(
+    verdict: Verdict,
+    causes: &[Cause],
+    next: Option<&NextExperiment>,
+    unfinished: bool,
+) -> &'static str {
+    let another = causes.iter().any(|c| c.has_open_name() || !c.elsewhere.is_empty());
+    match (verdict, next) {
+        _ if unfinished => "",
+        (Verdict::Ambiguous, _) if !another => {
+            " They are one robot by different names: no trial tells them apart."
+        }
+        (Verdict::Ambiguous, Some(_)) => " The next experiment tells them apart.",
+        (Verdict::Ambiguous, None) => {
+            " No trial of the battery that is not in the logs tells them apart."
+        }
+        (Verdict::InsufficientData, Some(_)) => " See the next experiment.",
+        _ => "",
+    }
+}
+
 /// The verdict in a sentence or two, and what the reader must know besides.
 pub fn summary(
     context: &Context,
     verdict: Verdict,
-    (causes, leads): (&[Cause], &[Cause]),
+    (causes, leads, tells): (&[Cause], &[Cause], &str),
     doubts: &Doubts,
     unexplained: &[Unexplained],
     split: Split,
     found: &Found,
 ) -> String {
     let mut text = headline(verdict, causes, doubts, unexplained, found);
+    text.push_str(tells);
+    if verdict == Verdict::NoGap && context.passed.is_empty() {
+        text.push_str(" The extended robot is the robot as given.");
+    }
     let mut assumed: Vec<&str> =
         causes.iter().flat_map(|c| &c.assumed).map(String::as_str).collect();
     assumed.sort_unstable();
@@ -104,7 +139,7 @@ pub fn summary(
     }
     match split {
         Split::Given => {}
-        Split::SetAside => text.push_str(" No hold-out was given: every third trial was set aside."),
+        Split::SetAside => text.push_str(" No hold-out was given: a third of the trials was set aside."),
         Split::Same => text.push_str(" No hold-out was given and there are too few trials to set any aside: gains are on the very runs that were fitted."),
     }
     text
@@ -235,7 +270,10 @@ fn headline(
             "Simulation and measurement agree within what runs differ by (misfit {:.2}); the table of floors says what would have been seen.",
             base.misfit()
         ),
-        Verdict::Explained => format!("Explained by {}: {fall}.", names(causes)),
+        Verdict::Explained => {
+            let explains = if causes.len() == 1 { "explains" } else { "explain" };
+            format!("{} {explains} it: {fall}.", names(causes))
+        }
         Verdict::Ambiguous => {
             let (open, sure): (Vec<Cause>, Vec<Cause>) =
                 causes.iter().cloned().partition(Cause::is_open);
@@ -244,12 +282,7 @@ fn headline(
                 true => "The gap is real, its name is open".to_owned(),
                 false => format!("Explained by {}, and by what has no sure name", names(&sure)),
             };
-            let another = causes.iter().any(|c| c.has_open_name() || !c.elsewhere.is_empty());
-            let what_tells = match another {
-                true => "The next experiment tells them apart.",
-                false => "They are one robot by different names: no trial tells them apart.",
-            };
-            format!("{what}: {}; {fall}. {what_tells}", open.join("; "))
+            format!("{what}: {}; {fall}.", open.join("; "))
         }
         Verdict::PartlyExplained => {
             let left = unexplained
@@ -279,7 +312,7 @@ fn headline(
                 let name = s.terms.last().map_or(String::new(), |t| t.label());
                 format!(" {name} would explain the runs it was fitted to, but: {}.", w.why)
             });
-            format!("These runs cannot decide it.{close} See the next experiment.")
+            format!("These runs cannot decide it.{close}")
         }
         Verdict::DataFault => String::new(),
     }

@@ -131,6 +131,8 @@ fn names(d: &Diagnosis) -> Vec<&str> {
 fn nothing_is_found_where_nothing_is_wrong() {
     let (_, d) = run(0, &|_| {});
     assert_eq!(d.report.verdict, Verdict::NoGap, "{} {:?}", d.report.summary, names(&d));
+    assert!(d.report.summary.contains("the robot as given"), "{}", d.report.summary);
+    assert!(d.extension.effect.is_empty() && d.extension.lane.is_empty());
     let floor = &d.report.detection_floor["kp_error@swing"];
     assert!(floor.excited && (floor.value - 1.0).abs() < 0.25, "{floor:?}");
 }
@@ -175,15 +177,25 @@ fn nothing_is_found_where_nothing_is_repeated_and_one_run_is_slow() {
 #[test]
 fn a_stop_that_angles_pass_is_told_and_simulated_nowhere() {
     let mut asked = request(0, &|_| {});
-    let wide = String::from_utf8(asked.mjcf).unwrap();
-    asked.mjcf = wide.replacen("range=\"-3.14159 3.14159\"", "range=\"-0.5 0.6\"", 1).into_bytes();
-    let d = diagnose(&asked, &mut |_| {}).unwrap();
-    assert_eq!(d.report.verdict, Verdict::NoGap, "{} {:?}", d.report.summary, names(&d));
-    let told = |f: &&DataFault| f.kind == "range" && f.location == "swing" && !f.fatal;
-    assert_eq!(d.report.data_faults.iter().filter(told).count(), 1);
-    assert!(d.report.summary.contains("past the end stop"), "{}", d.report.summary);
-    assert_eq!(d.extension.effect[0].id, "passed_stop");
-    assert!(d.extension.lane["joints.swing.high_rad"] > 3.0);
+    let wide = String::from_utf8(asked.mjcf.clone()).unwrap();
+    let logs = asked.runs.iter().map(|run| &run.log.table);
+    let angles = logs.flat_map(|t| {
+        let at = t.signals().iter().position(|s| matches!(s, Signal::Position(_))).unwrap();
+        (0..t.len()).filter_map(move |k| t.row(k).unwrap()[at])
+    });
+    let farthest = angles.fold(0.0, f64::max);
+    // far beyond both, and by less than a hundredth of the range beyond one
+    for range in [[-0.5, 0.6], [-3.14, farthest - 0.02]] {
+        let narrow = format!("range=\"{} {}\"", range[0], range[1]);
+        asked.mjcf = wide.replacen("range=\"-3.14159 3.14159\"", &narrow, 1).into_bytes();
+        let d = diagnose(&asked, &mut |_| {}).unwrap();
+        assert_eq!(d.report.verdict, Verdict::NoGap, "{} {:?}", d.report.summary, names(&d));
+        let told = |f: &&DataFault| f.kind == "range" && f.location == "swing" && !f.fatal;
+        assert_eq!(d.report.data_faults.iter().filter(told).count(), 1);
+        assert!(d.report.summary.contains("past the end stop"), "{}", d.report.summary);
+        assert_eq!(d.extension.effect[0].id, "passed_stop");
+        assert!(d.extension.lane["joints.swing.high_rad"] > farthest - 1e-3);
+    }
 }
 
 #[test]
