@@ -29,8 +29,7 @@ pub struct Model {
 }
 
 /// Which model to carry: the one that causes were named in, the one before they were, or the one that was built
-/// joint by joint; of these two what goes with the names. Where held-out runs are no nearer to it, it is the first; and
-/// so it is where there is no gap, which is the robot as given if nothing was named.
+/// joint by joint; of these two what goes with the names. Where held-out runs are no nearer to it, it is the first.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
@@ -44,7 +43,7 @@ pub fn choose(
     let terms = found.best.terms.clone();
     let Found { base, best, .. } = &mut *found;
     context.judge_held_out(&terms, &mut [base, best, &mut carried.state])?;
-    if gates::no_gap(context, base) || !nearer(context, base, &carried.state) {
+    if !nearer(context, base, &carried.state) {
         carried = Model { state: best.clone(), deviations: Vec::new() };
     }
     Ok(carried)

@@ -168,9 +168,9 @@ fn explore(
     let [fitting, searching, naming] = ENDS.map(end);
     context.replayer.set_go_on(options.go_on.until(fitting));
     ended(tracking.fit_standard(context, progress))?;
-    if gates::worst(context, &found.base) >= levels::NOTHING_LEFT {
-        ended(tracking.build(context, progress))?;
-    }
+    // where there is no gap a model is built as well, if a standard one would be nearer to the angles
+    let gap = gates::worst(context, &found.base) >= levels::NOTHING_LEFT;
+    ended(tracking.build(context, gap, progress))?;
     context.replayer.set_go_on(options.go_on.until(searching));
     let built = tracking.built.as_ref().map(|m| &m.joints);
     ended(search::search(context, found, built, progress))?;

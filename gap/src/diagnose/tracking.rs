@@ -17,6 +17,7 @@ use caudata_runlog::BaseHold;
 use super::alike::look_alike;
 use super::doubt::{meet, sizes};
 use super::joints::{Angles, Joints, Linear, mean_abs, scale, weights};
+use super::levels::BUILT;
 use super::product::{dot, project, widen};
 use super::request::{Progress, Stage};
 use super::state::{Context, builds_up};
@@ -165,14 +166,15 @@ impl Tracking {
         Ok(())
     }
 
-    /// Builds the model that each joint's runs support. Nothing where the robot is not held: there joints move each
-    /// other through its body.
+    /// Builds the model that each joint's runs support, if the robot as given has a `gap` or a standard model is
+    /// nearer to the angles. Nothing where the robot is not held: there joints move each other through its body.
     ///
     /// # Errors
     /// As [`crate::replay::Replayer::predict`].
     pub fn build(
         &mut self,
         context: &Context,
+        gap: bool,
         progress: &mut dyn FnMut(Progress),
     ) -> Result<(), GapError> {
         let mut runs = context.fit.data.trials.iter();
@@ -184,9 +186,14 @@ impl Tracking {
             return Ok(());
         };
         let angles = Angles::of(context, &context.first_look().data);
+        let off = angles.residuals(&[Variant::new()])?.swap_remove(0);
         let robot = context.replayer.model();
         let lsb_rad = |a: usize| robot.servo(a).encoder_lsb_rad();
         let is_off = |a: usize, error: f64| angles.measured(a) && error >= COUNTS * lsb_rad(a);
+        let nearer = first.cross_rad < BUILT * angles.mean(|a| mean_abs(&off[a]));
+        if !(gap || nearer && (0..off.len()).any(|a| is_off(a, mean_abs(&off[a])))) {
+            return Ok(());
+        }
         let mut model = first.joints;
         let mut linear = angles.linear(&model, None)?;
         let (mut errors, _) = angles.cross(&model, &linear);
