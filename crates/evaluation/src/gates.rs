@@ -46,10 +46,11 @@ pub struct Gate {
 }
 
 impl Gate {
-    /// How far beyond its limit, as a share of the limit: 0 where it passes, at most 1.
+    /// How far beyond its limit: 1 − value/limit of one that is too small, 1 − limit/value of one that is too large;
+    /// 0 where it passes, at most 1.
     pub fn lacks(&self) -> f64 {
         let below = self.at_least.map_or(0.0, |least| 1.0 - self.value / least);
-        let above = self.at_most.map_or(0.0, |most| self.value / most - 1.0);
+        let above = self.at_most.map_or(0.0, |most| 1.0 - most / self.value);
         if self.met { 0.0 } else { below.max(above).min(1.0) }
     }
 }

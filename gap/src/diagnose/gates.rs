@@ -237,6 +237,12 @@ pub fn worst_joint(context: &Context, state: &State) -> Option<usize> {
     worst.filter(|a| *a < joints)
 }
 
+/// Whether the robot as given is as near to all runs as careful labs are, at each joint.
+pub fn no_gap(context: &Context, base: &State) -> bool {
+    let both = [(&context.fit, &base.fit), (&context.holdout, &base.holdout)];
+    worst_of(context, &both) < NOTHING_LEFT
+}
+
 /// The same of any runs.
 pub fn worst_of(context: &Context, parts: &[(&Judge, &On)]) -> f64 {
     means(context.replayer.model().actuated().len(), parts).into_iter().fold(0.0, f64::max)

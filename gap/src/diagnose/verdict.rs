@@ -152,7 +152,7 @@ pub fn conclude(
     let listed = carried.listed(&entries);
     let first = words::first(verdict, &carried.state, &errors, evidence.unfinished);
     let assumed = words::assumed(verdict, &request.data_faults);
-    let last = words::last(&causes, &extension.effect, &listed, &local);
+    let last = words::last(verdict, &causes, &extension.effect, &listed, &local);
     let summary = [first, told, assumed, last].concat();
     let in_part = matches!(verdict, Verdict::PartlyExplained | Verdict::Unexplained);
     unexplained.retain(|_| in_part);

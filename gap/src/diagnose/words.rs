@@ -98,9 +98,6 @@ pub fn summary(
 ) -> String {
     let mut text = headline(verdict, causes, doubts, unexplained, found);
     text.push_str(tells);
-    if verdict == Verdict::NoGap && context.passed.is_empty() {
-        text.push_str(" The extended robot is the robot as given.");
-    }
     let mut assumed: Vec<&str> =
         causes.iter().flat_map(|c| &c.assumed).map(String::as_str).collect();
     assumed.sort_unstable();
@@ -195,15 +192,19 @@ pub fn assumed(verdict: Verdict, faults: &[DataFault]) -> String {
     told.concat()
 }
 
-/// What comes last: `causes` that are not in the model, which is of these `effects`; effects that are in it without
-/// a name, and stretches that are far off.
+/// What comes last: `causes` that are not in the model, which is of these `effects`, or that there are none without
+/// a gap; effects that are in it without a name, and stretches that are far off.
 pub fn last(
+    verdict: Verdict,
     causes: &[Cause],
     effects: &[ExtensionEffect],
     model: &[Carried],
     local: &[LocalGap],
 ) -> String {
     let mut text = left_out(causes, effects);
+    if verdict == Verdict::NoGap && effects.is_empty() {
+        text.push_str(" The extended robot is the robot as given.");
+    }
     let unnamed = model.iter().filter(|c| !c.named).count();
     if unnamed > 0 {
         text.push_str(&format!(

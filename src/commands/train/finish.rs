@@ -104,16 +104,6 @@ pub fn evaluate(
     };
     let mut share =
         say::Share::new("parts of the evaluation", usize::from(runs) + usize::from(judged));
-    let robot = match runs {
-        true => {
-            let label = if choice.tried.is_empty() { "latest" } else { CHOSEN };
-            Some(run_robot(config, folder, &outcome.server_addr.to_string(), label, stop)?)
-        }
-        false => None,
-    };
-    if runs {
-        share.one_more();
-    }
     let mut evaluation = None;
     if judged {
         let page = folder.root().join(EVALUATION);
@@ -122,7 +112,16 @@ pub fn evaluate(
         eval::write_summary(&folder.policy(), &summary)?;
         eval::to_tensorboard(folder.root(), &result)?;
         evaluation = result.scenarios.into_iter().next();
+        share.one_more();
     }
+    // last: what the client refuses to run has its page all the same
+    let robot = match runs {
+        true => {
+            let label = if choice.tried.is_empty() { "latest" } else { CHOSEN };
+            Some(run_robot(config, folder, &outcome.server_addr.to_string(), label, stop)?)
+        }
+        false => None,
+    };
     let finished = outcome.finished.clone();
     let robot_hash = robot.as_ref().map(|robot| robot.policy_sha256.clone());
     let hashes = [policy.sha256_hex(), on_server.clone()];
