@@ -12,6 +12,8 @@ use crate::trial::Kind;
 const HELD: f64 = 0.01;
 /// So many samples are no slip of the encoder.
 const SAMPLES: usize = 5;
+/// Without a stop that is passed, what is beyond it is off by less than this share (mean squares) of what it is with it.
+const NEARER: f64 = 0.25;
 /// Farther than any stop, rad or m.
 const FARTHER: f64 = 10.0;
 
@@ -78,20 +80,20 @@ pub fn find(replayer: &Replayer, data: &Data) -> Result<Vec<Passed>, GapError> {
     if !(0..first.len()).any(|a| may(a, 0) || may(a, 1)) {
         return Ok(Vec::new());
     }
-    let beyond = |terms: Variant| -> Result<Beyond, GapError> {
-        let simulated = replayer.predict(data, &[terms])?.swap_remove(0);
-        Ok(Beyond::of(&limits, data, &simulated))
-    };
-    let simulated = beyond(Vec::new())?;
-    let passed =
-        |a: usize, s: usize| measured.at(a, s, SAMPLES) > simulated.at(a, s, 0) + passes(a);
+    let run = |terms: Variant| Ok::<_, GapError>(replayer.predict(data, &[terms])?.swap_remove(0));
     let term = |a: usize, out: &dyn Fn(usize) -> f64| {
         let place = Place::of_joint(model, a);
-        let values = [0, 1].map(|s| if passed(a, s) { out(s) } else { 0.0 });
-        Term { effect: &PASSED_STOP, place, values: values.to_vec() }
+        Term { effect: &PASSED_STOP, place, values: [0, 1].map(out).to_vec() }
     };
-    let joints: Vec<usize> = (0..first.len()).filter(|a| passed(*a, 0) || passed(*a, 1)).collect();
-    let free = beyond(joints.iter().map(|&a| term(a, &|_| FARTHER)).collect())?;
+    let joints: Vec<usize> = (0..first.len()).filter(|a| may(*a, 0) || may(*a, 1)).collect();
+    let without = |&a: &usize| term(a, &|s| if may(a, s) { FARTHER } else { 0.0 });
+    let (with, free) = (run(Vec::new())?, run(joints.iter().map(without).collect())?);
+    let off = [&with, &free].map(|simulated| off(&limits, data, simulated));
+    let [simulated, free] = [with, free].map(|values| Beyond::of(&limits, data, &values));
+    let passed = |a: usize, s: usize| {
+        let farther = measured.at(a, s, SAMPLES) > simulated.at(a, s, 0) + passes(a);
+        may(a, s) && (farther || off[1][a][s] < NEARER * off[0][a][s])
+    };
     let told = |&a: &usize| {
         let unit = model.joints()[model.actuated()[a]].unit();
         let over = |s: usize| measured.at(a, s, 0);
@@ -99,10 +101,26 @@ pub fn find(replayer: &Replayer, data: &Data) -> Result<Vec<Passed>, GapError> {
         let held = |s: usize| free.at(a, s, SAMPLES) > over(s) + HELD * (first[a].1 - first[a].0);
         let sides = [0, 1].map(|s| passed(a, s));
         let ends = [0, 1].map(|s| sides[s] && held(s));
-        let term = term(a, &|s| if held(s) { over(s) } else { FARTHER });
+        let to = |s: usize| if held(s) { over(s) } else { FARTHER };
+        let term = term(a, &|s| if sides[s] { to(s) } else { 0.0 });
         Passed { note: note(&term.place.names[0], unit, first[a], sides, ends, over), term }
     };
-    Ok(joints.iter().map(told).collect())
+    Ok(joints.iter().filter(|a| passed(**a, 0) || passed(**a, 1)).map(told).collect())
+}
+
+/// Sum of the squares by which simulated angles are off where the measured ones are beyond each stop of each joint.
+fn off(limits: &[Limits], data: &Data, simulated: &[f32]) -> Vec<[f64; 2]> {
+    let mut all = vec![[0.0; 2]; limits.first().map_or(0, Vec::len)];
+    for (segment, piece) in data.parts().filter(|(_, p)| p.kind == Kind::Position) {
+        let (low, high) = limits[segment.trial][piece.index];
+        for k in piece.range.clone() {
+            let square = (data.value[k] - f64::from(simulated[k])).powi(2);
+            let beyond = [data.value[k] < low, data.value[k] > high];
+            let sums = all[piece.index].iter_mut().zip(beyond);
+            sums.filter(|(_, beyond)| *beyond).for_each(|(sum, _)| *sum += square);
+        }
+    }
+    all
 }
 
 fn note(
