@@ -14,8 +14,8 @@ use crate::{ACTION_HISTORY, TaskError};
 const PLACE_M: f64 = 2e-3;
 /// How far their axes may differ, rad.
 const AXIS_RAD: f64 = 0.02;
-/// How far the centres of mass of what they move may differ, m: CAD puts motors and cables on one side. What is
-/// farther apart is an arm on one side only, even if its axis is its own mirror image.
+/// How far the centres of mass of the links that they move may differ, m, where their places on the axis do: CAD
+/// puts motors and cables on one side. Farther apart, it is an arm on one side only, whose axis is its own mirror image.
 const MOVED_M: f64 = 0.02;
 
 /// `mirrored[i] = sign[i]·original[source[i]]`.
@@ -207,7 +207,8 @@ fn mirrored(model: &RobotModel, at_nominal: &Kinematics, pair: [usize; 2]) -> Op
         at_nominal.links[joint.child_link].point(link.com_m)
     };
     let off_m = pose::norm(pose::sub(reflect(moved(joint[0])), moved(joint[1])));
-    let counterpart = joint[0].motion == joint[1].motion && on_axis && off_m < MOVED_M;
+    let in_place = pose::norm(apart) < PLACE_M || off_m < MOVED_M;
+    let counterpart = joint[0].motion == joint[1].motion && on_axis && in_place;
     counterpart.then_some((off_m, sign))
 }
 

@@ -18,7 +18,7 @@ const AT_END_MPS: f32 = 1e-4;
 /// Share of the episodes at a shore that must arrive: the acceptance table's aim for coming ashore.
 const ARRIVE_SHARE: f64 = 0.95;
 
-/// What a fall lacks: more than whatever walks and misses gates.
+/// What it lacks to fall in every episode: as much as ten gates that are missed altogether.
 const FALL: f64 = 10.0;
 
 /// How a version does what it was trained for.
