@@ -66,7 +66,7 @@ pub enum Verdict {
     NoGap,
     /// The gap has named causes that leave nothing over.
     Explained,
-    /// Several causes explain it as well; the next experiment, if there is one, tells them apart.
+    /// Several causes explain it as well; the next experiment, if there is one, tells some of them apart.
     Ambiguous,
     /// Named causes explain a part of it.
     PartlyExplained,

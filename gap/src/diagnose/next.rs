@@ -1,6 +1,7 @@
 //! What to record next: the trial of the battery in which what is still possible differs most in what the runs
-//! have, by simulating it; never one that is in the logs, never for what leaves no trace on this robot. Where a weight is in
-//! question, with a known one hung on as well: without one, all torques less and all weights more are alike.
+//! have, by simulating it; never one that is in the logs, never for what leaves no trace on this robot. Where a
+//! weight is in question, with a known one hung on as well: without one, all torques less and all weights more
+//! are alike.
 
 use caudata_model::RobotModel;
 use caudata_runlog::Payload;

@@ -77,7 +77,7 @@ pub fn what_tells(
         (Verdict::Ambiguous, _) if !another => {
             " They are one robot by different names: no trial tells them apart."
         }
-        (Verdict::Ambiguous, Some(_)) => " The next experiment tells them apart.",
+        (Verdict::Ambiguous, Some(_)) => " The next experiment says which of them it tells apart.",
         (Verdict::Ambiguous, None) => {
             " No trial of the battery that is not in the logs tells them apart."
         }
