@@ -114,7 +114,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         Ok(Self {
             gate: OutputGate::new(&joints, plan.step_max_rad, first.servos.pos_rad),
             guard: Guard::new(plan.limits.clone()),
-            motion: Motion::new(joints.nominal_rad, period_s),
+            motion: Motion::new(joints.nominal_rad, period_s, plan.balances),
             last_time_s: first.servos.time_s,
             first: Some(first),
             robot,
@@ -348,7 +348,8 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
     /// 1 s. A dead-man's button that is let go of stands it at once; a kill brakes at once, whatever the
     /// policy does.
     fn wanted_command(&mut self, sensed: &Sensed) -> [f32; COMMAND_DIM] {
-        if self.motion.stage() == Stage::Halt {
+        let stands = self.motion.balances() && self.stand_ticks.is_some();
+        if self.motion.stage() == Stage::Halt || stands {
             return [0.0; COMMAND_DIM];
         }
         let Some(link) = &mut self.link else {

@@ -7,6 +7,9 @@
 //!   └────────┴──────── asked to stop ──────▲                  ▲
 //!   any ── policy or body out of order ──────────▶ Damped ────┘
 //! ```
+//! What balances on its feet or wheels tips over in a pose that is held: its policy takes over as soon as it has
+//! risen, unblended, stands whenever the robot is to stand, and only brakes behind it.
+//!
 //! Pure: one call per control tick, time counts in ticks.
 
 use caudata_task::PerJoint;
@@ -60,6 +63,7 @@ impl Stage {
 pub struct Motion {
     stage: Stage,
     nominal_rad: PerJoint,
+    balances: bool,
     ticks_in_stage: u32,
     period_s: f32,
     blend_from_rad: PerJoint,
@@ -67,11 +71,12 @@ pub struct Motion {
 }
 
 impl Motion {
-    /// Begins in [`Stage::Rise`].
-    pub fn new(nominal_rad: PerJoint, period_s: f32) -> Self {
+    /// Begins in [`Stage::Rise`]. Whether the robot tips over without its policy: `balances`.
+    pub fn new(nominal_rad: PerJoint, period_s: f32, balances: bool) -> Self {
         Self {
             stage: Stage::Rise,
             nominal_rad,
+            balances,
             ticks_in_stage: 0,
             period_s,
             blend_from_rad: nominal_rad,
@@ -89,6 +94,11 @@ impl Motion {
         self.nominal_rad = nominal_rad;
     }
 
+    /// Whether it stands by its policy alone.
+    pub fn balances(&self) -> bool {
+        self.balances
+    }
+
     /// Asks to come to an end in order: let the policy stop, stand, then torque off.
     pub fn halt(&mut self) {
         match self.stage {
@@ -102,13 +112,17 @@ impl Motion {
     pub fn finish(&mut self) {
         let upright = [Stage::Rise, Stage::Settle, Stage::Stand];
         if self.stage.is_policys() || upright.contains(&self.stage) {
-            self.enter(Stage::Return);
+            self.enter(self.behind_the_policy());
         }
     }
 
-    /// Returns to the nominal pose and waits there.
+    fn behind_the_policy(&self) -> Stage {
+        if self.balances { Stage::Damped } else { Stage::Return }
+    }
+
+    /// Returns to the nominal pose and waits there; what balances goes on under its policy.
     pub fn stand(&mut self) {
-        if self.stage == Stage::Walk {
+        if self.stage == Stage::Walk && !self.balances {
             self.enter(Stage::Stand);
         }
     }
@@ -146,6 +160,7 @@ impl Motion {
     ) -> PerJoint {
         self.ticks_in_stage += 1;
         match self.stage {
+            Stage::Rise if self.balances => self.ramp(sent_rad, Stage::Walk),
             Stage::Rise => self.ramp(sent_rad, Stage::Settle),
             Stage::Settle => {
                 if self.in_stage_for(SETTLE_S) {
@@ -157,7 +172,7 @@ impl Motion {
             Stage::Walk => self.blended(policy_rad),
             Stage::Halt => {
                 if self.in_stage_for(HALT_S) {
-                    self.enter(Stage::Return);
+                    self.enter(self.behind_the_policy());
                 }
                 self.blended(policy_rad)
             }
@@ -209,7 +224,7 @@ impl Motion {
     fn blended(&mut self, policy_rad: PerJoint) -> PerJoint {
         let whole = ticks(BLEND_S, self.period_s);
         self.blend_tick = (self.blend_tick + 1).min(whole);
-        if self.blend_tick == whole {
+        if self.blend_tick == whole || self.balances {
             return policy_rad;
         }
         let share = self.blend_tick as f32 / whole as f32;
@@ -246,7 +261,7 @@ mod tests {
     #[test]
     fn rises_at_half_a_radian_per_second() {
         // The farthest joint is 0.2 rad away: 0.01 rad per tick (0.5 rad/s at 50 Hz), 20 ticks.
-        let mut motion = Motion::new(ZERO, 0.02);
+        let mut motion = Motion::new(ZERO, 0.02, false);
         let mut sent = PerJoint::filled(16, 0.05);
         sent[4] = -0.2;
         let first = motion.targets(POLICY, sent, sent);
@@ -261,7 +276,7 @@ mod tests {
 
     #[test]
     fn a_wheel_is_not_led_back() {
-        let mut motion = Motion::new(ZERO, 0.02);
+        let mut motion = Motion::new(ZERO, 0.02, false);
         let mut rolled = ZERO;
         rolled[3] = 26.5;
         motion.stand_in(rolled);
@@ -273,7 +288,7 @@ mod tests {
     }
 
     fn walking() -> Motion {
-        let mut motion = Motion::new(ZERO, 0.02);
+        let mut motion = Motion::new(ZERO, 0.02, false);
         let mut sent = ZERO;
         while motion.stage() != Stage::Walk {
             sent = motion.targets(POLICY, sent, ZERO);
@@ -320,6 +335,23 @@ mod tests {
         assert_eq!((motion.stage(), sent), (Stage::Return, POLICY));
         motion.halt();
         assert_eq!(motion.stage(), Stage::Return);
+    }
+
+    #[test]
+    fn what_balances_is_its_policys_from_rising_to_braking() {
+        let mut motion = Motion::new(ZERO, 0.02, true);
+        let mut sent = PerJoint::filled(16, 0.1);
+        // 0.1 rad at 0.01 rad per tick, and no standing in that pose
+        assert!((10..=11).contains(&run(&mut motion, &mut sent)));
+        assert_eq!(motion.stage(), Stage::Walk);
+        assert_eq!(motion.targets(POLICY, sent, ZERO), POLICY, "its first action counts in full");
+        motion.stand();
+        assert_eq!(motion.stage(), Stage::Walk);
+        motion.halt();
+        assert_eq!(run(&mut motion, &mut sent), 50);
+        assert_eq!(motion.stage(), Stage::Damped);
+        assert_eq!(run(&mut motion, &mut sent), 50);
+        assert_eq!(motion.stage(), Stage::Off);
     }
 
     #[test]

@@ -152,6 +152,7 @@ fn allocations(leaks: bool) -> usize {
         limits: None,
         swap_wait: None,
         get_up: FALLEN_FOR,
+        balances: false,
         legs: LegOdometry::new(model.clone()),
     };
     let (updates, _events) = Updates::new(Slot::default());

@@ -23,6 +23,8 @@ struct Size {
     feet: usize,
     /// Driven wheels of a robot without feet.
     wheels: usize,
+    /// See [`RobotModel::balances`].
+    balances: bool,
     mass_kg: f64,
     /// Height of the legs' first joints above the feet, or the radius of the wheels, mean.
     leg_m: f64,
@@ -82,6 +84,7 @@ impl Size {
         Ok(Self {
             feet,
             wheels: wheels.len(),
+            balances: model.balances(),
             mass_kg: model.total_mass_kg(),
             leg_m: match feet + wheels.len() {
                 0 => 0.1,
@@ -112,7 +115,7 @@ impl Size {
     /// on for half a stride, and must catch itself before it has fallen far: the smaller, the sooner
     /// (docs/reference/learning.md).
     fn stride_hz(&self) -> f64 {
-        let (least, most) = match (self.feet, self.balances()) {
+        let (least, most) = match (self.feet, self.balances) {
             (1 | 2, _) => ((2.3 * self.falls_hz()).clamp(1.25, 2.5), 2.5),
             (_, true) => (1.25, 2.0),
             _ => (0.9, 2.0),
@@ -144,11 +147,6 @@ impl Size {
         (steps_w / self.carrying_w()).clamp(1.0, 3.0)
     }
 
-    /// Whether it tips over when it stands still on one foot of a stride, or on its wheels.
-    fn balances(&self) -> bool {
-        matches!(self.feet + self.wheels, 1 | 2)
-    }
-
     /// Radians that an action of 1 turns a joint by. On two legs half a radian, or what is worth a sixth of its
     /// weight at the length of a leg: with soft gains less does not hold it up (docs/reference/learning.md).
     fn action_scale_rad(&self) -> f64 {
@@ -161,7 +159,7 @@ impl Size {
     /// too. How many: docs/reference/learning.md, by trainings of published bipeds.
     fn filter_hz(&self) -> f64 {
         let most_hz = 0.5 / PERIOD_S; // what control can follow
-        if self.balances() { (11.0 * self.falls_hz()).min(most_hz) } else { 0.8 * self.stride_hz() }
+        if self.balances { (11.0 * self.falls_hz()).min(most_hz) } else { 0.8 * self.stride_hz() }
     }
 }
 
@@ -267,7 +265,7 @@ fn write_layer(
         trunk_n = round(0.2 * weight_n),
         phase_weight = 1.75 * walks * round(size.effort()),
         in_step = if matches!(size.feet, 1 | 2) { 2.0 } else { 0.0 },
-        zero_share = if size.balances() { 0.15 } else { 0.05 },
+        zero_share = if size.balances { 0.15 } else { 0.05 },
         power_weight = -round(2e-2 * (2.6 * GRAVITY_MPS2 * 0.3) / size.carrying_w()),
         slip_weight = -round(2.0 * slower) * walks,
         trunk_weight = -5.0 * walks,
@@ -284,6 +282,7 @@ mod tests {
     const BIPED: Size = Size {
         feet: 2,
         wheels: 0,
+        balances: true,
         mass_kg: 1.8,
         leg_m: 0.18,
         com_m: 0.9,

@@ -151,6 +151,14 @@ impl RobotModel {
         high - low > ROLLS_FROM_RAD
     }
 
+    /// Whether it tips over when it stands still on one foot of a stride, or on its wheels: one or two feet, or
+    /// without feet one or two wheels, and nothing that holds its base.
+    pub fn balances(&self) -> bool {
+        let wheels = || (0..self.actuated.len()).filter(|&a| self.rolls(a)).count();
+        let stands_on = if self.feet.is_empty() { wheels() } else { self.feet.len() };
+        self.base == BaseKind::Free && matches!(stands_on, 1 | 2)
+    }
+
     /// Whether a shape of a link is a wheel: a cylinder about the hinge that carries the link, which turns by
     /// more than once.
     pub fn is_wheel(&self, link: usize, geom: &Geom) -> bool {

@@ -77,6 +77,7 @@ pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
         read_deadline,
         limits,
         get_up: Duration::from_secs_f64(args.get_up),
+        balances: setting.model.balances(),
         legs: LegOdometry::new(setting.model.clone()),
         swap_wait: (args.swap_wait > 0.0).then(|| Duration::from_secs_f64(args.swap_wait)),
     };

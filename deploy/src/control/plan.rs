@@ -139,6 +139,9 @@ pub struct RunPlan {
     /// How long a robot may lie under its policy before it is stopped. Beyond
     /// [`FALLEN_FOR`](super::FALLEN_FOR) it may lie while it rises, too: its policy gets it up.
     pub get_up: Duration,
+    /// Whether it tips over without its policy
+    /// ([`RobotModel::balances`](caudata_model::RobotModel::balances)).
+    pub balances: bool,
     /// What tells how fast the robot goes; `None`: nothing does.
     pub legs: Option<LegOdometry>,
 }

@@ -44,7 +44,7 @@ impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
             Stage::Settle => true,
             // Slow on its way to the nominal pose is not there.
             Stage::Stand => at_rest && (self.still_ticks >= STILL_TICKS || stood_long),
-            Stage::Walk => self.still_ticks >= STILL_TICKS,
+            Stage::Walk => self.still_ticks >= STILL_TICKS || stood_long,
             // On its way to the end: the next run begins with it.
             Stage::Halt | Stage::Return | Stage::Rest | Stage::Damped | Stage::Off => false,
         };
@@ -58,7 +58,9 @@ impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
     /// Makes the robot stand where a newer policy has waited for too long.
     fn hurry(&mut self, stage: Stage) {
         if let Some(ticks) = &mut self.stand_ticks {
-            *ticks += u32::from(self.gate.last_rad() == self.runner.joints().nominal_rad);
+            let stands =
+                self.motion.balances() || self.gate.last_rad() == self.runner.joints().nominal_rad;
+            *ticks += u32::from(stands);
             return;
         }
         let waited = self.plan.period * self.swap_ticks;
@@ -104,6 +106,7 @@ impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
 
     /// After standing for a swap. With a command link the link decides.
     fn walk_on(&mut self) {
-        self.walk_on = self.link.is_none() && !self.motion.resume(self.gate.last_rad());
+        let stands = self.motion.stage() == Stage::Stand;
+        self.walk_on = stands && self.link.is_none() && !self.motion.resume(self.gate.last_rad());
     }
 }

@@ -174,6 +174,7 @@ fn plan(walk_s: Option<f64>, commands: CommandTable) -> RunPlan {
         limits: None,
         swap_wait: None,
         get_up: FALLEN_FOR,
+        balances: false,
         legs: None,
     }
 }
@@ -650,7 +651,12 @@ fn fault_32_a_fall_in_the_trial_is_the_policys_fault_and_one_after_it_is_not() {
 
 /// A run under `commands` whose slot gets a standing policy after `after` targets; the number of targets sent
 /// when the new one took over, and the counts.
-fn swapped(commands: &str, after: usize, swap_wait: Option<Duration>) -> (Option<usize>, Counts) {
+fn swapped(
+    commands: &str,
+    after: usize,
+    swap_wait: Option<Duration>,
+    balances: bool,
+) -> (Option<usize>, Counts) {
     /// Puts the policy there when the robot has been sent enough.
     struct Late {
         inner: FakeRobot,
@@ -700,7 +706,8 @@ fn swapped(commands: &str, after: usize, swap_wait: Option<Duration>) -> (Option
     let table = folder.path().join("commands.csv");
     std::fs::write(&table, commands).unwrap();
     let clock = FakeClock::default();
-    let plan = RunPlan { swap_wait, ..plan(Some(8.0), CommandTable::read(&table).unwrap()) };
+    let commands = CommandTable::read(&table).unwrap();
+    let plan = RunPlan { swap_wait, balances, ..plan(Some(8.0), commands) };
     let (updates, _events) = Updates::new(slot);
     let metrics = RobotMetrics::register(&caudata_telemetry::Metrics::new());
     // Its targets follow the gait clock and the command, so that the joints move while it walks.
@@ -716,10 +723,10 @@ fn swapped(commands: &str, after: usize, swap_wait: Option<Duration>) -> (Option
 fn fault_34_a_newer_policy_waits_for_the_robot_to_stand() {
     let walking = "t,vx,vy,yaw_rate\n0,0.3,0,0\n100,0.3,0,0\n";
     // Walking all the time: never.
-    let (seen, counts) = swapped(walking, 200, None);
+    let (seen, counts) = swapped(walking, 200, None, false);
     assert_eq!((seen, counts.swaps, counts.stands_for_swap), (None, 0, 0));
     // With a limit of a second the robot is made to stand, gets it, and walks on.
-    let (seen, counts) = swapped(walking, 200, Some(Duration::from_secs(1)));
+    let (seen, counts) = swapped(walking, 200, Some(Duration::from_secs(1)), false);
     assert_eq!((counts.swaps, counts.stands_for_swap), (1, 1));
     assert!(counts.swap_speed_radps < STILL_RADPS, "{}", counts.swap_speed_radps);
     let seen = seen.unwrap();
@@ -728,6 +735,11 @@ fn fault_34_a_newer_policy_waits_for_the_robot_to_stand() {
     assert!((255..400).contains(&seen), "{seen}");
     assert!((counts.walked_s - 8.0).abs() < 0.5, "{}", counts.walked_s);
     // Before walking it gets in at once.
-    let (seen, counts) = swapped(walking, 5, None);
+    let (seen, counts) = swapped(walking, 5, None, false);
     assert!(seen.unwrap() < 10 && counts.swaps == 1, "{seen:?}");
+    // What balances stands by its policy, commanded to: a second of waiting, at most two until it is let in.
+    let (seen, counts) = swapped(walking, 200, Some(Duration::from_secs(1)), true);
+    assert_eq!((counts.swaps, counts.stands_for_swap), (1, 1));
+    assert!((255..=352).contains(&seen.unwrap()), "{seen:?}");
+    assert!((counts.walked_s - 8.0).abs() < 0.1, "{}", counts.walked_s);
 }

@@ -213,6 +213,7 @@ fn run(event: Event, at: Duration, faults: WireFaults) -> Seen {
         limits: None,
         swap_wait: None,
         get_up: FALLEN_FOR,
+        balances: false,
         legs: None,
     };
     let (updates, _events) = Updates::new(Slot::default());
