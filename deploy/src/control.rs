@@ -348,10 +348,12 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
     /// 1 s. A dead-man's button that is let go of stands it at once; a kill brakes at once, whatever the
     /// policy does.
     fn wanted_command(&mut self, sensed: &Sensed) -> [f32; COMMAND_DIM] {
+        let asked = self.asked_command(sensed);
         let stands = self.motion.balances() && self.stand_ticks.is_some();
-        if self.motion.stage() == Stage::Halt || stands {
-            return [0.0; COMMAND_DIM];
-        }
+        if self.motion.stage() == Stage::Halt || stands { [0.0; COMMAND_DIM] } else { asked }
+    }
+
+    fn asked_command(&mut self, sensed: &Sensed) -> [f32; COMMAND_DIM] {
         let Some(link) = &mut self.link else {
             let start_s = self.walk_start_s.unwrap_or(sensed.servos.time_s);
             return self.plan.commands.at(sensed.servos.time_s - start_s);

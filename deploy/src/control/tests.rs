@@ -624,11 +624,14 @@ fn a_kill_before_the_first_tick_takes_hold_of_nothing() {
 
 #[test]
 fn a_kill_brakes_at_the_next_tick() {
-    let link = FakeLink { kill_from: 200, ..FakeLink::default() };
-    let (result, sent, _) = linked(link, 100.0);
-    assert_eq!(result.unwrap(), Ended::Killed);
-    // Damped for 50 ticks from view 200 on, then off.
-    assert!((249..=252).contains(&sent.len()), "{}", sent.len());
+    // While it walks, and while it halts at the end of its time.
+    for (walk_s, ended) in [(100.0, Ended::Killed), (1.5, Ended::Time)] {
+        let link = FakeLink { kill_from: 200, ..FakeLink::default() };
+        let (result, sent, _) = linked(link, walk_s);
+        assert_eq!(result.unwrap(), ended);
+        // Damped for 50 ticks from view 200 on, then off.
+        assert!((249..=252).contains(&sent.len()), "{}", sent.len());
+    }
 }
 
 #[test]

@@ -318,7 +318,11 @@ fn the_legs_say_where_the_robot_is() {
     // it begins with its root link at 0, looking along x
     let went = [x - places[0][0], y - places[0][1]];
     let off_m = (here.pose.pos_m[0] - went[0]).hypot(here.pose.pos_m[1] - went[1]);
-    let (way_m, sd_m) = (went[0].hypot(went[1]), here.pose_variance[0].sqrt());
+    // along the arc, by chords of a second
+    let seconds: Vec<_> = places.iter().step_by(50).collect();
+    let chord_m = |ends: &[&[f64; 3]]| (ends[1][0] - ends[0][0]).hypot(ends[1][1] - ends[0][1]);
+    let way_m: f64 = seconds.windows(2).map(chord_m).sum();
+    let sd_m = here.pose_variance[0].sqrt();
     println!(
         "{off_m:.3} m off after {way_m:.2} m, claimed {sd_m:.3} m; {:.3} m high, {z:.3}",
         here.pose.pos_m[2]

@@ -133,7 +133,7 @@ fn wheels_are_no_feet_and_a_damping_ratio_becomes_a_gain() {
     let made = read("cart.xml", &text(position, velocity)).unwrap();
     assert!(told(&made, "a wheel and no foot") && told(&made, "dampratio"), "{:?}", made.notes);
     let m = model(&made);
-    assert!(m.feet().is_empty() && !m.rolls(0) && m.rolls(1) && m.rolls(2));
+    assert!(m.feet().is_empty() && !m.rolls(0) && m.rolls(1) && m.rolls(2) && m.balances());
     let gains = m.gains()[0];
     assert_eq!(model(&read("cart.xml", &text(velocity, position)).unwrap()).gains(), m.gains());
     let by_speed = text(position, velocity)
