@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use crate::geometry::Solid;
-use crate::pose::{cross, dot, norm, sub};
+use crate::pose::{Pose, cross, dot, norm, quat_normalised, sub};
 use crate::tree::{Element, Remarks};
 
 /// Largest mesh file that is read, bytes.
@@ -29,34 +29,40 @@ pub(crate) struct Mesh {
     pub solid: Solid,
 }
 
+/// Where a mesh is, and how it is to be read.
+struct Asset {
+    path: PathBuf,
+    scale: [f64; 3],
+    /// What of the file becomes the mesh's own frame, before it is scaled.
+    origin: Pose,
+    volumes: Volumes,
+}
+
 /// The meshes of a file, read when they are asked for.
 #[derive(Default)]
 pub(crate) struct Meshes {
-    files: BTreeMap<String, (PathBuf, [f64; 3], Volumes)>,
+    files: BTreeMap<String, Asset>,
     read: BTreeMap<String, Option<Mesh>>,
 }
 
 impl Meshes {
-    /// The `<mesh>` assets of an MJCF.
-    pub fn read(
-        root: &Element,
-        file: &Path,
-        defaults: &BTreeMap<String, String>,
-        remarks: &mut Remarks,
-    ) -> Self {
+    /// The `<mesh>` assets of an MJCF, with what their classes say.
+    pub fn read(meshes: &[Element], root: &Element, file: &Path, remarks: &mut Remarks) -> Self {
         let folder = |key: &str| root.all("compiler").filter_map(|c| c.get(key)).last();
         let folder = folder("meshdir").or_else(|| folder("assetdir")).unwrap_or("");
         let mut files = BTreeMap::new();
-        for mesh in root.all("asset").flat_map(|a| a.all("mesh")) {
+        for mesh in meshes {
             let Some(path) = mesh.get("file") else { continue };
             let stem = Path::new(path).file_stem().map(|s| s.to_string_lossy().into_owned());
             let name = mesh.get("name").map(str::to_owned).or(stem).unwrap_or_default();
-            let mut scaled = mesh.clone();
-            if let Some(scale) = defaults.get("scale") {
-                let entry = scaled.attributes.entry("scale".to_owned());
-                entry.or_insert_with(|| scale.clone());
-            }
-            let scale = scaled.array("scale", remarks).unwrap_or([1.0; 3]);
+            let scale = mesh.array("scale", remarks).unwrap_or([1.0; 3]);
+            let origin = Pose {
+                pos_m: mesh.array("refpos", remarks).unwrap_or_default(),
+                quat_wxyz: mesh
+                    .array("refquat", remarks)
+                    .and_then(quat_normalised)
+                    .unwrap_or(Pose::IDENTITY.quat_wxyz),
+            };
             let path = file.with_file_name("").join(folder).join(path);
             let volumes = match mesh.get("inertia") {
                 None | Some("legacy") => Volumes::Legacy,
@@ -67,14 +73,15 @@ impl Meshes {
                     Volumes::Legacy
                 }
             };
-            files.insert(name, (path, scale, volumes));
+            files.insert(name, Asset { path, scale, origin, volumes });
         }
         Self { files, read: BTreeMap::new() }
     }
 
     /// Names a file beside those of the assets.
     pub fn add(&mut self, name: &str, path: PathBuf, scale: [f64; 3]) {
-        self.files.insert(name.to_owned(), (path, scale, Volumes::Exact));
+        let asset = Asset { path, scale, origin: Pose::IDENTITY, volumes: Volumes::Exact };
+        self.files.insert(name.to_owned(), asset);
     }
 
     /// A mesh by name; `None`: there is none, or it cannot be read.
@@ -82,8 +89,7 @@ impl Meshes {
         if let Some(known) = self.read.get(name) {
             return *known;
         }
-        let mesh =
-            self.files.get(name).and_then(|(path, scale, volumes)| load(path, *scale, *volumes));
+        let mesh = self.files.get(name).and_then(load);
         self.read.insert(name.to_owned(), mesh);
         mesh
     }
@@ -91,7 +97,8 @@ impl Meshes {
 
 type Triangle = [[f64; 3]; 3];
 
-fn load(path: &Path, scale: [f64; 3], volumes: Volumes) -> Option<Mesh> {
+fn load(asset: &Asset) -> Option<Mesh> {
+    let Asset { path, scale, origin, volumes } = asset;
     let bytes = caudata_durable::read_at_most(path, MESH_LIMIT_BYTES).ok()?;
     let kind = path.extension()?.to_string_lossy().to_lowercase();
     let mut triangles = match kind.as_str() {
@@ -99,12 +106,16 @@ fn load(path: &Path, scale: [f64; 3], volumes: Volumes) -> Option<Mesh> {
         "obj" => obj(&String::from_utf8_lossy(&bytes))?,
         _ => return None,
     };
+    let turned = *origin != Pose::IDENTITY;
     for vertex in triangles.iter_mut().flatten() {
+        if turned {
+            *vertex = origin.inverse().point(*vertex);
+        }
         for (x, s) in vertex.iter_mut().zip(scale) {
             *x *= s;
         }
     }
-    measure(&triangles, volumes)
+    measure(&triangles, *volumes)
 }
 
 /// Integrals over the tetrahedra that the triangles span with a point: volume, first and second moments about

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use crate::error::Remark;
 use crate::geometry::{Inertial, check_inertia, nearest_inertia};
-use crate::pose::Pose;
+use crate::pose::{self, Pose};
 use crate::tree::Element;
 use crate::types::{Geom, JointMotion, Softness};
 
@@ -39,9 +39,43 @@ pub(crate) struct Robot {
 }
 
 impl Robot {
+    /// The body that carries the IMU, and the name of its site: the one of a gyroscope, else one that is called so.
+    pub fn imu(&self) -> Option<(usize, &str)> {
+        let bodies = self.bodies.iter().enumerate();
+        let sites =
+            || bodies.clone().flat_map(|(i, b)| b.sites.iter().map(move |s| (i, s.0.as_str())));
+        let called = |(_, name): &(usize, &str)| name.to_lowercase().contains("imu");
+        sites().find(|(_, name)| self.sensed.contains(*name)).or_else(|| sites().find(called))
+    }
+
     /// Joints in model order.
     pub fn joints(&self) -> impl Iterator<Item = &Joint> {
         self.bodies.iter().flat_map(|body| &body.joints)
+    }
+
+    /// What a joint moves with all others still, in the pose of the file, kg·m² (kg where it slides).
+    pub fn hanging_inertia(&self, joint: &str) -> f64 {
+        let mut at: Vec<Option<Pose>> = Vec::new();
+        let (mut moved, mut of) = (0.0, None);
+        for (i, body) in self.bodies.iter().enumerate() {
+            let own = body.joints.iter().find(|j| j.name == joint);
+            of = of.or(own);
+            let above = body.parent.and_then(|p| at[p]).map(|p| p.compose(&body.parent_from_body));
+            at.push(above.or(own.map(|_| Pose::IDENTITY)));
+            let (Some(joint), Some(at), Some(inertial)) = (of, at[i], body.inertial) else {
+                continue;
+            };
+            let seen = inertial.seen_from(&at);
+            moved += match joint.motion {
+                JointMotion::Slide => seen.mass_kg,
+                JointMotion::Hinge => {
+                    let arm = pose::cross(joint.axis, pose::sub(seen.com_m, joint.anchor_m));
+                    let turned = seen.inertia_kgm2.map(|row| pose::dot(row, joint.axis));
+                    pose::dot(joint.axis, turned) + seen.mass_kg * pose::dot(arm, arm)
+                }
+            };
+        }
+        moved + of.map_or(0.0, |joint| joint.armature)
     }
 
     /// Keeps in mind that no body has this inertia, and what is nearest to it: `[xx, yy, zz, xy, xz, yz]` in words.
@@ -76,6 +110,8 @@ pub(crate) struct Joint {
     pub axis: [f64; 3],
     pub anchor_m: [f64; 3],
     pub range: Option<(f64, f64)>,
+    /// What the file calls the position that it is drawn in; all here counts from there.
+    pub drawn_at: f64,
     pub stop: Softness,
     pub stiffness: f64,
     pub spring_ref: f64,

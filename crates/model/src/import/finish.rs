@@ -46,6 +46,7 @@ pub(super) fn finish(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
         }
     }
     strengthen(robot, root, remarks);
+    turn_imu(robot, remarks);
     shape(robot, remarks);
     name_uniquely(robot);
     if robot.actuators.is_empty() {
@@ -55,6 +56,36 @@ pub(super) fn finish(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
              joint=\"…\"/></actuator>",
         );
     }
+}
+
+/// A tilt of the IMU up to this is one of its mounting and shows in what it reads, rad.
+const IMU_OFF_MAX_RAD: f64 = 0.35;
+
+/// Turns the axes of an IMU that is mounted otherwise to forward, left and up, as the robot is drawn: so policies
+/// take gravity and turn rates.
+fn turn_imu(robot: &mut Robot, remarks: &mut Remarks) {
+    let Some((body, name)) = robot.imu().map(|(body, name)| (body, name.to_owned())) else {
+        return;
+    };
+    let mut root_from_body = Pose::IDENTITY;
+    let mut at = body;
+    while let Some(parent) = robot.bodies[at].parent {
+        root_from_body = robot.bodies[at].parent_from_body.compose(&root_from_body);
+        at = parent;
+    }
+    let Body { sites, element, .. } = &mut robot.bodies[body];
+    let Some((_, site)) = sites.iter_mut().find(|(own, _)| *own == name) else { return };
+    let half_turn = root_from_body.compose(site).quat_wxyz[0].abs();
+    if half_turn >= (IMU_OFF_MAX_RAD / 2.0).cos() {
+        return;
+    }
+    site.quat_wxyz = root_from_body.inverse().quat_wxyz;
+    let message = format!(
+        "the IMU `{name}` is mounted turned by {:.0}°; its axes are made forward, left and up, which is what policies read: \
+         `imu.axes` of the wiring file turns what the chip gives, the map of a log what was recorded",
+        2.0 * half_turn.min(1.0).acos().to_degrees()
+    );
+    remarks.note(element, message);
 }
 
 /// An MJCF without actuators: its users add them in code. As in a URDF, each joint has a drive.
@@ -239,19 +270,19 @@ const ROTOR_S2: f64 = 8.5e-4;
 /// A drive without a greatest torque and gains gets the median of those that have one; one of a URDF
 /// also a rotor.
 fn strengthen(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
-    for (motion, unit) in [(JointMotion::Hinge, "N·m"), (JointMotion::Slide, "N")] {
+    for motion in [JointMotion::Hinge, JointMotion::Slide] {
+        let (what, unit, guess) = match motion {
+            JointMotion::Hinge => ("torque", "N·m", "the weight times the reach of its limbs"),
+            JointMotion::Slide => ("force", "N", "the weight"),
+        };
         let such = robot.joints().filter(|j| j.motion == motion);
         let such: BTreeSet<String> = such.map(|j| j.name.clone()).collect();
         let own = robot.actuators.iter().filter(|a| such.contains(&a.joint));
         let mut known: Vec<f64> = own.filter_map(|a| a.force_limit).collect();
         known.sort_by(f64::total_cmp);
         let (torque, source) = match known.get(known.len() / 2) {
-            Some(median) => (*median, "the median of the others"),
-            None if unit == "N" => (unsaid_torque_nm(robot, motion), "a guess: the weight"),
-            None => {
-                let guess = unsaid_torque_nm(robot, motion);
-                (guess, "a guess: the weight times the reach of its limbs")
-            }
+            Some(median) => (*median, "the median of the others".to_owned()),
+            None => (unsaid_torque_nm(robot, motion), format!("a guess: {guess}")),
         };
         let lacks = |a: &&mut Actuator| a.force_limit.is_none() && a.gains.is_none();
         let mut weak: Vec<&str> = Vec::new();
@@ -260,7 +291,6 @@ fn strengthen(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
             weak.push(&drive.joint);
         }
         if !weak.is_empty() {
-            let what = if unit == "N" { "force" } else { "torque" };
             let weak = weak.join(", ");
             let message =
                 format!("no greatest {what} of {weak}: {torque} {unit} written, {source}");
@@ -268,13 +298,25 @@ fn strengthen(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
         }
     }
     if root.tag == "robot" {
-        for drive in &robot.actuators {
+        // every drive of a URDF has a torque by now
+        let forces = robot.actuators.iter().map(|a| (a.joint.clone(), a.force_limit));
+        let forces: Vec<(String, f64)> = forces.map(|(j, f)| (j, f.unwrap_or_default())).collect();
+        for (name, force) in forces {
+            let moved = robot.hanging_inertia(&name);
             let mut joints = robot.bodies.iter_mut().flat_map(|b| &mut b.joints);
-            if let Some(joint) = joints.find(|j| j.name == drive.joint) {
-                // every drive of a URDF has a torque by now
-                joint.armature = two_digits(ROTOR_S2 * drive.force_limit.unwrap_or_default());
+            if let Some(joint) = joints.find(|j| j.name == name) {
+                joint.armature = two_digits(rotor(joint.motion, force, moved));
             }
         }
+    }
+}
+
+/// Guess of what rotor and gears weigh at a joint: kg·m², of a slide kg. There it turns over what counts as a radian,
+/// and no slide is given a drive that weighs more than what it moves: forces of URDFs are often any large number.
+fn rotor(motion: JointMotion, force: f64, moved: f64) -> f64 {
+    match motion {
+        JointMotion::Hinge => ROTOR_S2 * force,
+        JointMotion::Slide => (ROTOR_S2 * force / motion.per_radian()).min(moved),
     }
 }
 

@@ -257,11 +257,7 @@ fn drives(w: &mut String, driven: &[&Joint], types: &[DriveType], of: &[usize]) 
 fn frames(w: &mut String, robot: &Robot) {
     let root = &robot.bodies[0];
     let _ = writeln!(w, "\n[frames]\ntorso = {}", quoted(&root.name));
-    let sites = || robot.bodies.iter().flat_map(|b| &b.sites);
-    let measured = |(name, _): &&(String, Pose)| robot.sensed.contains(name);
-    let called = |(name, _): &&(String, Pose)| name.to_lowercase().contains("imu");
-    let imu = sites().find(measured).or_else(|| sites().find(called));
-    if let Some((name, _)) = imu {
+    if let Some((_, name)) = robot.imu() {
         let _ = writeln!(
             w,
             "\n[imu]\nsite = {}                      # [mjcf]\ngyro_noise_radps_per_sqrt_hz = 2.44e-4   # [ours]\n\

@@ -355,6 +355,7 @@ impl<'a> Reader<'a> {
             axis: axis.map(|a| a / length.max(1e-9)),
             anchor_m: [0.0; 3],
             range,
+            drawn_at: 0.0,
             stop: Softness::default(),
             stiffness: 0.0,
             spring_ref: 0.0,

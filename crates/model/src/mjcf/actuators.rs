@@ -4,9 +4,7 @@ use std::collections::BTreeSet;
 
 use super::context::Context;
 use crate::parts::{Actuator, Robot, UNSAID_DAMPING_S};
-use crate::pose::{self, Pose};
 use crate::tree::Element;
-use crate::types::JointMotion;
 
 fn elements(root: &Element) -> impl Iterator<Item = &Element> {
     root.all("actuator").flat_map(|a| &a.children)
@@ -77,7 +75,7 @@ pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot)
         };
         let gains = gains(context, &e).map(|(kp, kd, ratio)| {
             let kp = kp * gear * gear;
-            let critical = 2.0 * (kp.max(0.0) * hanging_inertia(robot, &joint)).sqrt();
+            let critical = 2.0 * (kp.max(0.0) * robot.hanging_inertia(&joint)).sqrt();
             (kp, kd * gear * gear + ratio * critical)
         });
         for key in ["kp", "kv"] {
@@ -96,36 +94,18 @@ pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot)
     }
 }
 
-/// What a joint moves with all others still, in the pose of the file, kg·m² (kg where it slides).
-fn hanging_inertia(robot: &Robot, joint: &str) -> f64 {
-    let mut at: Vec<Option<Pose>> = Vec::new();
-    let (mut moved, mut of) = (0.0, None);
-    for (i, body) in robot.bodies.iter().enumerate() {
-        let own = body.joints.iter().find(|j| j.name == joint);
-        of = of.or(own);
-        let above = body.parent.and_then(|p| at[p]).map(|p| p.compose(&body.parent_from_body));
-        at.push(above.or(own.map(|_| Pose::IDENTITY)));
-        let (Some(joint), Some(at), Some(inertial)) = (of, at[i], body.inertial) else { continue };
-        let seen = inertial.seen_from(&at);
-        moved += match joint.motion {
-            JointMotion::Slide => seen.mass_kg,
-            JointMotion::Hinge => {
-                let arm = pose::cross(joint.axis, pose::sub(seen.com_m, joint.anchor_m));
-                let turned = seen.inertia_kgm2.map(|row| pose::dot(row, joint.axis));
-                pose::dot(joint.axis, turned) + seen.mass_kg * pose::dot(arm, arm)
-            }
-        };
-    }
-    moved + of.map_or(0.0, |joint| joint.armature)
-}
-
 /// Gains of a position loop, and how much of the critical damping comes on top.
 fn gains(context: &mut Context<'_>, e: &Element) -> Option<(f64, f64, f64)> {
     let first = |numbers: Option<Vec<f64>>, at: usize| numbers.and_then(|n| n.get(at).copied());
-    match e.tag.as_str() {
-        "position" => {
-            let kp = e.number("kp", context.remarks).unwrap_or(1.0);
-            let kv = e.number("kv", context.remarks).unwrap_or(0.0);
+    let gain = e.numbers("gainprm", context.remarks);
+    let bias = e.numbers("biasprm", context.remarks);
+    let kind = e.tag.as_str();
+    match kind {
+        // a class of the one kind is a default of the other
+        "position" | "general" if kind == "position" || gain.is_none() && e.get("kp").is_some() => {
+            let kp = e.number("kp", context.remarks).or(first(gain, 0)).unwrap_or(1.0);
+            let kv = e.number("kv", context.remarks).or(first(bias, 2).map(|b| (-b).max(0.0)));
+            let kv = kv.unwrap_or(0.0);
             let ratio = e.not_negative("dampratio", context.remarks).unwrap_or(0.0);
             if e.number("timeconst", context.remarks).is_some_and(|t| t > 0.0) {
                 context.remarks.note_once(e, "timeconst: the filter of the command is not kept");
@@ -138,8 +118,6 @@ fn gains(context: &mut Context<'_>, e: &Element) -> Option<(f64, f64, f64)> {
             Some((kp, kv, ratio))
         }
         "general" if e.get("biastype") == Some("affine") => {
-            let gain = e.numbers("gainprm", context.remarks);
-            let bias = e.numbers("biasprm", context.remarks);
             let kp = first(gain, 0).unwrap_or(1.0);
             let (back, kv) = (first(bias.clone(), 1).unwrap_or(0.0), first(bias, 2).unwrap_or(0.0));
             let servo = (kp + back).abs() <= 1e-9 * kp.abs() && kp > 0.0;

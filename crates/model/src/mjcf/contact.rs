@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use super::context::{Context, softness};
+use super::context::{Context, moves, softness};
 use crate::parts::Robot;
 use crate::tree::{Element, meant};
 
@@ -20,12 +20,14 @@ enum Named {
 
 /// Reads all of `<contact>`.
 pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot) {
-    let mut known = BTreeSet::new();
+    let (mut known, mut fixed) = (BTreeSet::new(), BTreeSet::new());
     names(root, &mut known);
+    let scenery = root.all("worldbody").flat_map(|world| &world.children);
+    scenery.filter(|e| e.tag != "body" || !moves(e)).for_each(|e| names(e, &mut fixed));
     for e in root.all("contact").flat_map(|contact| &contact.children) {
         match e.tag.as_str() {
             "exclude" => exclude(context, e, robot),
-            "pair" => pair(context, e, (root, &known), robot),
+            "pair" => pair(context, e, (&fixed, &known), robot),
             _ => context.remarks.note_of(e, "is not known and not kept"),
         }
     }
@@ -60,7 +62,7 @@ fn named(
     context: &mut Context<'_>,
     e: &Element,
     key: &str,
-    (root, known): (&Element, &BTreeSet<&str>),
+    (fixed, known): (&BTreeSet<&str>, &BTreeSet<&str>),
     robot: &Robot,
 ) -> Option<Named> {
     let Some(name) = e.get(key) else {
@@ -68,11 +70,10 @@ fn named(
         return None;
     };
     let mut own = robot.bodies.iter().flat_map(|b| &b.geoms);
-    let mut fixed = root.all("worldbody").flat_map(|w| w.all("geom"));
     if own.any(|g| g.geom.name.as_deref() == Some(name)) {
         return Some(Named::Robot);
     }
-    if fixed.any(|g| g.get("name") == Some(name)) {
+    if fixed.contains(name) {
         return Some(Named::Ground);
     }
     if known.contains(name) {
@@ -93,7 +94,7 @@ fn named(
 fn pair(
     context: &mut Context<'_>,
     e: &Element,
-    file: (&Element, &BTreeSet<&str>),
+    file: (&BTreeSet<&str>, &BTreeSet<&str>),
     robot: &mut Robot,
 ) {
     let e = &context.resolved(e, None);
@@ -129,8 +130,9 @@ fn pair(
     let ground_bit = ground_bit(robot);
     let geoms = robot.bodies.iter_mut().flat_map(|body| &mut body.geoms);
     for geom in geoms.map(|painted| &mut painted.geom).filter(|g| g.name.as_deref() == name) {
-        if !geom.collides() {
-            geom.conaffinity = ground_bit;
+        // the ground's own bits are 1 and 1
+        if (geom.contype | geom.conaffinity) & 1 == 0 {
+            geom.conaffinity |= ground_bit;
             robot.ground_bit = ground_bit;
         }
         geom.friction = friction.unwrap_or(geom.friction);

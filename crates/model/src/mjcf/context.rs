@@ -73,8 +73,9 @@ impl<'a> Context<'a> {
         for default in root.all("default") {
             context.class(default, "main", true);
         }
-        let scale = context.classes["main"].get("mesh").cloned().unwrap_or_default();
-        context.meshes = Meshes::read(root, file, &scale.attributes, context.remarks);
+        let meshes = root.all("asset").flat_map(|a| a.all("mesh"));
+        let meshes: Vec<Element> = meshes.map(|mesh| context.resolved(mesh, None)).collect();
+        context.meshes = Meshes::read(&meshes, root, file, context.remarks);
         context
     }
 
@@ -221,6 +222,12 @@ impl<'a> Context<'a> {
 /// What is written in `frame`. Without one, signs of zeros stay as they are: the same bits.
 pub(super) fn within(frame: &Pose, own: Pose) -> Pose {
     if *frame == Pose::IDENTITY { own } else { frame.compose(&own) }
+}
+
+/// Whether there is a joint in it.
+pub(super) fn moves(e: &Element) -> bool {
+    let own = |c: &Element| matches!(c.tag.as_str(), "joint" | "freejoint");
+    e.children.iter().any(|c| own(c) || moves(c))
 }
 
 /// How a constraint gives way, held within MuJoCo's limits.

@@ -62,6 +62,7 @@ pub(super) fn read(
         axis: frame.rotate(axis.map(|a| a / length.max(1e-9))),
         anchor_m: frame.point(anchor),
         range,
+        drawn_at: start,
         stop,
         stiffness: not_negative("stiffness"),
         spring_ref,

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use super::context::{Context, FromGeoms};
+use super::context::{Context, FromGeoms, moves};
 use super::{actuators, contact, joint, subset};
 use crate::geometry::{Inertial, check_inertia, diagonal};
 use crate::parts::{Body, Robot};
@@ -80,18 +80,12 @@ pub(crate) fn read(root: &Element, file: &Path, remarks: &mut Remarks) -> Option
         .filter(|e| ["gyro", "accelerometer"].contains(&e.tag.as_str()))
         .filter_map(|e| e.get("site").map(str::to_owned))
         .collect();
-    let order = joint_order(&robot);
-    home(&mut context, root, &order, &mut robot);
+    home(&mut context, root, &mut robot);
     Some(robot)
 }
 
-/// Joint names in the order of MuJoCo's positions.
-fn joint_order(robot: &Robot) -> Vec<String> {
-    robot.joints().map(|j| j.name.clone()).collect()
-}
-
 /// The pose of the key called home, else stand, else the first.
-fn home(context: &mut Context<'_>, root: &Element, order: &[String], robot: &mut Robot) {
+fn home(context: &mut Context<'_>, root: &Element, robot: &mut Robot) {
     let keys: Vec<&Element> = root.all("keyframe").flat_map(|k| k.all("key")).collect();
     let called = |word: &str| {
         let has = |k: &&&Element| k.get("name").is_some_and(|n| n.contains(word));
@@ -102,13 +96,13 @@ fn home(context: &mut Context<'_>, root: &Element, order: &[String], robot: &mut
     };
     let Some(numbers) = key.numbers("qpos", context.remarks) else { return };
     let base = if robot.free_base { 7 } else { 0 };
-    if numbers.len() != base + order.len() {
+    if numbers.len() != base + robot.joints().count() {
         let message = "has another number of positions and is not kept";
         context.remarks.note_of(key, message);
         return;
     }
-    let joints = order.iter().cloned().zip(numbers[base..].iter().copied());
-    robot.home = joints.collect();
+    let joints = robot.joints().zip(&numbers[base..]);
+    robot.home = joints.map(|(joint, q)| (joint.name.clone(), q - joint.drawn_at)).collect();
     let name = key.get("name").unwrap_or("its first");
     context.remarks.note(key, format!("<keyframe>: the nominal pose is that of `{name}`"));
 }
@@ -332,12 +326,6 @@ impl Context<'_> {
         });
         Some(own.seen_from(&at))
     }
-}
-
-/// Whether there is a joint in it.
-fn moves(e: &Element) -> bool {
-    let own = |c: &Element| matches!(c.tag.as_str(), "joint" | "freejoint");
-    e.children.iter().any(|c| own(c) || moves(c))
 }
 
 /// How many joints in it are among `names`.

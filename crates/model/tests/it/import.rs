@@ -332,3 +332,101 @@ fn what_a_file_does_not_say_is_worked_out_or_told() {
     let told = |word: &str| made.notes.iter().any(|n| n.to_string().contains(word));
     assert!(told("[pose.nominal_rad]"), "{:?}", made.notes);
 }
+
+/// A robot of one leg, with what a test adds to its parts.
+fn hopper(trunk: &str, joint: &str, leg: &str, end: &str) -> String {
+    format!(
+        "<mujoco><compiler angle=\"degree\"/><worldbody><body name=\"base\"><freejoint/>{trunk}\
+         <geom type=\"box\" size=\"0.1 0.1 0.05\" mass=\"2\"/><body name=\"leg\" pos=\"0 0 -0.1\">\
+         <joint name=\"hip\" axis=\"0 1 0\" range=\"-80 80\" {joint}/>{leg}</body></body></worldbody>{end}</mujoco>"
+    )
+}
+
+const BALL: &str = "<geom size=\"0.03\" pos=\"0 0 -0.2\" mass=\"0.3\"/>";
+const DRIVE: &str = "<actuator><position joint=\"hip\" kp=\"9\" forcerange=\"-3 3\"/></actuator>";
+
+#[test]
+fn a_key_counts_from_the_ref_of_its_joint() {
+    let key = "<keyframe><key name=\"home\" qpos=\"0 0 0.4 1 0 0 0 0.5\"/></keyframe>";
+    let text = hopper("", "ref=\"10\"", BALL, &format!("{DRIVE}{key}"));
+    let m = model(&read("ref.xml", &text).unwrap());
+    near("hip", m.nominal_pos_rad()[0], 0.5 - 10f64.to_radians(), 1e-9);
+    near("range", m.joint_limits_rad()[0].0, -90f64.to_radians(), 1e-9);
+}
+
+#[test]
+fn an_imu_that_is_mounted_turned_reads_forward_left_and_up() {
+    let turned = |imu: &str| {
+        let made = read("imu.xml", &hopper(imu, "", BALL, DRIVE)).unwrap();
+        let told = made.notes.iter().any(|n| n.to_string().contains("mounted turned"));
+        (model(&made).imu_site().unwrap().link_from_site, told)
+    };
+    let (site, told) = turned("<site name=\"imu\" pos=\"0.01 0 0.02\" euler=\"180 0 0\"/>");
+    assert!(told);
+    assert_eq!(site.pos_m, [0.01, 0.0, 0.02]);
+    near("up", site.rotate([0.0, 0.0, 1.0])[2], 1.0, 1e-12);
+    // in a body that is turned itself
+    let (site, told) = turned(
+        "<body name=\"neck\" euler=\"0 0 90\"><joint name=\"neck\" axis=\"0 0 1\" range=\"-9 9\"/><site name=\"imu\"/>\
+         <geom size=\"0.03\"/></body>",
+    );
+    assert!(told);
+    near("forward", site.rotate([1.0, 0.0, 0.0])[1], -1.0, 1e-12);
+    // a tilt is one of the mounting
+    let (site, told) = turned("<site name=\"imu\" euler=\"0 5 0\"/>");
+    assert!(!told);
+    near("tilt", site.rotate([1.0, 0.0, 0.0])[2], -(5f64.to_radians().sin()), 1e-12);
+}
+
+#[test]
+fn a_mesh_is_scaled_by_its_class_and_lies_where_its_reference_says() {
+    let corners = "v -10 -20 -60\nv 10 -20 -60\nv 10 20 -60\nv -10 20 -60\nv -10 -20 60\nv 10 -20 60\nv 10 20 60\nv -10 20 60\n";
+    let faces = "f 1 4 3 2\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
+    let end = format!(
+        "<default><default class=\"mm\"><mesh scale=\"0.001 0.001 0.001\"/></default></default>\
+         <asset><mesh name=\"shank\" class=\"mm\" file=\"shank.obj\" refpos=\"0 0 100\" refquat=\"1 1 0 0\"/></asset>{DRIVE}"
+    );
+    let leg = "<geom type=\"mesh\" mesh=\"shank\" mass=\"0.2\"/>";
+    let file = File::new("mesh.xml", &hopper("", "", leg, &end));
+    std::fs::write(file.0.with_file_name("shank.obj"), format!("{corners}{faces}")).unwrap();
+    let made = import::import(&file.0, &ImportOptions::default()).unwrap();
+    let link = model(&made).links()[1].clone();
+    // what was 100 mm below the reference is behind it once turned: z of the file is y
+    for (axis, m) in [0.0, -0.1, 0.0].into_iter().enumerate() {
+        near("centre", link.com_m[axis], m, 1e-9);
+        near("box", link.geoms[0].link_from_geom.pos_m[axis], m, 1e-9);
+    }
+    assert!(
+        matches!(link.geoms[0].shape, Shape::Box { half_size_m: [_, y, _] } if (y - 0.06).abs() < 1e-9)
+    );
+}
+
+#[test]
+fn gains_of_a_position_actuator_may_stand_in_a_class_of_general_ones_and_the_other_way_round() {
+    for (class, drive) in [
+        ("<general gainprm=\"50\" biasprm=\"0 -50 -2\" biastype=\"affine\"/>", "position"),
+        ("<position kp=\"50\" kv=\"2\"/>", "general"),
+    ] {
+        let end = format!(
+            "<default>{class}</default><actuator><{drive} joint=\"hip\" forcerange=\"-3 3\"/></actuator>"
+        );
+        let m = model(&read("class.xml", &hopper("", "", BALL, &end)).unwrap());
+        assert_eq!(
+            (m.gains()[0].kp_nm_per_rad, m.gains()[0].kd_nm_s_per_rad),
+            (50.0, 2.0),
+            "{class}"
+        );
+    }
+}
+
+#[test]
+fn the_rotor_of_a_slide_is_a_mass() {
+    let slide = |effort: &str| {
+        let text = ARM.replace("\"revolute\"", "\"prismatic\"").replace("effort=\"7\"", effort);
+        model(&read("slide.urdf", &text).unwrap()).joints()[0].armature_kgm2
+    };
+    // no more than the 1 kg that it moves
+    near("rotor", slide("effort=\"500\""), 1.0, 1e-9);
+    // over 0.1 m: ten times that of a hinge of as many N·m
+    near("rotor", slide("effort=\"20\""), 0.17, 1e-9);
+}

@@ -17,7 +17,9 @@ fn paired(contact: &str) -> String {
     format!(
         "<mujoco><default><pair friction=\"0.4 0.4\" solref=\"0.05 1\"/></default><worldbody>\
          <geom name=\"floor\" type=\"plane\" size=\"0 0 1\"/><body name=\"base\"><freejoint/>\
-         <geom name=\"trunk\" size=\"0.05\"/><geom name=\"shell\" size=\"0.05\" contype=\"2\"/>{}{}</body></worldbody>\n\
+         <geom name=\"trunk\" size=\"0.05\"/><geom name=\"shell\" size=\"0.05\" contype=\"2\"/>\
+         <geom name=\"shin\" size=\"0.05\" contype=\"4\" conaffinity=\"0\"/>{}{}</body>\
+         <body name=\"yard\"><geom name=\"slab\" size=\"1\"/></body></worldbody>\n\
          <contact>{contact}</contact>\
          <actuator><position joint=\"l\" kp=\"9\"/><position joint=\"r\" kp=\"9\"/></actuator></mujoco>",
         leg("l", 0.1),
@@ -32,7 +34,7 @@ fn a_pair_is_kept_with_what_its_class_says() {
         &paired(
             "<pair geom1=\"floor\" geom2=\"l_sole\"/>\
              <pair geom1=\"trunk\" geom2=\"floor\" friction=\"0.7\" solimp=\"0.8 0.9 0.01\" condim=\"6\" gap=\"0.1\"/>\
-             <exclude body1=\"base\" body2=\"lft\"/>",
+             <pair geom1=\"slab\" geom2=\"shin\"/><exclude body1=\"base\" body2=\"lft\"/>",
         ),
     )
     .unwrap();
@@ -48,6 +50,9 @@ fn a_pair_is_kept_with_what_its_class_says() {
     // the ground touches it, and neither trunk nor shell, of bits 1 and 2
     assert!(floor.collides_with(sole) && !geom("r_sole").collides());
     assert!(!sole.collides_with(trunk) && !sole.collides_with(geom("shell")));
+    // bits of its own stay, and what stands still on the ground is the ground
+    assert!(floor.collides_with(geom("shin")) && geom("shin").contype == 4);
+    assert!(!geom("shin").collides_with(trunk));
 }
 
 #[test]
