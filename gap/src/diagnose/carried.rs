@@ -51,15 +51,13 @@ pub fn choose(
 
 /// Leaves out of `model` what has no name in `named` and is so small that it does not matter.
 fn keep_what_matters(context: &Context, named: &State, model: &mut Model) -> Result<(), GapError> {
-    let of = |t: &Term| is_among(t, &named.terms) || gates::matters(context, t);
-    let kept: Vec<bool> = model.state.terms.iter().map(of).collect();
-    if kept.contains(&false) {
-        let mut terms = model.state.terms.clone();
-        let mut keep = kept.iter();
-        terms.retain(|_| keep.next() != Some(&false));
-        model.state = single(context, terms)?;
-        let mut keep = kept.iter();
-        model.deviations.retain(|_| keep.next() != Some(&false));
+    let terms = &model.state.terms;
+    let matters = |t: &Term| is_among(t, &named.terms) || gates::matters(context, t);
+    let kept: Vec<usize> = (0..terms.len()).filter(|&k| matters(&terms[k])).collect();
+    if kept.len() < terms.len() {
+        let of = |k: &usize| model.deviations.get(*k).cloned();
+        model.deviations = kept.iter().filter_map(of).collect();
+        model.state = single(context, kept.iter().map(|&k| terms[k].clone()).collect())?;
     }
     Ok(())
 }

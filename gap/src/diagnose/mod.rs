@@ -96,12 +96,12 @@ pub fn diagnose(
         .map(|run| reading::trial(&model, run))
         .collect::<Result<Vec<_>, _>>()?;
     repeats::group(&model, &mut trials);
+    mask_touched(request, &model, &mut trials);
     let replayer = replayer(request, &model)?;
     let split = split::hold_out(&replayer, &mut trials)?;
     for (run, trial) in runs.iter_mut().zip(&trials) {
         run.role = role_name(trial.role).to_owned();
     }
-    mask_touched(request, &model, &mut trials);
     let mut context = context(request, replayer, trials, split)?;
     let mut found = search::Found::nothing(&context)?;
     let mut named = Vec::new();
