@@ -123,49 +123,63 @@ fn between_names(
             models.push(state.terms.clone());
         }
     }
-    let told = |best: Telling, with: &str, payload| {
+    let weights = known_weights(context.replayer.model(), &models);
+    let best = most_telling(context, &models, |_| true, &weights)?;
+    Ok(best.map(|best| {
         let others: Vec<String> = best.from.iter().map(|&k| names[k].join(" with ")).collect();
-        let ids = best.from.iter().flat_map(|&k| &names[k]).copied();
+        let mut separates = vec![open.effect.clone()];
+        for id in best.from.iter().flat_map(|&k| &names[k]) {
+            if !separates.iter().any(|s| s == id) {
+                separates.push((*id).to_owned());
+            }
+        }
         NextExperiment {
             trial: best.trial,
             joints: open.location.clone(),
             reason: format!(
-                "{} and {} explain these runs alike; {with}in this trial they would differ by {}",
+                "{} and {} explain these runs alike; {}in this trial they would differ by {}",
                 open.effect,
                 others.join(", "),
+                best.weight.as_ref().map_or_else(String::new, hang),
                 best.apart
             ),
-            separates: [open.effect.as_str()].into_iter().chain(ids).map(str::to_owned).collect(),
-            payload,
+            separates,
+            payload: best.weight,
         }
-    };
-    if let Some(weight) = known_weight(context.replayer.model(), &models) {
-        // a weight is not let fall
-        let held = |t: &excite::Trial| t.on.is_empty();
-        if let Some(best) = most_telling(context, &models, held, Some(&weight))? {
-            let [x, y, z] = weight.at_m;
-            let with = format!(
-                "weigh `{0}`, or hang a known weight on it ({1:.0} g at [{x:.3}, {y:.3}, {z:.3}] m of its frame, say so in the map or log.toml: [[payload]]), and ",
-                weight.link,
-                1e3 * weight.mass_kg
-            );
-            return Ok(Some(told(best, &with, Some(weight))));
-        }
-    }
-    let bare = most_telling(context, &models, |_| true, None)?;
-    Ok(bare.map(|best| told(best, "", None)))
+    }))
 }
 
-/// The weight to hang on the link that one of the first two models makes heavier where the other changes something else.
-fn known_weight(model: &RobotModel, models: &[Variant]) -> Option<Payload> {
-    let [one, other, ..] = models else { return None };
+fn hang(weight: &Payload) -> String {
+    let [x, y, z] = weight.at_m;
+    format!(
+        "weigh `{0}`, or hang a known weight on it ({1:.0} g at [{x:.3}, {y:.3}, {z:.3}] m of its frame, say so in the map or log.toml: [[payload]]), and ",
+        weight.link,
+        1e3 * weight.mass_kg
+    )
+}
+
+/// Weights to hang on the links that the first model or another one makes heavier where the other of the two changes
+/// something else.
+fn known_weights(model: &RobotModel, models: &[Variant]) -> Vec<Payload> {
+    let Some((own, others)) = models.split_first() else { return Vec::new() };
     let weighs = |t: &&Term| t.effect.layer == Layer::Inertia && t.place.domain == Domain::Links;
-    let not_in = |t: &&Term, other: &Variant| !other.iter().any(|o| o.effect == t.effect);
-    let of = |a: &'_ Variant, b: &Variant| a.iter().filter(weighs).find(|t| not_in(t, b)).cloned();
-    let l = match (of(one, other), of(other, one)) {
-        (Some(one), None) | (None, Some(one)) => *one.place.items.first()?,
-        _ => return None,
+    let of = |a: &Variant, b: &Variant| {
+        let not_in = |t: &&Term| !b.iter().any(|o| o.effect == t.effect);
+        a.iter().filter(weighs).find(not_in).and_then(|t| t.place.items.first().copied())
     };
+    let mut links: Vec<usize> = (others.iter())
+        .filter_map(|other| match (of(own, other), of(other, own)) {
+            (Some(l), None) | (None, Some(l)) => Some(l),
+            _ => None,
+        })
+        .collect();
+    links.sort_unstable();
+    links.dedup();
+    links.into_iter().filter_map(|l| weight_on(model, l)).collect()
+}
+
+/// The weight to hang on link `l`.
+fn weight_on(model: &RobotModel, l: usize) -> Option<Payload> {
     let link = &model.links()[l];
     let joint = *link.joints.last()?;
     let servo = model.servo(model.actuated().iter().position(|&j| j == joint)?);
@@ -218,7 +232,7 @@ fn in_the_dark<'a>(
             let seen = || (effect.unseen)(&excited, &place).is_none();
             trial.excites.iter().any(|e| e == effect.id) && seen()
         };
-        if let Some(told) = most_telling(context, &pair, made_for, None)? {
+        if let Some(told) = most_telling(context, &pair, made_for, &[])? {
             return Ok(Some(NextExperiment {
                 trial: told.trial,
                 reason: format!(
@@ -256,7 +270,7 @@ fn apart(
     why: &str,
 ) -> Result<Option<NextExperiment>, GapError> {
     let pair = [found.best.terms.clone(), terms.clone()];
-    let best = most_telling(context, &pair, |_| true, None)?;
+    let best = most_telling(context, &pair, |_| true, &[])?;
     Ok(best.map(|told| NextExperiment {
         trial: told.trial,
         joints: term.place.names.clone(),
@@ -269,26 +283,35 @@ fn apart(
 /// A trial and what it tells.
 struct Telling {
     trial: String,
+    /// With this weight.
+    weight: Option<Payload>,
     /// Which of the other models it tells from the first one.
     from: Vec<usize>,
     /// By how much the one of these that it tells least.
     apart: String,
 }
 
-/// The trial that is not in the logs that tells most of `models` from the first of them, and of such trials the one that
-/// does it best: by a tolerance or more in a channel that the runs have. None where none tells any.
+/// The trial that is not in the logs, as the robot is or with one of `weights`, that tells most of `models` from the
+/// first of them, by a tolerance or more in a channel that the runs have; of such trials one without a weight, and of
+/// these the one that does it best. None where none tells any.
 fn most_telling(
     context: &Context,
     models: &[Variant],
     among: impl Fn(&excite::Trial) -> bool,
-    weight: Option<&Payload>,
+    weights: &[Payload],
 ) -> Result<Option<Telling>, GapError> {
     let model = context.replayer.model();
     let Ok(battery) = excite::battery(model, None, DEFAULT_RATE_HZ) else {
         return Ok(None);
     };
-    let mut best: Option<((usize, f64), Telling)> = None;
-    for trial in battery.iter().filter(|t| t.duration_s <= LONGEST_S && among(t)) {
+    let mut best: Option<((usize, bool, f64), Telling)> = None;
+    let trials = battery.iter().filter(|t| t.duration_s <= LONGEST_S && among(t));
+    // a weight is not let fall
+    let hung = |t: &&excite::Trial| if t.on.is_empty() { weights } else { &[] };
+    let recipes = trials.flat_map(|t| {
+        std::iter::once((t, None)).chain(hung(&t).iter().map(move |weight| (t, Some(weight))))
+    });
+    for (trial, weight) in recipes {
         let run = asked_for(context, trial, weight);
         let runs = context.fit.data.trials.iter().chain(&context.holdout.data.trials);
         if is_recorded(model, runs, trial, &run, weight.is_some()) {
@@ -307,9 +330,10 @@ fn most_telling(
                 }
             }
         }
-        let score = (from.len(), least.0);
+        let score = (from.len(), weight.is_none(), least.0);
         if !from.is_empty() && best.as_ref().is_none_or(|b| score > b.0) {
-            best = Some((score, Telling { trial: trial.name.clone(), from, apart: least.1 }));
+            let (trial, weight) = (trial.name.clone(), weight.cloned());
+            best = Some((score, Telling { trial, weight, from, apart: least.1 }));
         }
     }
     Ok(best.map(|(_, told)| told))
@@ -439,15 +463,18 @@ mod tests {
             let effect = crate::effects::find(id).unwrap();
             vec![Term::nothing(&model, effect, places(&model, effect.domain).pop().unwrap())]
         };
-        let hung = |a: &str, b: &str| known_weight(&model, &[one(a), one(b)]);
-        let weight = hung("point_mass", "torque_constant").unwrap();
+        let hung = |a: &str, b: &str| known_weights(&model, &[one(a), one(b)]);
+        let weight = hung("point_mass", "torque_constant").pop().unwrap();
         // 0.1 m to the centre, 1.3 of that to the weight; a quarter of 0.77 N·m carries 0.1925/(9.81·0.13)
         // = 0.151 kg there, less than half of 0.49 kg
         assert_eq!((weight.link.as_str(), weight.mass_kg), ("arm", 0.15));
         assert!((weight.at_m[2] + 0.13).abs() < 1e-9, "{weight:?}");
-        assert_eq!(hung("torque_constant", "point_mass"), Some(weight));
+        assert_eq!(hung("torque_constant", "point_mass"), std::slice::from_ref(&weight));
+        // whichever of the alternatives it is
+        let among = ["torque_constant", "kp_error", "point_mass", "link_mass"].map(one);
+        assert_eq!(known_weights(&model, &among), [weight]);
         // two masses, and none
-        assert_eq!(hung("point_mass", "link_mass"), None);
-        assert_eq!(hung("kp_error", "torque_constant"), None);
+        assert!(hung("point_mass", "link_mass").is_empty());
+        assert!(hung("kp_error", "torque_constant").is_empty());
     }
 }
