@@ -12,6 +12,7 @@
 
 use std::ops::Range;
 
+use caudata_model::RobotModel;
 use caudata_runlog::BaseHold;
 
 use super::metric::{Column, TrialMetric};
@@ -19,6 +20,7 @@ use super::noise::Noise;
 use super::nuisances::nuisances;
 use super::pipeline::add_own_misses;
 use super::product::dot;
+use crate::effects::{PASSED_STOP, Place};
 use crate::error::GapError;
 use crate::replay::{Data, Piece, Replayer, Segment, SegmentOptions, Term};
 
@@ -34,6 +36,16 @@ const HARDER_GROUND: f64 = 4.0;
 
 /// See [`shown_in`].
 const SHOWS: f64 = 0.01;
+
+/// End stops farther out by what matters of one.
+fn stops_elsewhere(model: &RobotModel) -> Vec<Term> {
+    let farther = |a: usize| {
+        let mut term = Term::nothing(model, &PASSED_STOP, Place::of_joint(model, a));
+        term.values = vec![PASSED_STOP.parameters[0].scale * model.per_radian(a); 2];
+        term
+    };
+    (0..model.actuated().len()).map(farther).collect()
+}
 
 /// Runs of one role with their metric.
 pub struct Judge {
@@ -62,7 +74,8 @@ impl Judge {
     }
 
     /// Adds what the simulator's own settings do, beyond what nuisances explain, to the noise: of held runs
-    /// what half its step does, of runs on the ground what harder ground does. Whether that is anything.
+    /// what half its step does, of runs on the ground what harder ground does. Whether that is anything. No file has
+    /// how hard stops are, and so how far a joint gets: what stops do that are elsewhere is added where they do it.
     fn add_numerics(&mut self, replayer: &Replayer) -> Result<bool, GapError> {
         if self.data.trials.iter().all(|t| t.base == BaseHold::Water) {
             return Ok(false);
@@ -75,6 +88,10 @@ impl Judge {
         let harder = replayer.on_harder_ground(HARDER_GROUND);
         let others = [(BaseHold::Fixed, replayer.finer(), apart), (BaseHold::Free, harder, 1.0)];
         let as_given = replayer.predict(&self.data, &[Vec::new()])?.swap_remove(0);
+        let elsewhere = replayer.predict(&self.data, &[stops_elsewhere(model)])?.swap_remove(0);
+        for (k, off) in self.change(&elsewhere, &as_given).iter().enumerate() {
+            self.noise.grow(k..k + 1, 1.0_f32.hypot(*off));
+        }
         for (base, other, times) in others {
             if self.data.trials.iter().all(|t| t.base != base) {
                 continue;

@@ -196,6 +196,17 @@ fn a_stop_that_angles_pass_is_told_and_simulated_nowhere() {
         assert_eq!(d.extension.effect[0].id, "passed_stop");
         assert!(d.extension.lane["joints.swing.high_rad"] > farthest - 1e-3);
     }
+
+    // where there is another one behind it, that is found
+    let stop = 0.4 * farthest;
+    let mut asked = request(0, &|p| p.joints[0].high_rad = stop as f32);
+    let narrow = format!("range=\"-3.14159 {}\"", stop - 0.03);
+    asked.mjcf = wide.replacen("range=\"-3.14159 3.14159\"", &narrow, 1).into_bytes();
+    let d = diagnose(&asked, &mut |_| {}).unwrap();
+    assert_eq!(names(&d), ["hard_stop"], "{}", d.report.summary);
+    let found = d.extension.lane["joints.swing.high_rad"];
+    assert!((found - stop).abs() < 0.005, "{found} {stop}");
+    assert!(d.report.summary.contains("past the end stop"), "{}", d.report.summary);
 }
 
 #[test]
