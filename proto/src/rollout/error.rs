@@ -69,49 +69,27 @@ pub enum DecodeError {
     Moments { problem: &'static str },
 }
 
-/// Every value of [`DecodeError::reason_id`], for registering counters beforehand.
-pub const REASON_IDS: [&str; 17] = [
-    "frame_too_large",
-    "malformed",
-    "protocol",
-    "missing",
-    "text",
-    "hash_length",
-    "dimension",
-    "length",
-    "ragged",
-    "not_finite",
-    "magnitude",
-    "flag",
-    "flags_overlap",
-    "final_observations",
-    "episode",
-    "moments",
-    "action_history",
-];
-
 impl DecodeError {
-    /// Name of the reason in counters and logs: one of [`REASON_IDS`].
+    /// Name of the reason in counters and logs.
     pub fn reason_id(&self) -> &'static str {
-        let row = match self {
-            Self::FrameTooLarge { .. } => 0,
-            Self::Malformed(_) => 1,
-            Self::Protocol { .. } => 2,
-            Self::Missing { .. } => 3,
-            Self::Text { .. } => 4,
-            Self::HashLength { .. } => 5,
-            Self::Dimension { .. } => 6,
-            Self::Length { .. } => 7,
-            Self::Ragged { .. } => 8,
-            Self::NotFinite { .. } => 9,
-            Self::Magnitude { .. } => 10,
-            Self::Flag { .. } => 11,
-            Self::FlagsOverlap { .. } => 12,
-            Self::FinalObservations { .. } => 13,
-            Self::Episode { .. } => 14,
-            Self::Moments { .. } => 15,
-            Self::ActionHistory { .. } => 16,
-        };
-        REASON_IDS[row]
+        match self {
+            Self::FrameTooLarge { .. } => "frame_too_large",
+            Self::Malformed(_) => "malformed",
+            Self::Protocol { .. } => "protocol",
+            Self::Missing { .. } => "missing",
+            Self::Text { .. } => "text",
+            Self::HashLength { .. } => "hash_length",
+            Self::Dimension { .. } => "dimension",
+            Self::Length { .. } => "length",
+            Self::Ragged { .. } => "ragged",
+            Self::NotFinite { .. } => "not_finite",
+            Self::Magnitude { .. } => "magnitude",
+            Self::Flag { .. } => "flag",
+            Self::FlagsOverlap { .. } => "flags_overlap",
+            Self::FinalObservations { .. } => "final_observations",
+            Self::Episode { .. } => "episode",
+            Self::Moments { .. } => "moments",
+            Self::ActionHistory { .. } => "action_history",
+        }
     }
 }

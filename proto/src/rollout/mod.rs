@@ -16,7 +16,7 @@ mod tests;
 mod trace;
 
 pub use codec::{decode, encode};
-pub use error::{DecodeError, REASON_IDS};
+pub use error::DecodeError;
 pub use identity::{ChunkIdentity, chunk_identity};
 pub use messages::{
     ActionHistory, ActorBye, ActorHello, DecodeLimits, Envelope, EpisodeSummary, FinalObservation,
