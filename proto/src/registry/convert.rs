@@ -65,7 +65,7 @@ fn check_one_question(r: &pb::GetManifestRequest) -> Result<(), RegistryError> {
 }
 
 fn check_report(r: &pb::RobotReport) -> Result<(), RegistryError> {
-    let state = RobotState::try_from(r.state())?;
+    let state = RobotState::read("state", r.state)?;
     if !(0.0..=WALKED_MAX_S).contains(&r.walked_s) {
         return Err(RegistryError::Together(
             "`walked_s` must be a number of seconds, up to ten years",
@@ -81,41 +81,12 @@ fn check_report(r: &pb::RobotReport) -> Result<(), RegistryError> {
     range("reason", r.reason.len() as u64, least, MAX_REASON as u64)
 }
 
-/// Both ways between a report's state and its number on the wire.
-macro_rules! states {
-    ($($state:ident),*) => {
-        impl TryFrom<pb::robot_report::State> for RobotState {
-            type Error = RegistryError;
-
-            fn try_from(state: pb::robot_report::State) -> Result<Self, RegistryError> {
-                match state {
-                    $(pb::robot_report::State::$state => Ok(Self::$state),)*
-                    pb::robot_report::State::Unspecified => {
-                        Err(RegistryError::Missing { field: "state" })
-                    }
-                }
-            }
-        }
-
-        impl From<RobotState> for pb::robot_report::State {
-            fn from(state: RobotState) -> Self {
-                match state {
-                    $(RobotState::$state => Self::$state,)*
-                }
-            }
-        }
-    };
-}
-states!(Armed, Trial, Good, Refused, Failed);
-
 impl Field<i32> for RobotState {
     fn read(name: &'static str, wire: i32) -> Result<Self, RegistryError> {
-        let state = pb::robot_report::State::try_from(wire);
-        let state = state.map_err(|_| RegistryError::Missing { field: name })?;
-        state.try_into()
+        Self::of_number(wire).ok_or(RegistryError::Missing { field: name })
     }
     fn write(self) -> i32 {
-        pb::robot_report::State::from(self).into()
+        self.number()
     }
 }
 

@@ -247,6 +247,16 @@ impl RobotState {
     pub fn went_well(self) -> bool {
         matches!(self, Self::Armed | Self::Trial | Self::Good)
     }
+
+    /// Its number on the wire; they count from 1.
+    pub(crate) fn number(self) -> i32 {
+        self as i32 + 1
+    }
+
+    /// The state with this number.
+    pub(crate) fn of_number(number: i32) -> Option<Self> {
+        Self::ALL.into_iter().find(|state| state.number() == number)
+    }
 }
 
 /// Walking after which a policy that never gave a bad action counts as good, s.

@@ -284,3 +284,13 @@ fn labels_are_safe_as_file_names_and_reasons_are_one_line() {
     forward.reverts_to = Some(forward.version);
     assert!(Manifest::try_from(forward).is_err(), "back means down");
 }
+
+#[test]
+fn states_have_the_numbers_of_the_wire() {
+    for (number, state) in (1..).zip(RobotState::ALL) {
+        let wire = pb::robot_report::State::try_from(number).unwrap();
+        assert_eq!(wire.as_str_name().to_lowercase(), state.name());
+        assert_eq!((state.number(), RobotState::of_number(number)), (number, Some(state)));
+    }
+    assert!([0, 6, -1].into_iter().all(|number| RobotState::of_number(number).is_none()));
+}
