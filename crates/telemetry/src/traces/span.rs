@@ -2,6 +2,10 @@
 
 use caudata_proto::TraceContext;
 use caudata_proto::wire::otlp as wire;
+/// How a span stands to other processes.
+pub use caudata_proto::wire::otlp::span::SpanKind as Kind;
+/// Value of an attribute.
+pub use serde_json::Value;
 
 /// Something that happened, from when to when, and where it belongs.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,66 +26,14 @@ pub struct Span {
     pub links: Vec<TraceContext>,
 }
 
-/// How a span stands to other processes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
-    /// Within this process.
-    Internal,
-    /// It makes what another process takes later.
-    Producer,
-    /// It takes what another process has made.
-    Consumer,
-}
-
-/// Value of an attribute.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Value {
-    /// A count or number; larger ones than fit become `i64::MAX`.
-    Count(u64),
-    /// A measure; its unit is in the attribute's name.
-    Number(f64),
-    /// Words.
-    Text(String),
-}
-
-impl From<u64> for Value {
-    fn from(count: u64) -> Self {
-        Self::Count(count)
-    }
-}
-
-impl From<usize> for Value {
-    fn from(count: usize) -> Self {
-        Self::Count(count as u64)
-    }
-}
-
-impl From<f64> for Value {
-    fn from(number: f64) -> Self {
-        Self::Number(number)
-    }
-}
-
-impl From<&str> for Value {
-    fn from(text: &str) -> Self {
-        Self::Text(text.to_owned())
-    }
-}
-
 pub(crate) fn to_wire(span: Span) -> wire::Span {
-    use wire::span::SpanKind;
-    let kind = match span.kind {
-        Kind::Internal => SpanKind::Internal,
-        Kind::Producer => SpanKind::Producer,
-        Kind::Consumer => SpanKind::Consumer,
-    };
     let [start_time_unix_nano, end_time_unix_nano] = span.time_ns;
     wire::Span {
         trace_id: span.context.trace.to_vec(),
         span_id: span.context.span.to_vec(),
         parent_span_id: span.parent.map_or_else(Vec::new, |id| id.to_vec()),
         name: span.name.to_owned(),
-        kind: kind.into(),
+        kind: span.kind.into(),
         start_time_unix_nano,
         end_time_unix_nano,
         attributes: attributes(span.attributes),
@@ -101,9 +53,14 @@ pub(crate) fn attributes(
 ) -> Vec<wire::KeyValue> {
     use wire::any_value::Value as Wire;
     let value = |value| match value {
-        Value::Count(count) => Wire::IntValue(i64::try_from(count).unwrap_or(i64::MAX)),
-        Value::Number(number) => Wire::DoubleValue(number),
-        Value::Text(text) => Wire::StringValue(text),
+        Value::String(text) => Wire::StringValue(text),
+        Value::Number(number) => match number.as_i64() {
+            Some(count) => Wire::IntValue(count),
+            None => Wire::DoubleValue(number.as_f64().unwrap_or(f64::NAN)),
+        },
+        // What JSON has instead of numbers that are none.
+        Value::Null => Wire::DoubleValue(f64::NAN),
+        other => Wire::StringValue(other.to_string()),
     };
     named
         .into_iter()
