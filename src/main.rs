@@ -118,7 +118,7 @@ fn dispatch(command: &Command, process: &Process) -> Result<(), Failure> {
         Command::Tune(args) => commands::tune::run(&args.plan, args.json, process),
         Command::Runs(command) => commands::runs::run(command),
         Command::Config(command) => commands::config::run(command),
-        Command::Sim(command) => commands::sim::run(command, process),
+        Command::Sim(command) => commands::sim::run(command, &process.stop),
         Command::Policy(command) => commands::policy::run(command),
         Command::Robot(command) => commands::robot::run(command),
         Command::Task(command) => commands::task::run(command),
@@ -173,7 +173,7 @@ mod tests {
 
     #[test]
     fn the_exit_codes_of_the_help_are_those_of_the_program() {
-        for code in caudata_telemetry::ExitCode::ALL {
+        for code in caudata_telemetry::ExitCode::all() {
             let number = code.number().to_string();
             assert!(
                 EXIT_CODES.split_whitespace().any(|word| word == number),

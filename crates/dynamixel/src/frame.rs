@@ -21,7 +21,7 @@ pub const PREFIX: usize = 7;
 pub const STATUS: u8 = 0x55;
 
 /// What is asked of a servo.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, enum_iterator::Sequence)]
 #[repr(u8)]
 pub enum Instruction {
     /// Are you there?
@@ -53,23 +53,7 @@ pub enum Instruction {
 impl Instruction {
     /// The instruction with this number.
     pub fn from_byte(byte: u8) -> Option<Self> {
-        use Instruction::*;
-        [
-            Ping,
-            Read,
-            Write,
-            RegWrite,
-            Action,
-            Reboot,
-            Clear,
-            SyncRead,
-            SyncWrite,
-            FastSyncRead,
-            BulkRead,
-            BulkWrite,
-        ]
-        .into_iter()
-        .find(|i| *i as u8 == byte)
+        enum_iterator::all().find(|i: &Self| *i as u8 == byte)
     }
 }
 

@@ -8,7 +8,7 @@ use std::io::{self, Write};
 use crate::error::ServeError;
 
 /// How a process ended. The numbers follow `sysexits.h` where it has a word for the case.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, enum_iterator::Sequence)]
 #[repr(u8)]
 pub enum ExitCode {
     /// Everything asked for was done.
@@ -58,31 +58,10 @@ pub enum ExitCode {
 }
 
 impl ExitCode {
-    /// All codes, for tables and tests.
-    pub const ALL: [ExitCode; 22] = [
-        ExitCode::Ok,
-        ExitCode::BadConfig,
-        ExitCode::BadInput,
-        ExitCode::NoInput,
-        ExitCode::Unavailable,
-        ExitCode::Internal,
-        ExitCode::OsResource,
-        ExitCode::CannotCreate,
-        ExitCode::IoError,
-        ExitCode::TempFail,
-        ExitCode::Protocol,
-        ExitCode::PolicyRefused,
-        ExitCode::CheckpointDamaged,
-        ExitCode::TargetMissed,
-        ExitCode::Ambiguous,
-        ExitCode::PartlyExplained,
-        ExitCode::Unexplained,
-        ExitCode::InsufficientData,
-        ExitCode::DataFault,
-        ExitCode::TorqueOn,
-        ExitCode::InUse,
-        ExitCode::Interrupted,
-    ];
+    /// All codes.
+    pub fn all() -> impl Iterator<Item = Self> {
+        enum_iterator::all()
+    }
 
     /// The number the shell sees.
     pub fn number(self) -> u8 {
@@ -91,7 +70,7 @@ impl ExitCode {
 
     /// The code with this number, so that a supervisor can pass a child's on.
     pub fn from_number(number: i32) -> Option<Self> {
-        Self::ALL.into_iter().find(|code| i32::from(code.number()) == number)
+        Self::all().find(|code| i32::from(code.number()) == number)
     }
 
     /// The code that an I/O error stands for while reading (`writing = false`) or writing.
@@ -262,7 +241,7 @@ mod tests {
 
     #[test]
     fn every_code_has_its_own_number_and_comes_back_from_it() {
-        for code in ExitCode::ALL {
+        for code in ExitCode::all() {
             assert_eq!(ExitCode::from_number(i32::from(code.number())), Some(code));
         }
         assert_eq!(ExitCode::from_number(1), None);

@@ -15,12 +15,15 @@ use std::io::{self, ErrorKind};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 
+use nix::unistd::geteuid;
+use serde::{Deserialize, Serialize};
+
 use crate::{Iceoryx2Config, Limits, TransportError};
 
 /// Where the system keeps POSIX shared memory; iceoryx2 has no other place for it on Linux.
 pub(super) const SHM_DIR: &str = "/dev/shm";
-/// First line of the note; another version is refused, not read.
-const FORMAT: &str = "caudata-transport 2";
+/// What the note begins with; another version is refused.
+const FORMAT: &str = "caudata-transport 3";
 /// Longest path of a socket in bytes, less the terminating zero.
 const MAX_SOCKET_PATH: usize = 107;
 /// What iceoryx2 appends to the directory for a socket: `/`, prefix, a number of up to 39 digits, `.event`.
@@ -30,8 +33,10 @@ const SOCKET_NAME: usize = 1 + 11 + 39 + 6;
 const LOCK_ATTEMPTS: usize = 256;
 
 /// The note a learner posts for its actors.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(super) struct Note {
+    format: String,
     pub run_id: String,
     /// Eight hexadecimal digits that name this learner process's files.
     pub tag: String,
@@ -39,44 +44,9 @@ pub(super) struct Note {
 }
 
 impl Note {
-    fn text(&self) -> String {
-        let Limits {
-            max_frame_bytes,
-            max_policy_bytes,
-            window_frames,
-            max_actors,
-            max_frames_per_s,
-            heartbeat_ms,
-            peer_timeout_ms,
-        } = self.limits;
-        format!(
-            "{FORMAT}\n{}\n{}\n{max_frame_bytes} {max_policy_bytes} {window_frames} {max_actors} {max_frames_per_s} {heartbeat_ms} {peer_timeout_ms}\n",
-            self.run_id, self.tag
-        )
-    }
-
     fn parse(text: &str) -> Option<Self> {
-        let mut lines = text.lines();
-        if lines.next()? != FORMAT {
-            return None;
-        }
-        let (run_id, tag) = (lines.next()?.to_owned(), lines.next()?.to_owned());
-        let numbers: Vec<u64> =
-            lines.next()?.split(' ').map(|n| n.parse().ok()).collect::<Option<_>>()?;
-        let [frame, policy, window, actors, rate, heartbeat_ms, peer_timeout_ms] = numbers[..]
-        else {
-            return None;
-        };
-        let limits = Limits {
-            max_frame_bytes: frame.try_into().ok()?,
-            max_policy_bytes: policy.try_into().ok()?,
-            window_frames: window.try_into().ok()?,
-            max_actors: actors.try_into().ok()?,
-            max_frames_per_s: rate.try_into().ok()?,
-            heartbeat_ms,
-            peer_timeout_ms,
-        };
-        is_tag(&tag).then_some(Self { run_id, tag, limits })
+        let note: Self = serde_json::from_str(text).ok()?;
+        (note.format == FORMAT && is_tag(&note.tag)).then_some(note)
     }
 }
 
@@ -92,7 +62,7 @@ impl RunPaths {
     pub(super) fn new(config: &Iceoryx2Config, run_id: &str) -> Result<Self, TransportError> {
         let root = match &config.root {
             Some(root) => root.clone(),
-            None => Path::new(SHM_DIR).join(format!("caudata-{}", our_uid()?)),
+            None => Path::new(SHM_DIR).join(format!("caudata-{}", geteuid())),
         };
         let run = root.join(format!("{:08x}", short_hash(run_id)));
         let longest = run.as_os_str().len() + 1 + 8 + SOCKET_NAME;
@@ -164,10 +134,15 @@ impl RunDir {
 
     /// Tells actors where the services are.
     pub(super) fn post(&self, tag: &str, limits: &Limits) -> Result<(), TransportError> {
-        let note =
-            Note { run_id: self.paths.run_id.clone(), tag: tag.to_owned(), limits: limits.clone() };
+        let note = Note {
+            format: FORMAT.to_owned(),
+            run_id: self.paths.run_id.clone(),
+            tag: tag.to_owned(),
+            limits: limits.clone(),
+        };
         let (new, path) = (self.paths.run.join("new"), self.paths.run.join("current"));
-        fs::write(&new, note.text()).map_err(|e| io_error(&new, &e))?;
+        let text = serde_json::to_vec(&note).map_err(|e| io_error(&new, &e.into()))?;
+        fs::write(&new, text).map_err(|e| io_error(&new, &e))?;
         fs::rename(&new, &path).map_err(|e| io_error(&path, &e))
     }
 
@@ -264,12 +239,6 @@ fn short_hash(text: &str) -> u32 {
     text.bytes().fold(0x811c_9dc5, |hash, byte| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193))
 }
 
-fn our_uid() -> Result<u32, TransportError> {
-    let path = Path::new("/proc/self");
-    let metadata = fs::metadata(path).map_err(|e| io_error(path, &e))?;
-    Ok(metadata.uid())
-}
-
 /// False where the folder above it is not there.
 fn create_private(path: &Path) -> Result<bool, TransportError> {
     match DirBuilder::new().mode(0o700).create(path) {
@@ -290,7 +259,7 @@ fn check_ours(path: &Path) -> Result<bool, TransportError> {
         return Err(stale(path, "is not a directory"));
     }
     let uid = metadata.uid();
-    if uid != our_uid()? {
+    if uid != geteuid().as_raw() {
         return Err(stale(path, &format!("belongs to user {uid}")));
     }
     if metadata.mode() & 0o077 != 0 {

@@ -92,8 +92,7 @@ fn the_page_on_exit_codes_matches_the_code() {
             Some((number, cells.next()?.to_owned()))
         })
         .collect();
-    let in_code: BTreeMap<u8, String> = caudata_telemetry::ExitCode::ALL
-        .into_iter()
+    let in_code: BTreeMap<u8, String> = caudata_telemetry::ExitCode::all()
         .map(|code| (code.number(), format!("{code:?}")))
         .collect();
     assert_eq!(on_page, in_code);
