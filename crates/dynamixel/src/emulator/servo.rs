@@ -140,7 +140,7 @@ impl EmulatedServo {
 
     pub(super) fn error(&self, number: Option<ErrorNumber>) -> StatusError {
         let alert = self.get(&xm430::HARDWARE_ERROR_STATUS) != 0;
-        StatusError(u8::from(alert) << 7 | number.map_or(0, ErrorNumber::to_byte))
+        StatusError(u8::from(alert) << 7 | number.map_or(0, |number| number.0))
     }
 
     /// Does as it is told; error byte and data of the answer. `None`: it does not answer this.
@@ -168,29 +168,29 @@ impl EmulatedServo {
                 self.reboot(now_us);
                 return (level >= 2).then_some((error, Vec::new()));
             }
-            _ => (Some(ErrorNumber::Instruction), Vec::new(), 2),
+            _ => (Some(ErrorNumber::INSTRUCTION), Vec::new(), 2),
         };
         (level >= level_needed).then(|| (self.error(number), data))
     }
 
     fn read(&self, parameters: &[u8]) -> Result<Vec<u8>, ErrorNumber> {
-        let &[a0, a1, l0, l1] = parameters else { return Err(ErrorNumber::DataLength) };
+        let &[a0, a1, l0, l1] = parameters else { return Err(ErrorNumber::DATA_LENGTH) };
         let start = usize::from(u16::from_le_bytes([a0, a1]));
         let length = usize::from(u16::from_le_bytes([l0, l1]));
         let bytes = self.table.get(start..start + length);
-        bytes.map(<[u8]>::to_vec).ok_or(ErrorNumber::DataRange)
+        bytes.map(<[u8]>::to_vec).ok_or(ErrorNumber::DATA_RANGE)
     }
 
     fn write(&mut self, parameters: &[u8]) -> Result<(), ErrorNumber> {
         let Some((&[a0, a1], mut data)) = parameters.split_first_chunk::<2>() else {
-            return Err(ErrorNumber::DataLength);
+            return Err(ErrorNumber::DATA_LENGTH);
         };
         let mut address = u16::from_le_bytes([a0, a1]);
         while !data.is_empty() {
-            let register = xm430::register_at(address).ok_or(ErrorNumber::Access)?;
+            let register = xm430::register_at(address).ok_or(ErrorNumber::ACCESS)?;
             let size = usize::from(register.size);
-            let (value, rest) = data.split_at_checked(size).ok_or(ErrorNumber::DataLength)?;
-            let value = register.value_in(value, address).ok_or(ErrorNumber::DataLength)?;
+            let (value, rest) = data.split_at_checked(size).ok_or(ErrorNumber::DATA_LENGTH)?;
+            let value = register.value_in(value, address).ok_or(ErrorNumber::DATA_LENGTH)?;
             self.write_one(register, value)?;
             address += register.size;
             data = rest;
@@ -201,18 +201,18 @@ impl EmulatedServo {
     fn write_one(&mut self, register: &Register, value: i32) -> Result<(), ErrorNumber> {
         let locked = register.area == Area::Eeprom && self.torque_on();
         if !register.writable || locked {
-            return Err(ErrorNumber::Access);
+            return Err(ErrorNumber::ACCESS);
         }
         let at = |r: &Register| r.address == register.address;
         let goal = at(&xm430::GOAL_POSITION) || at(&xm430::GOAL_CURRENT);
         if goal && self.watchdog_fired() {
-            return Err(ErrorNumber::DataRange);
+            return Err(ErrorNumber::DATA_RANGE);
         }
         if at(&xm430::GOAL_POSITION) && self.get(&xm430::OPERATING_MODE) == 3 {
             let low = self.get(&xm430::MIN_POSITION_LIMIT);
             let high = self.get(&xm430::MAX_POSITION_LIMIT);
             if !(low..=high).contains(&value) {
-                return Err(ErrorNumber::DataLimit);
+                return Err(ErrorNumber::DATA_LIMIT);
             }
         }
         let fits = match register.address {
@@ -224,12 +224,12 @@ impl EmulatedServo {
             _ => true,
         };
         if !fits {
-            return Err(ErrorNumber::DataRange);
+            return Err(ErrorNumber::DATA_RANGE);
         }
         // A latched error that shuts down keeps the torque off until a reboot.
         let latched = self.get(&xm430::HARDWARE_ERROR_STATUS) & self.get(&xm430::SHUTDOWN) != 0;
         if at(&xm430::TORQUE_ENABLE) && value == 1 && latched {
-            return Err(ErrorNumber::Access);
+            return Err(ErrorNumber::ACCESS);
         }
         if at(&xm430::TORQUE_ENABLE) && self.jammed {
             return Ok(());

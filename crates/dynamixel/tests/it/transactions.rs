@@ -164,9 +164,9 @@ fn refusals_and_alerts_reach_the_caller() {
     let mut bus = bus(2);
     bus.write(1, &xm430::TORQUE_ENABLE, 1, DEADLINE).unwrap();
     let refused = bus.write(1, &xm430::ID, 5, DEADLINE).unwrap_err();
-    assert!(matches!(refused, BusFault::Refused { id: 1, error: ErrorNumber::Access }));
+    assert!(matches!(refused, BusFault::Refused { id: 1, error: ErrorNumber::ACCESS }));
     let far = bus.write(1, &xm430::GOAL_POSITION, 4096, DEADLINE).unwrap_err();
-    assert!(matches!(far, BusFault::Refused { error: ErrorNumber::DataLimit, .. }));
+    assert!(matches!(far, BusFault::Refused { error: ErrorNumber::DATA_LIMIT, .. }));
     // Overload: torque off, alert in every answer, good data all the same.
     bus.port_mut().bus.servos[0].raise(HardwareError(HardwareError::OVERLOAD));
     let (_, error) = bus.read(1, &xm430::PRESENT_POSITION, DEADLINE).unwrap();
@@ -194,7 +194,7 @@ fn the_watchdog_holds_the_pose_when_the_host_goes_silent_and_must_be_cleared() {
     assert!(bus.port_mut().bus.servos[0].watchdog_fired());
     assert_eq!(bus.port_mut().bus.servos[0].goal(), 1001, "where it was");
     let refused = bus.write(1, &xm430::GOAL_POSITION, 3000, DEADLINE).unwrap_err();
-    assert!(matches!(refused, BusFault::Refused { error: ErrorNumber::DataRange, .. }));
+    assert!(matches!(refused, BusFault::Refused { error: ErrorNumber::DATA_RANGE, .. }));
     assert_eq!(bus.read(1, &xm430::BUS_WATCHDOG, DEADLINE).unwrap().0, 255);
     bus.write(1, &xm430::BUS_WATCHDOG, 0, DEADLINE).unwrap();
     bus.write(1, &xm430::GOAL_POSITION, 3000, DEADLINE).unwrap();
