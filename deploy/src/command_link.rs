@@ -17,12 +17,12 @@ mod message;
 use std::io;
 use std::net::{SocketAddr, UdpSocket};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use caudata_proto::checks::Check;
 use caudata_signing::random_bytes;
 use caudata_task::COMMAND_DIM;
+use caudata_telemetry::Joined;
 pub use message::{DATAGRAM, KEY_MIN, Kind, LinkKey, Message};
 
 use crate::DeployError;
@@ -235,7 +235,7 @@ pub struct UdpLink {
     receiver: Arc<Mutex<Receiver>>,
     last: Receiver,
     stop: Arc<std::sync::atomic::AtomicBool>,
-    thread: Option<JoinHandle<()>>,
+    _thread: Joined,
     address: SocketAddr,
 }
 
@@ -268,12 +268,9 @@ impl UdpLink {
                 });
             }
         };
-        let thread = std::thread::Builder::new()
-            .name("command-link".into())
-            .spawn(listen)
-            .map_err(refused)?;
+        let _thread = Joined::spawn("command-link", listen).map_err(refused)?;
         tracing::info!(%address, "listening for commands");
-        Ok(Self { start, receiver, last: first, stop, thread: Some(thread), address })
+        Ok(Self { start, receiver, last: first, stop, _thread, address })
     }
 
     /// Where it listens.
@@ -340,9 +337,6 @@ impl CommandLink for UdpLink {
 impl Drop for UdpLink {
     fn drop(&mut self) {
         self.stop.store(true, std::sync::atomic::Ordering::Relaxed);
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
     }
 }
 

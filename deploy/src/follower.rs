@@ -2,11 +2,11 @@
 //! loop.
 
 use std::path::PathBuf;
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use caudata_proto::registry::{LabelName, StreamName, WatchChange};
 use caudata_registry_client::{RegistryClient, Watch, jittered};
+use caudata_telemetry::Joined;
 use tokio::sync::watch;
 
 use crate::DeployError;
@@ -43,8 +43,8 @@ pub struct Follow {
 /// A thread that follows one stream; dropped, it ends.
 #[derive(Debug)]
 pub struct Follower {
-    stop: watch::Sender<bool>,
-    thread: Option<JoinHandle<()>>,
+    _stop: watch::Sender<()>,
+    _thread: Joined,
 }
 
 impl Follower {
@@ -60,7 +60,7 @@ impl Follower {
         metrics: AgentMetrics,
     ) -> Result<Self, DeployError> {
         let (runtime, client) = server::connect(&follow.address, follow.tls_dir.as_deref())?;
-        let (stop, stopped) = watch::channel(false);
+        let (_stop, stopped) = watch::channel(());
         let mut following = Following {
             keeper,
             client,
@@ -71,20 +71,9 @@ impl Follower {
             proved_at: Instant::now(),
             refused_for: None,
         };
-        let thread = std::thread::Builder::new()
-            .name("follower".into())
-            .spawn(move || runtime.block_on(following.until(stopped)))
-            .map_err(DeployError::system("a thread"))?;
-        Ok(Self { stop, thread: Some(thread) })
-    }
-}
-
-impl Drop for Follower {
-    fn drop(&mut self) {
-        let _ = self.stop.send(true);
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
+        let follow = move || runtime.block_on(following.until(stopped));
+        let _thread = Joined::spawn("follower", follow).map_err(DeployError::system("a thread"))?;
+        Ok(Self { _stop, _thread })
     }
 }
 
@@ -103,8 +92,9 @@ struct Following {
 }
 
 impl Following {
-    async fn until(&mut self, mut stopped: watch::Receiver<bool>) {
+    async fn until(&mut self, mut stopped: watch::Receiver<()>) {
         tokio::select! {
+            // The sender is gone.
             _ = stopped.changed() => {}
             () = self.run() => {}
         }
@@ -310,7 +300,7 @@ mod tests {
 
     /// Somebody who follows the server at `address`, since `proved_at`.
     fn following(folder: &Path, address: &str, proved_at: Instant) -> Following {
-        let text = release().trust_file() + &server_key().fresh_trust_lines();
+        let text = release().trust_file() + &server_key().trust_lines("fresh_key");
         let metrics = AgentMetrics::register(&caudata_telemetry::Metrics::new());
         let store = PolicyStore::open(&folder.join("state")).unwrap();
         let mut keeper = Keeper::new(store, model(), metrics.clone());

@@ -4,11 +4,11 @@
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use caudata_proto::registry::{RobotReport, RobotState, StreamName};
 use caudata_registry_client::{ClientError, RegistryClient, jittered};
+use caudata_telemetry::Joined;
 use crossbeam_channel::{Receiver, Sender, bounded};
 
 use crate::DeployError;
@@ -41,9 +41,9 @@ pub struct News {
 #[derive(Debug)]
 pub struct Reporter {
     robot: String,
-    queue: Option<Sender<RobotReport>>,
+    queue: Sender<RobotReport>,
     over: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
+    _thread: Joined,
 }
 
 impl Reporter {
@@ -60,11 +60,9 @@ impl Reporter {
         let (queue, reports) = bounded(REPORTS_WAITING_MAX);
         let over = Arc::new(AtomicBool::new(false));
         let seen = over.clone();
-        let thread = std::thread::Builder::new()
-            .name("reporter".into())
-            .spawn(move || runtime.block_on(send(client, reports, seen)))
-            .map_err(DeployError::system("a thread"))?;
-        Ok(Arc::new(Self { robot, queue: Some(queue), over, thread: Some(thread) }))
+        let report = move || runtime.block_on(send(client, reports, seen));
+        let _thread = Joined::spawn("reporter", report).map_err(DeployError::system("a thread"))?;
+        Ok(Arc::new(Self { robot, queue, over, _thread }))
     }
 
     /// Tells what became of `policy`. Never waits.
@@ -86,9 +84,7 @@ impl Reporter {
             attempts: news.attempts,
             unix_ms: 0,
         };
-        if let Some(queue) = &self.queue
-            && queue.try_send(report).is_err()
-        {
+        if self.queue.try_send(report).is_err() {
             tracing::warn!(%policy, "a report to the policy server is dropped: too many wait");
         }
     }
@@ -97,10 +93,6 @@ impl Reporter {
 impl Drop for Reporter {
     fn drop(&mut self) {
         self.over.store(true, Ordering::Relaxed);
-        drop(self.queue.take());
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
     }
 }
 

@@ -7,8 +7,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use caudata_policy_server::{
-    ServeError, ServeOptions, ServerMetrics, SharedStore, Store, StoreError, StoreLimits, listen,
-    serve_page, serve_with,
+    ServeOptions, ServerMetrics, SharedStore, Store, StoreError, StoreLimits, listen, serve_page,
+    serve_with,
 };
 use caudata_signing::ReleaseKey;
 use caudata_signing::pki::{Callers, PkiError, listen_as};
@@ -108,12 +108,12 @@ fn run(args: &Args, stop: &StopFlag) -> Result<(), Failure> {
         let _ = stopping.send(true);
     });
     runtime.block_on(async {
-        let listener = listen(args.addr).await.map_err(serve_failure)?;
+        let listener = listen(args.addr).await?;
         let bound = listener.local_addr().or_exit(ExitCode::OsResource)?;
         tracing::info!(addr = %bound, data = %args.data.display(), "serving policies");
         announce("policy_server", bound);
         if let Some(addr) = args.page_addr {
-            let listener = listen(addr).await.map_err(serve_failure)?;
+            let listener = listen(addr).await?;
             let bound = listener.local_addr().or_exit(ExitCode::OsResource)?;
             tracing::info!("page at http://{bound}/");
             announce("page", bound);
@@ -124,7 +124,7 @@ fn run(args: &Args, stop: &StopFlag) -> Result<(), Failure> {
                 }
             });
         }
-        serve_with(listener, store, counters, stopped, options).await.map_err(serve_failure)
+        serve_with(listener, store, counters, stopped, options).await.or_exit(ExitCode::Internal)
     })
 }
 
@@ -161,12 +161,4 @@ fn tls_of(args: &Args) -> Result<Option<TlsAcceptor>, Failure> {
 
 fn store_failure(error: StoreError) -> Failure {
     Failure::new(ExitCode::CannotCreate, error)
-}
-
-fn serve_failure(error: ServeError) -> Failure {
-    let code = match error {
-        ServeError::InUse(_) | ServeError::Listen { .. } => ExitCode::OsResource,
-        ServeError::Transport(_) | ServeError::Reflection(_) => ExitCode::Internal,
-    };
-    Failure::new(code, error)
 }

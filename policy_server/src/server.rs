@@ -42,14 +42,7 @@ pub const DRAIN_MAX: Duration = Duration::from_secs(10);
 
 /// Why the server ended.
 #[derive(Debug, thiserror::Error)]
-#[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum ServeError {
-    /// Another process listens there.
-    #[error("address {0} is in use; stop the other process or choose another address")]
-    InUse(SocketAddr),
-    /// The system refuses the address.
-    #[error("cannot listen on {addr}: {source}")]
-    Listen { addr: SocketAddr, source: std::io::Error },
     /// The gRPC server failed.
     #[error("the gRPC server failed: {0}")]
     Transport(#[from] tonic::transport::Error),
@@ -61,12 +54,10 @@ pub enum ServeError {
 /// Binds the address (port 0: any free one).
 ///
 /// # Errors
-/// [`ServeError::InUse`], [`ServeError::Listen`].
-pub async fn listen(addr: SocketAddr) -> Result<TcpListener, ServeError> {
-    TcpListener::bind(addr).await.map_err(|source| match source.kind() {
-        std::io::ErrorKind::AddrInUse => ServeError::InUse(addr),
-        _ => ServeError::Listen { addr, source },
-    })
+/// Another process listens there, or the system refuses the address.
+pub async fn listen(addr: SocketAddr) -> Result<TcpListener, caudata_telemetry::ServeError> {
+    let refused = |source| caudata_telemetry::ServeError::of(addr, source);
+    TcpListener::bind(addr).await.map_err(refused)
 }
 
 /// Serves until `stop` turns true, then reports NOT_SERVING, refuses new work, and lets open requests finish

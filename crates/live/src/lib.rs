@@ -17,10 +17,9 @@ mod training;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
 
 use caudata_telemetry::progress::{Changed, Iteration};
-use caudata_telemetry::{HttpServer, ServeError};
+use caudata_telemetry::{HttpServer, Joined, ServeError};
 use serde::Serialize;
 use tokio_rustls::TlsAcceptor;
 
@@ -57,6 +56,8 @@ pub enum LiveError {
 /// Serves the page until dropped.
 #[derive(Debug)]
 pub struct LivePage {
+    /// Ends before the server does.
+    _robot: Joined,
     scheme: &'static str,
     name: Option<String>,
     server: HttpServer,
@@ -65,7 +66,6 @@ pub struct LivePage {
     change: String,
     hub: Arc<Hub>,
     ended: Arc<AtomicBool>,
-    robot: Option<JoinHandle<()>>,
 }
 
 impl LivePage {
@@ -98,13 +98,12 @@ impl LivePage {
         let router = server::router(&show.title(), doors, Arc::clone(&hub));
         let server = HttpServer::start(addr, "the live page", router, tls)?;
         let ended = Arc::new(AtomicBool::new(false));
-        let robot = {
+        let _robot = {
             let (hub, ended) = (Arc::clone(&hub), Arc::clone(&ended));
-            std::thread::Builder::new()
-                .name("live robot".into())
-                .spawn(move || performance::perform(&show, &hub, &orders, &ended))?
+            Joined::spawn("live robot", move || performance::perform(&show, &hub, &orders, &ended))?
         };
         Ok(Self {
+            _robot,
             scheme,
             name: name.filter(|_| addr.ip().is_unspecified()),
             server,
@@ -112,7 +111,6 @@ impl LivePage {
             change,
             hub,
             ended,
-            robot: Some(robot),
         })
     }
 
@@ -148,9 +146,6 @@ impl LivePage {
 impl Drop for LivePage {
     fn drop(&mut self) {
         self.ended.store(true, Ordering::Relaxed);
-        if let Some(robot) = self.robot.take() {
-            let _ = robot.join();
-        }
     }
 }
 

@@ -16,3 +16,13 @@ pub enum ServeError {
     #[error("cannot listen on {addr}: {source}")]
     Io { addr: SocketAddr, source: io::Error },
 }
+
+impl ServeError {
+    /// What the system says about `addr`.
+    pub fn of(addr: SocketAddr, source: io::Error) -> Self {
+        match source.kind() {
+            io::ErrorKind::AddrInUse => Self::InUse(addr),
+            _ => Self::Io { addr, source },
+        }
+    }
+}

@@ -40,6 +40,7 @@ mod serve;
 pub mod spans;
 mod stop;
 mod tensorboard;
+mod thread;
 pub mod traces;
 
 pub use advice::{Advice, Advisor, IterationLoad};
@@ -62,3 +63,4 @@ pub use pulse::Pulse;
 pub use serve::{HttpServer, MetricsServer};
 pub use stop::{DRAIN_DEADLINE, INSIST_DEADLINE, Insistence, StopFlag};
 pub use tensorboard::EventFile;
+pub use thread::Joined;

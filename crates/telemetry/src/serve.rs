@@ -1,9 +1,7 @@
 //! HTTP on a thread of its own: `/metrics` and `/healthz`, and what else a process shows people.
 
-use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
-use std::thread::JoinHandle;
 use std::time::Duration;
 
 use axum::Router;
@@ -19,6 +17,7 @@ use crate::http::serve_http;
 use crate::metrics::Metrics;
 use crate::pulse::Pulse;
 use crate::stop::StopFlag;
+use crate::thread::Joined;
 
 const TEXT_FORMAT: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
@@ -26,8 +25,8 @@ const TEXT_FORMAT: &str = "application/openmetrics-text; version=1.0.0; charset=
 #[derive(Debug)]
 pub struct HttpServer {
     addr: SocketAddr,
-    shutdown: Option<oneshot::Sender<()>>,
-    thread: Option<JoinHandle<()>>,
+    _shutdown: oneshot::Sender<()>,
+    _thread: Joined,
 }
 
 impl HttpServer {
@@ -42,43 +41,29 @@ impl HttpServer {
         router: Router,
         tls: Option<TlsAcceptor>,
     ) -> Result<Self, ServeError> {
-        let failed = |source: io::Error| match source.kind() {
-            io::ErrorKind::AddrInUse => ServeError::InUse(addr),
-            _ => ServeError::Io { addr, source },
-        };
+        let failed = |source| ServeError::of(addr, source);
         let listener = std::net::TcpListener::bind(addr).map_err(failed)?;
         listener.set_nonblocking(true).map_err(failed)?;
         let bound = listener.local_addr().map_err(failed)?;
         let runtime =
             tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
-        let (shutdown, ended) = oneshot::channel::<()>();
-        let thread = std::thread::Builder::new()
-            .name(name.into())
-            .spawn(move || {
-                let served = runtime.block_on(async {
-                    let ended = async { _ = ended.await };
-                    serve_http(TcpListener::from_std(listener)?, router, tls, ended).await
-                });
-                if let Err(error) = served {
-                    tracing::warn!(%error, "the endpoint for {name} ended");
-                }
-            })
-            .map_err(failed)?;
-        Ok(Self { addr: bound, shutdown: Some(shutdown), thread: Some(thread) })
+        let (_shutdown, ended) = oneshot::channel::<()>();
+        let serve = move || {
+            let served = runtime.block_on(async {
+                let ended = async { _ = ended.await };
+                serve_http(TcpListener::from_std(listener)?, router, tls, ended).await
+            });
+            if let Err(error) = served {
+                tracing::warn!(%error, "the endpoint for {name} ended");
+            }
+        };
+        let _thread = Joined::spawn(name, serve).map_err(failed)?;
+        Ok(Self { addr: bound, _shutdown, _thread })
     }
 
     /// The bound address.
     pub fn addr(&self) -> SocketAddr {
         self.addr
-    }
-}
-
-impl Drop for HttpServer {
-    fn drop(&mut self) {
-        drop(self.shutdown.take());
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
     }
 }
 

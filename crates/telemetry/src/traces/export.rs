@@ -1,8 +1,6 @@
 //! The queue of spans and the thread that empties it towards the collector.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use caudata_proto::wire::otlp as wire;
@@ -12,6 +10,7 @@ use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity
 
 use super::span::{self, Span, Value};
 use crate::metrics::{Counter, Metrics};
+use crate::thread::Joined;
 
 /// Spans that may wait. One is about half a kilobyte.
 pub const QUEUE_MAX: usize = 4096;
@@ -70,9 +69,10 @@ struct Counters {
 /// The near end of the queue. Dropped, it waits for the thread, which then gives up at the first failure.
 #[derive(Debug)]
 pub(crate) struct Exporter {
-    queue: Option<Sender<Span>>,
+    queue: Sender<Span>,
     counters: Counters,
-    thread: Mutex<Option<JoinHandle<()>>>,
+    /// Ends after at most one request that fails.
+    _thread: Joined,
 }
 
 impl Exporter {
@@ -97,34 +97,20 @@ impl Exporter {
             counters: counters.clone(),
             away: false,
         };
-        let thread = std::thread::Builder::new()
-            .name("traces".into())
-            .spawn(move || {
-                runtime.block_on(async {
-                    // Connects with the first request, and again whenever the connection is lost.
-                    let client = TraceServiceClient::new(endpoint.connect_lazy());
-                    worker.run(client).await;
-                });
-            })
-            .map_err(TraceError::Thread)?;
-        Ok(Self { queue: Some(queue), counters, thread: Mutex::new(Some(thread)) })
+        let export = move || {
+            runtime.block_on(async {
+                // Connects with the first request, and again whenever the connection is lost.
+                let client = TraceServiceClient::new(endpoint.connect_lazy());
+                worker.run(client).await;
+            });
+        };
+        let _thread = Joined::spawn("traces", export).map_err(TraceError::Thread)?;
+        Ok(Self { queue, counters, _thread })
     }
 
     pub fn offer(&self, span: Span) {
-        let taken = self.queue.as_ref().is_some_and(|queue| queue.try_send(span).is_ok());
-        if !taken {
+        if self.queue.try_send(span).is_err() {
             self.counters.dropped.inc();
-        }
-    }
-}
-
-impl Drop for Exporter {
-    fn drop(&mut self) {
-        drop(self.queue.take());
-        let mut thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(thread) = thread.take() {
-            // At most one request that fails, then it ends.
-            let _ = thread.join();
         }
     }
 }
