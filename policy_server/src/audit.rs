@@ -128,7 +128,6 @@ impl AuditLog {
         }
         let path = log.path();
         if path.exists() {
-            log.length = 0;
             let whole = log.read(&path)?;
             if whole < fs::metadata(&path).map_or(0, |meta| meta.len()) {
                 tracing::warn!(path = %path.display(), "half a line at the end of the record, cut off");
@@ -137,8 +136,6 @@ impl AuditLog {
                     .map_err(|(action, e)| DurableError::from_io(action, &path, e))?;
             }
             log.length = whole;
-        } else {
-            log.length = 0;
         }
         Ok(log)
     }

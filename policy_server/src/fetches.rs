@@ -18,15 +18,6 @@ const FETCH_PIECE_BYTES: usize = 16 << 10;
 /// An answer in pieces.
 pub type ReplyStream<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
 
-/// A stored file that several fetches share.
-struct Shared(Arc<[u8]>);
-
-impl AsRef<[u8]> for Shared {
-    fn as_ref(&self) -> &[u8] {
-        &self.0
-    }
-}
-
 /// Sends `info` and then the file from there on, while the client reads it within `idle`.
 pub fn send_file(
     info: wire::FetchInfo,
@@ -35,7 +26,7 @@ pub fn send_file(
     idle: Duration,
     share: Share,
 ) -> ReplyStream<wire::FetchResponse> {
-    let file = Bytes::from_owner(Shared(file));
+    let file = Bytes::from_owner(file);
     let from = usize::try_from(from).unwrap_or(usize::MAX).min(file.len());
     let mut bytes = file.slice(from..);
     // As for an upload that stalls: it may go on where it stopped.
