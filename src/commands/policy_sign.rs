@@ -97,8 +97,8 @@ pub fn unusable(error: SigningError) -> Failure {
 pub fn keygen(args: &KeygenArgs) -> Result<(), Failure> {
     let key = ReleaseKey::generate(&args.key_id).or_exit(ExitCode::OsResource)?;
     let lines = match (args.fresh, args.root) {
-        (true, _) => Some(key.fresh_trust_lines()),
-        (_, true) => Some(key.root_trust_lines()),
+        (true, _) => Some(key.trust_lines("fresh_key")),
+        (_, true) => Some(key.trust_lines("root_key")),
         _ => None,
     };
     let trust = match lines {

@@ -124,19 +124,14 @@ impl ReleaseKey {
 
     /// A trust file that trusts this key alone.
     pub fn trust_file(&self) -> String {
-        let public = hex(self.key.verifying_key().as_bytes());
-        let id = &self.id;
-        format!(
-            "format = \"{TRUST_FORMAT}\"\nthreshold = 1\n\n[[key]]\nid = \"{id}\"\npublic = \"{public}\"\n"
-        )
+        format!("format = \"{TRUST_FORMAT}\"\nthreshold = 1\n\n{}", self.trust_lines("key"))
     }
 
-    /// The lines of a trust file by which robots take this key as one that says where labels lead. It
-    /// releases nothing.
-    pub fn fresh_trust_lines(&self) -> String {
+    /// The lines of a trust file by which robots take this key as a `key`, which releases policies, as a
+    /// `fresh_key`, which says where labels lead, or as a `root_key`, which may name the next trust file.
+    pub fn trust_lines(&self, table: &str) -> String {
         let public = hex(self.key.verifying_key().as_bytes());
-        let id = &self.id;
-        format!("[[fresh_key]]\nid = \"{id}\"\npublic = \"{public}\"\n")
+        format!("[[{table}]]\nid = \"{}\"\npublic = \"{public}\"\n", self.id)
     }
 
     /// Says, signed, where a label leads.

@@ -49,14 +49,6 @@ fn signed(text: &str) -> Vec<u8> {
 }
 
 impl ReleaseKey {
-    /// The lines of a trust file by which robots take this key as one that may name the next trust file. It
-    /// releases nothing.
-    pub fn root_trust_lines(&self) -> String {
-        let public = hex(self.key.verifying_key().as_bytes());
-        let id = &self.id;
-        format!("[[root_key]]\nid = \"{id}\"\npublic = \"{public}\"\n")
-    }
-
     /// Signs a trust file.
     pub fn sign_trust(&self, text: &str) -> TrustSignature {
         TrustSignature {
@@ -269,7 +261,7 @@ mod tests {
         );
         for root in roots {
             text += "\n";
-            text += &key(*root).root_trust_lines();
+            text += &key(*root).trust_lines("root_key");
         }
         text
     }

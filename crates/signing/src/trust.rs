@@ -372,7 +372,7 @@ pub mod tests {
         assert!(unknown.contains("`K1`"), "{unknown}");
         let roots = |number: usize| {
             let own = key(1).trust_file();
-            let root = key(2).root_trust_lines();
+            let root = key(2).trust_lines("root_key");
             Trust::parse(&own.replacen(
                 "\n\n",
                 &format!("\nroot_threshold = {number}\n\n{root}\n"),
@@ -386,7 +386,7 @@ pub mod tests {
         let fresh = |revoked: &str, ids: &[u8]| {
             let own = key(1).trust_file();
             let own = own.replacen("\n\n", &format!("\nrevoked = [{revoked}]\n\n"), 1);
-            let lines: String = ids.iter().map(|n| key(*n).fresh_trust_lines()).collect();
+            let lines: String = ids.iter().map(|n| key(*n).trust_lines("fresh_key")).collect();
             Trust::parse(&format!("{own}\n{lines}"))
         };
         assert!(fresh("", &[2]).unwrap().knows_fresh_keys());
@@ -416,7 +416,7 @@ pub mod tests {
             sha256: [1; 32],
         };
         let server = key(9);
-        let text = format!("{}{}", key(1).trust_file(), server.fresh_trust_lines());
+        let text = format!("{}{}", key(1).trust_file(), server.trust_lines("fresh_key"));
         let trust = Trust::parse(&text).unwrap();
         assert!(trust.knows_fresh_keys());
         let check = |answer: &SignedFreshness, nonce: u8| {
@@ -448,7 +448,7 @@ pub mod tests {
     #[test]
     fn each_step_and_no_other_keeps_its_proof_out() {
         let server = key(9);
-        let text = format!("{}{}", key(1).trust_file(), server.fresh_trust_lines());
+        let text = format!("{}{}", key(1).trust_file(), server.trust_lines("fresh_key"));
         let trust = Trust::parse(&text).unwrap();
         let stream = manifest().stream;
         let said = Freshness {

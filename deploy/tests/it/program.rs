@@ -316,7 +316,7 @@ fn fault_23_a_robot_whose_trust_file_was_followed_by_another_takes_what_the_new_
     let (old, new) = (key("release-1", 1), key("release-2", 2));
     let (old_root, new_root) = (key("root-1", 3), key("root-2", 4));
     let trust = folder.path().join("trust.toml");
-    let first = old.trust_file() + &old_root.root_trust_lines();
+    let first = old.trust_file() + &old_root.trust_lines("root_key");
     std::fs::write(&trust, first).unwrap();
     let pull = || {
         let mut command = program("pull", server.address, &state);
@@ -326,7 +326,7 @@ fn fault_23_a_robot_whose_trust_file_was_followed_by_another_takes_what_the_new_
     server.publish_signed(standing(1), &old);
     assert_eq!(pull().0, 0);
     let second = new.trust_file().replacen("threshold = 1\n", "threshold = 1\nversion = 2\n", 1)
-        + &new_root.root_trust_lines();
+        + &new_root.trust_lines("root_key");
     let file = successor_path(&trust, 2);
     std::fs::write(&file, &second).unwrap();
     add_signature(&file, &new_root.sign_trust(&second)).unwrap();
@@ -397,7 +397,7 @@ fn fault_18_in_1970_in_2100_and_a_day_back_the_same_is_taken_and_the_same_refuse
     let (release, fresh) =
         (ReleaseKey::from_seed("release", &[7; 32]), ReleaseKey::from_seed("server", &[9; 32]));
     let trust = folder.path().join("trust.toml");
-    std::fs::write(&trust, release.trust_file() + &fresh.fresh_trust_lines()).unwrap();
+    std::fs::write(&trust, release.trust_file() + &fresh.trust_lines("fresh_key")).unwrap();
     let servers = ["old", "new"].map(|name| {
         let key = ReleaseKey::from_seed("server", &[9; 32]);
         Server::proving(&folder.path().join(name), key)

@@ -194,7 +194,8 @@ async fn fault_17_the_server_proves_freshness_to_a_nonce() {
     let key = Arc::new(ReleaseKey::from_seed("server-1", &[3; 32]));
     let release = ReleaseKey::from_seed("release", &[4; 32]);
     let trust =
-        Trust::parse(&format!("{}\n{}", release.trust_file(), key.fresh_trust_lines())).unwrap();
+        Trust::parse(&format!("{}\n{}", release.trust_file(), key.trust_lines("fresh_key")))
+            .unwrap();
     let options = ServeOptions { fresh_key: Some(key), ..ServeOptions::default() };
     let mut server = Server::start_with(data.path(), StoreLimits::default(), options).await;
     let client = &mut server.client;

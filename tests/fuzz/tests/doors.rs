@@ -58,7 +58,7 @@ fn fresh() -> ReleaseKey {
 }
 
 fn trust() -> String {
-    format!("{}\n{}", release().trust_file(), fresh().fresh_trust_lines())
+    format!("{}\n{}", release().trust_file(), fresh().trust_lines("fresh_key"))
 }
 
 #[test]
