@@ -315,8 +315,7 @@ fn waiting(folder: &Path) -> Vec<(u64, PathBuf)> {
 }
 
 fn small_file(path: &Path) -> Option<Vec<u8>> {
-    let small = fs::metadata(path).is_ok_and(|m| m.len() <= FILE_MAX);
-    small.then(|| fs::read(path).ok()).flatten()
+    durable::read_at_most(path, FILE_MAX).ok()
 }
 
 fn json(value: &impl Serialize) -> Result<Vec<u8>, DeployError> {

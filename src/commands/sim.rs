@@ -1,6 +1,6 @@
 //! `caudata sim`: simulate without training.
 
-use caudata_telemetry::{Failure, Process, StopFlag};
+use caudata_telemetry::{Failure, StopFlag};
 use clap::Subcommand;
 
 use super::{sim_robot, sim_rollout, sim_show, sim_verify};
@@ -21,11 +21,7 @@ pub enum SimCommand {
     Robot(sim_robot::SimRobotArgs),
 }
 
-pub fn run(command: &SimCommand, process: &Process) -> Result<(), Failure> {
-    dispatch(command, &process.stop)
-}
-
-fn dispatch(command: &SimCommand, stop: &StopFlag) -> Result<(), Failure> {
+pub fn run(command: &SimCommand, stop: &StopFlag) -> Result<(), Failure> {
     match command {
         SimCommand::Rollout(args) => sim_rollout::run(args, stop),
         SimCommand::Show(args) => sim_show::run(args, stop),
@@ -59,7 +55,7 @@ mod tests {
             word.replace("DIR", &folder.display().to_string())
         });
         let line = Line::try_parse_from(std::iter::once("sim".to_owned()).chain(words)).unwrap();
-        dispatch(&line.command, &StopFlag::default())
+        run(&line.command, &StopFlag::default())
     }
 
     fn refused(folder: &Path, args: &str, code: ExitCode, words: &[&str]) {

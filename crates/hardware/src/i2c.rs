@@ -51,17 +51,9 @@ impl<P: Port> BridgeI2c<P> {
     }
 }
 
-/// The bytes that ask a bridge to write.
-fn write_request(chip: u8, bytes: &[u8], out: &mut Vec<u8>) {
-    out.extend_from_slice(&[b'S', chip << 1, bytes.len() as u8]);
-    out.extend_from_slice(bytes);
-}
-
 impl<P: Port> I2c for BridgeI2c<P> {
     fn write(&mut self, chip: u8, bytes: &[u8]) -> io::Result<()> {
-        let mut request = Vec::with_capacity(bytes.len() + 4);
-        write_request(chip, bytes, &mut request);
-        request.push(b'P');
+        let request = [&[b'S', chip << 1, bytes.len() as u8], bytes, b"P"].concat();
         self.port.send(&request, Instant::now() + self.deadline)
     }
 

@@ -14,7 +14,7 @@ use caudata_telemetry::{ExitCode, Failure, FailureExt, Pulse, StopFlag};
 use crossbeam_channel::{Receiver, RecvTimeoutError, bounded};
 use nix::sys::signal::Signal;
 
-use super::backoff::{Backoff, Verdict};
+use super::backoff::Backoff;
 use super::children::{self, Process, Programs};
 use super::desk::Desk;
 use super::folder::RunFolder;
@@ -277,7 +277,7 @@ impl<'a> Supervisor<'a> {
         }
         self.take_lines(Duration::ZERO);
         let how = children::describe(status);
-        let Verdict::RestartAfter(pause) = self.learner_backoff.died(self.began.elapsed()) else {
+        let Some(pause) = self.learner_backoff.died(self.began.elapsed()) else {
             return false;
         };
         self.view.warn(&format!(
@@ -409,7 +409,7 @@ impl<'a> Supervisor<'a> {
         }
         let how = children::describe(status);
         match self.server_backoff.died(self.began.elapsed()) {
-            Verdict::RestartAfter(pause) => {
+            Some(pause) => {
                 self.view.warn(&format!("the policy server {how}; it is started again"));
                 std::thread::sleep(pause);
                 let restarted =
@@ -419,7 +419,7 @@ impl<'a> Supervisor<'a> {
                     Err(failure) => self.end_early(failure),
                 }
             }
-            Verdict::GiveUp => {
+            None => {
                 let failure = failed_child(&self.server, ExitCode::Unavailable, &how);
                 self.end_early(failure);
             }

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use caudata_telemetry::{Failure, Pulse};
 use nix::sys::signal::Signal;
 
-use super::backoff::{Backoff, Verdict};
+use super::backoff::Backoff;
 use super::children::{self, LineSink, Process};
 use super::start::is_permanent;
 
@@ -127,7 +127,7 @@ impl Watched {
             return Err(Failure::message(code, message));
         }
         match self.backoff.died(now) {
-            Verdict::RestartAfter(pause) => {
+            Some(pause) => {
                 self.due = Some(Instant::now() + pause);
                 tell(&format!(
                     "{name} (process {pid}) {how}; it is started again in {:.2} s{reason}",
@@ -135,7 +135,7 @@ impl Watched {
                 ));
                 Ok(None)
             }
-            Verdict::GiveUp => {
+            None => {
                 let text = format!("{name} {how} too often and stays down{reason}");
                 tell(&text);
                 Ok(Some(text))
