@@ -183,8 +183,8 @@ impl Residue {
     pub fn note(&mut self) {
         for run in std::fs::read_dir(&self.root).unwrap() {
             let note = std::fs::read_to_string(run.unwrap().path().join("current")).unwrap();
-            let tag = note.lines().nth(2).unwrap();
-            self.prefixes.push(format!("cd{tag}_"));
+            let note: serde_json::Value = serde_json::from_str(&note).unwrap();
+            self.prefixes.push(format!("cd{}_", note["tag"].as_str().unwrap()));
         }
         // The check below is worth nothing unless there is something now.
         assert!(!self.segments().is_empty());
