@@ -133,7 +133,7 @@ fn runs_of<'a>(logs: &[(&'a str, &'a RunLog)], robot: &'a RobotModel) -> Vec<Run
         name: name.to_owned(),
         log,
         robot,
-        grid: series::Grid::of(log.table.time_s()),
+        grid: series::Grid::of(&log.table),
     };
     logs.iter().map(run).collect()
 }
@@ -157,7 +157,7 @@ pub fn check(logs: &[(&str, &RunLog)], robot: &RobotModel) -> Checked {
         checks.push(RunCheck {
             name: run.name.clone(),
             rows: run.log.table.len(),
-            rate_hz: 1.0 / series::median_step_s(run.log.table.time_s()).max(1e-9),
+            rate_hz: 1.0 / series::median_step_s(&series::busiest(&run.log.table)).max(1e-9),
             excites: excites::of(run, &joints),
         });
         channels.push(joints);

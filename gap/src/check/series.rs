@@ -24,12 +24,13 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// The grid of a log with rows at `time_s`: its median step, not finer than 5 ms and not coarser than 50
+    /// The grid of a log: the median step of its [`busiest`] signal, not finer than 5 ms and not coarser than 50
     /// ms.
-    pub fn of(time_s: &[f64]) -> Self {
+    pub fn of(table: &Table) -> Self {
+        let time_s = table.time_s();
         let start_s = time_s.first().copied().unwrap_or(0.0);
         let span_s = time_s.last().copied().unwrap_or(0.0) - start_s;
-        let step_s = median_step_s(time_s).clamp(GRID_S.0, GRID_S.1);
+        let step_s = median_step_s(&busiest(table)).clamp(GRID_S.0, GRID_S.1);
         let len = ((span_s / step_s).floor() as usize).saturating_add(1).min(MAX_POINTS);
         Self { start_s, step_s, len }
     }
@@ -81,6 +82,14 @@ fn samples(table: &Table, signal: &Signal) -> Option<Vec<(f64, f64)>> {
     let column = table.column(signal)?;
     let known = table.time_s().iter().zip(column);
     Some(known.filter_map(|(&t, x)| Some((t, (*x)?))).collect())
+}
+
+/// Times of the signal with the most values, s. Where signals have stamps of their own, as the topics of a ROS
+/// bag have, rows come at no rate of any of them.
+pub fn busiest(table: &Table) -> Vec<f64> {
+    let times = |signal: &Signal| samples(table, signal).unwrap_or_default();
+    let most = table.signals().iter().map(times).max_by_key(Vec::len);
+    most.unwrap_or_default().into_iter().map(|sample| sample.0).collect()
 }
 
 /// Median of the steps between rows, s; 0 for fewer than two rows.

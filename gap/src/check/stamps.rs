@@ -4,7 +4,7 @@ use caudata_runlog::Signal;
 
 use super::channels::Channels;
 use super::finding::{Finding, Run};
-use super::series::median_step_s;
+use super::series::{busiest, median_step_s};
 
 /// The median rate may be off the one that the log claims by this share; a loop never keeps its rate
 /// exactly.
@@ -34,7 +34,7 @@ const TELLING_RAD: f64 = 0.03;
 const LONGEST_JUMP_S: f64 = 0.5;
 
 pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
-    let time_s = run.log.table.time_s();
+    let time_s = &busiest(&run.log.table)[..];
     let median = median_step_s(time_s);
     if median <= 0.0 {
         return;

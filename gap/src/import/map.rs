@@ -30,6 +30,7 @@ use serde::Deserialize;
 use super::run::{ImportError, Imported};
 use super::sheet::{Recording, Sheet};
 use super::units::unit_word;
+use crate::check::series::median_step_s;
 
 /// Later than this a stamp is of the calendar (1970 and some months), not of a run, s.
 const CALENDAR_S: f64 = 1e7;
@@ -262,7 +263,8 @@ pub fn apply(
     let mut signals: Vec<Signal> = Vec::new();
     let mut samples: Vec<(f64, usize, f64)> = Vec::new();
     let mut used: BTreeSet<(&str, &str)> = BTreeSet::new();
-    let mut most = 0;
+    // values and median step of the signal with the most values
+    let mut most = (0, 0.0);
     for column in &map.signal {
         let sheet = sheet_of(recording, column).map_err(wrong)?;
         let time_s = sheet.values(&map.time.column, None)?;
@@ -279,7 +281,10 @@ pub fn apply(
         if samples.len() == before {
             return Err(wrong(format!("`{}` has no value with a stamp", column.column)));
         }
-        most = most.max(samples.len() - before);
+        if samples.len() - before > most.0 {
+            let time_s: Vec<f64> = samples[before..].iter().map(|sample| sample.0).collect();
+            most = (time_s.len(), median_step_s(&time_s));
+        }
         let signal = column.signal.parse();
         signals.push(signal.map_err(|e| wrong(format!("{}: {e}", column.signal)))?);
     }
@@ -293,9 +298,12 @@ pub fn apply(
     let (Some(first), Some(last)) = (rows.first(), rows.last()) else {
         return Err(wrong("has no row with a stamp and a value".to_owned()));
     };
-    // Topics have stamps of their own: the rate is that of the signal with the most values.
-    let span_s = (last.0 - first.0).max(1e-6);
-    let meta = map.meta(robot, most as f64 / span_s, &recording.name);
+    // Topics have stamps of their own: the rate is that of the signal with the most values, whatever pauses it has.
+    let rate_hz = match most {
+        (_, step_s) if step_s > 0.0 => 1.0 / step_s,
+        (values, _) => values as f64 / (last.0 - first.0).max(1e-6),
+    };
+    let meta = map.meta(robot, rate_hz, &recording.name);
     Ok(Imported {
         name: recording.name.chars().map(letters).collect(),
         meta,
