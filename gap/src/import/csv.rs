@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::run::{ImportError, bytes, file_stem, files_below};
 use super::sheet::{Hint, Joint, Recording, Sheet};
+use super::units::unit_word;
 
 /// The recording at `path`: a file, or of a folder the files that are `named`; all of them where none is.
 ///
@@ -81,6 +82,7 @@ impl Table {
                 row.len()
             )));
         }
+        table.take_units();
         table.hints = table.named();
         match table.rows.is_empty() {
             true => Err(table.wrong("has no row below its header".to_owned())),
@@ -90,6 +92,21 @@ impl Table {
 
     fn wrong(&self, message: String) -> ImportError {
         ImportError::Format { file: self.file.clone(), message }
+    }
+
+    /// A first row of units, and nothing else, belongs to the header.
+    fn take_units(&mut self) {
+        let Some((_, row)) = self.rows.first() else { return };
+        let bare = |field: &str| field.trim().trim_matches(['[', ']', '(', ')']).to_lowercase();
+        let units: Vec<String> = row.iter().map(|field| bare(field)).collect();
+        let plain = |unit: &String| ["", "-", "1"].contains(&unit.as_str());
+        if units.iter().all(plain) || !units.iter().all(|u| plain(u) || unit_word(u).is_some()) {
+            return;
+        }
+        for (header, unit) in self.header.iter_mut().zip(units).filter(|(_, unit)| !plain(unit)) {
+            *header = format!("{} [{unit}]", header.trim());
+        }
+        self.rows.remove(0);
     }
 
     /// Joints of a joint state that was flattened: `name0` holds what `position0` is of, if that never changes.

@@ -12,6 +12,7 @@ use std::path::Path;
 use caudata_model::{BaseKind, RobotModel};
 
 use super::map::{UNKNOWN, unit};
+use super::order::Order;
 use super::run::ImportError;
 use super::sheet::{Clock, Hint, Joint, Recording, Sheet};
 use super::units::unit_word;
@@ -57,6 +58,7 @@ pub fn map(recordings: &[Recording], robot: &RobotModel) -> Result<Drafted, Impo
         read: Vec::new(),
         unread: Vec::new(),
         by_numbers: BTreeMap::new(),
+        order: Order::of(first, robot, &clock.column),
         out: format!("# Guessed from {}; check every line.\n", first.file),
     };
     for note in &first.notes {
@@ -75,7 +77,8 @@ pub fn map(recordings: &[Recording], robot: &RobotModel) -> Result<Drafted, Impo
         let _ = writeln!(draft.out, "# {}", clock.remark);
     }
     for (number, sheet) in first.sheets.iter().enumerate() {
-        draft.by_numbers = by_numbers(sheet.as_ref(), robot, &clock.column);
+        let joint = |words: &Words| words.joint(robot).or_else(|| draft.order.joint(words, robot));
+        draft.by_numbers = by_numbers(sheet.as_ref(), &joint, &clock.column);
         let columns = sheet.header().into_iter();
         let clocks = ["stamp", "received"];
         let is_clock = |c: &str| c == clock.column || first.clock.is_some() && clocks.contains(&c);
@@ -113,7 +116,7 @@ const FEWEST_ROWS: usize = 50;
 /// What columns without a word that says so are: by their unit, or, of angles, by which follows which.
 fn by_numbers(
     sheet: &dyn Sheet,
-    robot: &RobotModel,
+    joint: &dyn Fn(&Words) -> Option<usize>,
     clock: &str,
 ) -> BTreeMap<String, &'static str> {
     let mut out = BTreeMap::new();
@@ -122,7 +125,7 @@ fn by_numbers(
     let mut known: BTreeMap<(usize, &str), &str> = BTreeMap::new();
     for column in sheet.header().into_iter().filter(|c| *c != clock && sheet.hint(c).is_none()) {
         let words = Words::of(column);
-        let Some(joint) = words.joint(robot) else { continue };
+        let Some(joint) = joint(&words) else { continue };
         match (words.kind(), words.unit) {
             (Some(kind), _) => {
                 known.insert((joint, kind), column);
@@ -234,6 +237,8 @@ struct Draft<'a> {
     unread: Vec<String>,
     /// What columns of the present sheet are by their units and numbers.
     by_numbers: BTreeMap<String, &'static str>,
+    /// Joints of columns that name none.
+    order: Order,
     out: String,
 }
 
@@ -284,7 +289,8 @@ impl Draft<'_> {
     fn column(&mut self, number: usize, sheet: &dyn Sheet, column: &str) {
         let values = self.numbers(number, column);
         let hint = sheet.hint(column);
-        match self.said(column, hint, &values) {
+        let file = self.recordings[0].file_of(sheet).filter(|_| hint.is_none());
+        match self.said(column, hint, file, &values) {
             Ok((name, joint, unit_name)) => {
                 if self.read.contains(&name) {
                     let header = quoted(column);
@@ -293,16 +299,21 @@ impl Draft<'_> {
                     return;
                 }
                 let _ = writeln!(self.out, "\n[[signal]]\nsignal = {}", quoted(&name));
+                if hint.is_none()
+                    && joint.is_some()
+                    && Words::of(column).joint(self.robot).is_none()
+                {
+                    self.out.push_str(
+                        "# it names no joint: this one is guessed by its place or number\n",
+                    );
+                }
                 if self.by_numbers.contains_key(column) {
                     self.out.push_str(
                         "# its name says nothing: guessed by its unit and by what follows what\n",
                     );
                 }
-                let several = self.recordings.iter().any(|r| r.sheets.len() > 1);
-                if let (true, None, Some(file)) =
-                    (several, hint, Path::new(sheet.name()).file_name())
-                {
-                    let _ = writeln!(self.out, "file = {}", quoted(&file.to_string_lossy()));
+                if let Some(file) = file {
+                    let _ = writeln!(self.out, "file = {}", quoted(file));
                 }
                 let _ = writeln!(self.out, "column = {}\nunit = \"{unit_name}\"", quoted(column));
                 if let Some(word) = Words::of(column).strange_unit {
@@ -336,17 +347,18 @@ impl Draft<'_> {
         }
     }
 
-    /// Which signal a column is, of which joint, in which unit; else why it is none.
+    /// Which signal a column is (of a `file` among several), of which joint, in which unit; else why it is none.
     fn said(
         &self,
         column: &str,
         hint: Option<&Hint>,
+        file: Option<&str>,
         values: &[f64],
     ) -> Result<(String, Option<usize>, &'static str), String> {
         let words = Words::of(column);
         let kind = match hint {
             Some(hint) => Some(hint.kind).filter(|kind| !kind.is_empty()),
-            None => words.kind().or(self.by_numbers.get(column).copied()),
+            None => words.kind_in(file).or(self.by_numbers.get(column).copied()),
         };
         let kind = kind.filter(|_| !values.is_empty()).ok_or(String::new())?;
         if let (None, Some(why)) = (hint, words.moves_otherwise()) {
@@ -365,7 +377,10 @@ impl Draft<'_> {
                 }
                 Some(Some(*k))
             }
-            None => Some(words.joint(self.robot)),
+            None => {
+                let by_order = || self.order.joint(&words, self.robot);
+                Some(words.joint(self.robot).or_else(by_order))
+            }
         };
         let (name, joint) = match joint {
             Some(Some(joint)) => {
@@ -526,7 +541,7 @@ mod tests {
             "unit = \"us\"",
             "signal = \"cmd.FL_hip\"\ncolumn = \"FL_hip_cmd\"\nunit = \"rad\"",
             "signal = \"pos.FL_hip\"\ncolumn = \"FL_hip_pos_deg\"\nunit = \"deg\"",
-            "signal = \"pos.FL_thigh\"\ncolumn = \"q_1\"\nunit = \"counts/4096\"",
+            "signal = \"pos.FL_thigh\"\n# it names no joint: this one is guessed by its place or number\ncolumn = \"q_1\"",
             "rad is outside of the joint's range",
             "signal = \"tau.HR_calf\"",
             "signal = \"vel.FL_hip\"\ncolumn = \"FL_hip_vel_deg_s\"\nunit = \"deg/s\"",
@@ -570,5 +585,47 @@ mod tests {
         assert_eq!(drafted.unread, ["a", "b"]);
         assert!(drafted.map.contains("# signal = \"cmd.swing\""));
         assert!(Map::parse("draft", &drafted.map).unwrap_err().to_string().contains("is empty"));
+    }
+
+    /// Joints in another language or by number, a row of units, and joints that are named.
+    #[test]
+    fn columns_that_name_no_joint_have_them_in_order() {
+        let dir = tempfile::tempdir().unwrap();
+        let read = |robot: &str, text: &str| {
+            let file = dir.path().join("run.csv");
+            std::fs::write(&file, text).unwrap();
+            let recordings = open(&file, Format::Csv, None).unwrap();
+            let drafted = map(&recordings, &super::tests::robot(robot)).unwrap();
+            let run = Map::parse("draft", &drafted.map).map(|map| {
+                apply(&recordings[0], &map, &super::tests::robot(robot)).unwrap().rows.len()
+            });
+            (drafted.read, drafted.unread, run.unwrap())
+        };
+        let names = super::tests::robot("quadruped").actuated_names().join(" ");
+        let joints: Vec<&str> = names.split(' ').collect();
+        // twelve, from 1 on, the tenth before the second
+        let numbers: Vec<String> = (1..=12).map(|k| k.to_string()).collect();
+        let mut shuffled = numbers.clone();
+        shuffled.sort();
+        let header: Vec<String> =
+            shuffled.iter().map(|k| format!("q_ref{k},motor_{k}_angle")).collect();
+        let row = vec!["0.1"; 25].join(",");
+        let text = format!("t,{}\n{row}\n", header.join(","));
+        let (read_of, unread, rows) = read("quadruped", &text);
+        assert!(unread.is_empty() && rows == 1, "{unread:?}");
+        assert_eq!(read_of[..2], [format!("cmd.{}", joints[0]), format!("pos.{}", joints[0])]);
+        assert_eq!(read_of[2], format!("cmd.{}", joints[9]), "the tenth, called 10");
+        // two that are left are those without a column
+        let named: Vec<String> = joints[2..].iter().map(|j| format!("{j} Soll")).collect();
+        let row = vec!["2.0"; 15].join(",");
+        let units = vec!["deg"; 14].join(",");
+        let text = format!(
+            "Zeit,{},Ist Oberschenkel,Soll Oberschenkel,Soll Hüfte,Ist Hüfte\ns,{units}\n{row}\n",
+            named.join(",")
+        );
+        let (read_of, unread, rows) = read("quadruped", &text);
+        assert!(unread.is_empty() && rows == 1, "{unread:?}");
+        let last = [(0, "pos"), (0, "cmd"), (1, "cmd"), (1, "pos")];
+        assert_eq!(read_of[10..], last.map(|(j, kind)| format!("{kind}.{}", joints[j])));
     }
 }

@@ -12,6 +12,7 @@ pub mod draft;
 pub mod lerobot;
 pub mod map;
 mod open;
+mod order;
 mod run;
 pub mod sheet;
 mod trajectory;

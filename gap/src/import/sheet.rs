@@ -1,6 +1,7 @@
 //! What every form of recording is read into: sheets of named columns whose rows share stamps.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use super::run::ImportError;
 
@@ -25,6 +26,14 @@ pub struct Recording {
     pub unread: Vec<String>,
     /// What the reader noticed, one line each.
     pub notes: Vec<String>,
+}
+
+impl Recording {
+    /// The name of the file that a sheet is, where there are several.
+    pub(super) fn file_of<'a>(&self, sheet: &'a dyn Sheet) -> Option<&'a str> {
+        let name = Path::new(sheet.name()).file_name().and_then(|name| name.to_str());
+        name.filter(|_| self.sheets.len() > 1)
+    }
 }
 
 /// A column of times.

@@ -41,7 +41,7 @@ pub(super) fn joint_called(robot: &RobotModel, text: &str) -> Option<usize> {
 pub(super) struct Words {
     /// Lower case, letters and digits only.
     words: Vec<String>,
-    whole: String,
+    pub(super) whole: String,
     pub(super) unit: Option<&'static str>,
     /// What brackets say and no unit is called.
     pub(super) strange_unit: Option<String>,
@@ -119,9 +119,14 @@ impl Words {
         any.split(' ').any(|word| self.words.iter().any(|w| w == word))
     }
 
+    /// The same, whatever number stands behind it (`q1`, `ref2`).
+    fn says(&self, any: &str) -> bool {
+        any.split(' ').any(|word| self.words.iter().any(|w| parted(w).0 == word))
+    }
+
     pub(super) fn kind(&self) -> Option<&'static str> {
-        let kind = KIND_WORDS.iter().find(|(_, words)| self.has(words)).map(|k| k.0);
-        match (self.has(COMMANDS), kind) {
+        let kind = KIND_WORDS.iter().find(|(_, words)| self.says(words)).map(|k| k.0);
+        match (self.says(COMMANDS), kind) {
             (true, None | Some("pos")) => Some("cmd"),
             // a commanded speed or torque is nothing that a log has
             (true, Some(_)) => None,
@@ -129,19 +134,45 @@ impl Words {
         }
     }
 
-    /// The actuated joint that the header names, the only one, or the one with its number (from 0).
-    pub(super) fn joint(&self, robot: &RobotModel) -> Option<usize> {
-        let names = robot.actuated_names();
-        if names.len() == 1 {
-            return Some(0);
+    /// The same of a column in one of several files, whose name may say it: `commands.csv`, `positions.csv`.
+    pub(super) fn kind_in(&self, file: Option<&str>) -> Option<&'static str> {
+        let file = file.map(|name| Self::of(name.rsplit_once('.').map_or(name, |parts| parts.0)));
+        match (self.kind(), file) {
+            (None | Some("pos"), Some(file)) if file.says(COMMANDS) => Some("cmd"),
+            (Some(_), Some(file)) if file.says(COMMANDS) => None,
+            (kind, file) => kind.or(file.and_then(|file| file.kind())),
         }
-        let number = || {
-            let last = self.words.last()?;
-            let digits = last.trim_start_matches(|c: char| !c.is_ascii_digit());
-            digits.parse().ok().filter(|&j: &usize| j < names.len())
-        };
-        joint_called(robot, &self.whole).or_else(number)
     }
+
+    /// The actuated joint that the header names, or the only one.
+    pub(super) fn joint(&self, robot: &RobotModel) -> Option<usize> {
+        match robot.actuated().len() {
+            1 => Some(0),
+            _ => joint_called(robot, &self.whole),
+        }
+    }
+
+    /// What is left of it without the words that tell a kind of signal; `None`: nothing.
+    pub(super) fn label(&self) -> Option<String> {
+        let kinds = KIND_WORDS.iter().flat_map(|(_, words)| words.split(' '));
+        let left = self.words.iter().map(|word| {
+            let (text, number) = parted(word);
+            let tells = COMMANDS.split(' ').chain(kinds.clone()).any(|known| known == text);
+            if tells { number } else { word }
+        });
+        let left: Vec<&str> = left.filter(|word| !word.is_empty()).collect();
+        (!left.is_empty()).then(|| left.join(" "))
+    }
+
+    /// The last number in it.
+    pub(super) fn number(&self) -> Option<usize> {
+        self.words.iter().rev().find_map(|word| parted(word).1.parse().ok())
+    }
+}
+
+/// A word without the number behind it, and that number.
+fn parted(word: &str) -> (&str, &str) {
+    word.split_at(word.trim_end_matches(|c: char| c.is_ascii_digit()).len())
 }
 
 #[cfg(test)]
@@ -196,5 +227,17 @@ mod tests {
             let said = (words.unit, words.strange_unit.as_deref());
             assert_eq!(said, (unit, strange), "{header}");
         }
+    }
+
+    #[test]
+    fn the_name_of_a_file_says_what_its_columns_are() {
+        let kind = |column: &str, file: &str| Words::of(column).kind_in(Some(file));
+        assert_eq!(kind("elbow", "commands.csv"), Some("cmd"));
+        assert_eq!(kind("elbow_pos", "joint_commands.csv"), Some("cmd"));
+        assert_eq!(kind("elbow_vel", "commands.csv"), None, "a commanded speed is no signal");
+        assert_eq!(kind("elbow_vel", "positions.csv"), Some("vel"));
+        assert_eq!(kind("elbow", "motor_currents.csv"), Some("cur"));
+        assert_eq!(kind("elbow", "states.csv"), None);
+        assert_eq!(Words::of("elbow").kind_in(None), None);
     }
 }
