@@ -177,7 +177,8 @@ fn round(x: f64) -> f64 {
 /// Whether a robot can be trained to walk at all; training and `caudata robot check` ask the same.
 ///
 /// # Errors
-/// [`ConfigError::Robot`] for a robot that is held, touches nothing, or has a joint that no policy can name.
+/// [`ConfigError::Robot`] for a robot that is held, touches nothing, has a joint that no policy can name, or an IMU
+/// that is mounted turned over.
 pub fn can_walk(model: &RobotModel) -> Result<(), ConfigError> {
     let mut geoms = model.links().iter().flat_map(|l| &l.geoms);
     let why = if model.base() == BaseKind::Fixed {
@@ -189,10 +190,28 @@ pub fn can_walk(model: &RobotModel) -> Result<(), ConfigError> {
         .and_then(|()| JointTable::from_model(model).map(drop))
     {
         format!("cannot be trained: {error}")
+    } else if let Some(tilt) = imu_tilt_rad(model).filter(|tilt| *tilt > IMU_TILT_MAX_RAD) {
+        format!(
+            "has an IMU that is mounted tilted by {:.0}°, so policies, which take what it feels for the trunk's, would \
+             fall at once; turn its site in the MJCF until x is forward and z up (`robot import` does)",
+            tilt.to_degrees()
+        )
     } else {
         return Ok(());
     };
     Err(ConfigError::Robot(format!("robot '{}' {why}", model.name())))
+}
+
+/// A tilt of the IMU up to this is one of its mounting and shows in what it reads, rad.
+const IMU_TILT_MAX_RAD: f64 = 0.35;
+
+/// How far the IMU's z axis is off the vertical in the nominal pose.
+fn imu_tilt_rad(model: &RobotModel) -> Option<f64> {
+    let site = model.imu_site()?;
+    let pos = model.full_pos_rad(model.nominal_pos_rad()).ok()?;
+    let places = model.kinematics(&Pose::IDENTITY, &pos).ok()?;
+    let up = places.links[site.link].compose(&site.link_from_site).rotate([0.0, 0.0, 1.0]);
+    Some(up[2].clamp(-1.0, 1.0).acos())
 }
 
 /// Whether the networks of a training may treat left and right alike: the robot is its own mirror image, and
