@@ -106,6 +106,7 @@ impl SimLink {
                 Err(FrameError::Io(e)) if e.kind() == ErrorKind::Interrupted => {}
                 Err(e) if e.is_timeout() && Instant::now() < end => {}
                 Err(e) if e.is_timeout() => return Err(BusError::Timeout { deadline }),
+                Err(e @ FrameError::TooLarge { .. }) => return Err(self.protocol(e.to_string())),
                 Err(e) => return Err(lost(e.to_string())),
             }
         }
@@ -253,4 +254,33 @@ fn connect(address: &str) -> Result<TcpStream, String> {
         }
     }
     Err(reason)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::{Read, Write};
+    use std::net::TcpListener;
+
+    #[test]
+    fn a_program_of_another_protocol_is_told_from_a_robot_that_is_lost() {
+        let answer = |bytes: &'static [u8]| {
+            let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+            let address = listener.local_addr().unwrap().to_string();
+            let server = std::thread::spawn(move || {
+                let mut client = listener.accept().unwrap().0;
+                client.read_exact(&mut [0; 4]).unwrap();
+                client.write_all(bytes).unwrap();
+            });
+            let met = SimLink::connect(&address, &crate::testing::model(), 0.02).map(drop);
+            server.join().unwrap();
+            met.unwrap_err()
+        };
+        // read as a length, "HTTP" is more than any message has
+        let error = answer(b"HTTP/1.1 400 Bad Request\r\n\r\n");
+        assert!(matches!(error, BusError::Protocol { .. }), "{error}");
+        assert!(error.to_string().contains("do not speak the same protocol"), "{error}");
+        let error = answer(b"");
+        assert!(matches!(error, BusError::Lost { .. }), "{error}");
+    }
 }

@@ -34,7 +34,7 @@ pub mod row;
 pub mod termination;
 
 pub use config::TaskConfig;
-pub use contract::{ContractDifference, PolicyContract, check_joint_names};
+pub use contract::{CommandContract, ContractDifference, PolicyContract, check_joint_names};
 pub use critic::Critic;
 pub use error::TaskError;
 pub use joints::{BodyPlan, JointTable};

@@ -148,9 +148,10 @@ pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
     };
     let go_on = || process.stop.reason().is_none();
     let mut share = say::Share::new("scenarios", evaluation.scenarios());
+    let trained = &policy.metadata().contract.command;
     let mut show = |engine: &str, scenario: &ScenarioResult| {
         if !args.json {
-            share.above(|| show::print_on(engine, scenario));
+            share.above(|| show::print_on(engine, scenario, trained));
         }
         share.one_more();
     };

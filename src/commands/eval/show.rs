@@ -3,6 +3,7 @@
 use caudata_evaluation::{
     AnimalRow, Estimate, Row, ScenarioResult, SuiteResult, TransitionResult, animal_score,
 };
+use caudata_task::CommandContract;
 use caudata_task::termination::TerminationReason;
 
 use crate::say;
@@ -17,10 +18,24 @@ pub fn print(r: &ScenarioResult) {
     body(r);
 }
 
-/// One scenario, with the name of the engine.
-pub fn print_on(engine: &str, r: &ScenarioResult) {
+/// One scenario, with the name of the engine, by a policy that was trained with such commands.
+pub fn print_on(engine: &str, r: &ScenarioResult, trained: &CommandContract) {
     say::line(format!("{} on {engine}: {}", r.name, episodes(r)));
+    if let Some(beyond) = beyond(r.command, trained) {
+        say::line(format!("  beyond what it was trained for: {beyond}"));
+    }
     body(r);
+}
+
+/// Which part of a command (vx, vy, m/s; yaw rate, rad/s) no command of the training had.
+fn beyond(command: [f64; 3], trained: &CommandContract) -> Option<String> {
+    const ROUNDING: f64 = 1e-4;
+    let ranges = [trained.vx_mps, trained.vy_mps, trained.yaw_rate_radps];
+    let names = ["vx, m/s", "vy, m/s", "yaw rate, rad/s"];
+    let mut parts = names.into_iter().zip(command).zip(ranges.map(|range| range.map(f64::from)));
+    let ((name, _), [low, high]) =
+        parts.find(|((_, x), [low, high])| *x < low - ROUNDING || *x > high + ROUNDING)?;
+    Some(format!("{low:.2} to {high:.2} ({name})"))
 }
 
 /// What is said after all scenarios: the second engine, the targets.
@@ -247,4 +262,20 @@ fn shore(t: &TransitionResult) {
 fn each(values: &[f64], show: impl Fn(f64) -> String) -> String {
     let shown: Vec<String> = values.iter().map(|&v| show(v)).collect();
     shown.join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_speed_that_no_command_had_is_told() {
+        let trained =
+            CommandContract { vx_mps: [-0.1, 0.3], vy_mps: [0.0; 2], yaw_rate_radps: [-0.6, 0.6] };
+        assert_eq!(beyond([0.3, 0.0, -0.6], &trained), None);
+        let what = "-0.10 to 0.30 (vx, m/s)";
+        assert_eq!(beyond([0.5, 0.0, 0.0], &trained).as_deref(), Some(what));
+        let what = "-0.60 to 0.60 (yaw rate, rad/s)";
+        assert_eq!(beyond([0.2, 0.0, 0.7], &trained).as_deref(), Some(what));
+    }
 }

@@ -13,6 +13,7 @@ use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
 use serde::Serialize;
 
 use super::accounting::{Balance, balance};
+use super::after_training;
 use super::choose::{self, CHOSEN, Choice, choose};
 use super::folder::RunFolder;
 use super::robot::{RobotRun, run_robot};
@@ -50,6 +51,11 @@ pub struct Report {
     evaluation: Option<ScenarioResult>,
     /// On the simulated robot, if it was run there.
     robot: Option<RobotRun>,
+    /// Why it was not run there, though it was to be.
+    robot_failure: Option<String>,
+    /// The same as a failure of the command.
+    #[serde(skip)]
+    failure: Option<Failure>,
 }
 
 /// The policy's SHA-256 wherever it lies, hex.
@@ -114,13 +120,13 @@ pub fn evaluate(
         evaluation = result.scenarios.into_iter().next();
         share.one_more();
     }
-    // last: what the client refuses to run has its page all the same
-    let robot = match runs {
-        true => {
-            let label = if choice.tried.is_empty() { "latest" } else { CHOSEN };
-            Some(run_robot(config, folder, &outcome.server_addr.to_string(), label, stop)?)
-        }
-        false => None,
+    // last: what the client refuses to run has its page and its report all the same
+    let label = if choice.tried.is_empty() { "latest" } else { CHOSEN };
+    let server = outcome.server_addr.to_string();
+    let ran = runs.then(|| run_robot(config, folder, &server, label, stop)).transpose();
+    let (robot, failure) = match ran {
+        Ok(robot) => (robot, None),
+        Err(failure) => (None, Some(after_training(failure, folder))),
     };
     let finished = outcome.finished.clone();
     let robot_hash = robot.as_ref().map(|robot| robot.policy_sha256.clone());
@@ -147,6 +153,8 @@ pub fn evaluate(
         finished,
         evaluation,
         robot,
+        robot_failure: failure.as_ref().map(ToString::to_string),
+        failure,
     })
 }
 
@@ -183,9 +191,9 @@ impl ActorsHash {
 }
 
 impl Report {
-    /// An error when the run broke a promise: a chunk unaccounted for, or a policy that is not the same
-    /// everywhere.
-    pub fn verdict(&self) -> Result<(), Failure> {
+    /// An error when the run broke a promise: a chunk unaccounted for, a policy that is not the same everywhere, or
+    /// one that the robot client did not run.
+    pub fn verdict(self) -> Result<(), Failure> {
         if let Some(problem) = self.accounting.problems.first() {
             return Err(Failure::message(ExitCode::Internal, format!("accounting: {problem}")));
         }
@@ -193,7 +201,7 @@ impl Report {
             let message = "the policy is not the same everywhere; report.json has the hashes";
             return Err(Failure::message(ExitCode::Internal, message));
         }
-        Ok(())
+        self.failure.map_or(Ok(()), Err)
     }
 
     fn path(&self, name: &str) -> String {
@@ -353,6 +361,8 @@ mod tests {
             },
             evaluation: Some(ScenarioResult::default()),
             robot: None,
+            robot_failure: None,
+            failure: None,
         };
         let report = serde_json::to_value(&report).unwrap();
         let objects = [

@@ -266,9 +266,12 @@ fn source(args: &TrainArgs, resumed: Option<&Path>) -> Source {
     source
 }
 
-/// Training itself went well: the policy is there.
+/// Training itself went well: the policy is there, and is refused or can be tried again.
 fn after_training(failure: Failure, folder: &RunFolder) -> Failure {
     let policy = folder.policy().display().to_string();
+    if start::is_refusal(failure.code()) {
+        return failure.context(format!("training is complete, its policy is {policy}"));
+    }
     failure.context("training is complete, its evaluation is not").hint(format!(
         "the last policy is {policy}; make up for it with: caudata train --resume --out {}",
         folder.root().display()

@@ -113,7 +113,7 @@ fn free_name(path: &Path) -> PathBuf {
 }
 
 impl RobotRun {
-    /// As lines for a person. Nothing is judged: a fall is called a fall.
+    /// As lines for a person. No speed is judged; what does not last is a warning.
     pub fn print(&self) {
         let summary = &self.summary;
         let number = |value: &Value| value.as_f64();
@@ -127,6 +127,12 @@ impl RobotRun {
                 _ => "no pose known".into(),
             }
         ));
+        if ended != "time" && ended != "signal" {
+            say::line(format!(
+                "warning: this policy does not last on the simulated robot ({ended} after {walked:.1} s), where gravity is \
+                 estimated and commands come late: its log is below"
+            ));
+        }
         let count = |key: &str| summary[key].as_u64().unwrap_or(0);
         say::line(format!(
             "  {} ticks, {} overruns, {} late readings, tick p50 {:.2} ms p99 {:.2} ms",
