@@ -16,10 +16,10 @@ const KIND_WORDS: &[(&str, &str)] = &[
     ("pwm", "pwm duty"),
     (
         "pos",
-        "pos position positions angle angles q encoder present actual measured theta ist winkel mesure medida",
+        "pos position positions angle angles q encoder present actual measured meas feedback fb theta ist winkel mesure medida",
     ),
 ];
-pub(super) const COMMANDS: &str = "goal goals cmd command commands commanded target targets desired des setpoint reference ref soll consigne consigna";
+pub(super) const COMMANDS: &str = "goal goals cmd command commands commanded target targets desired des setpoint sp reference ref soll consigne consigna";
 pub(super) const CLOCKS: &str =
     "t time timestamp stamp clock seconds datetime zeit zeitstempel temps tiempo";
 
