@@ -133,6 +133,12 @@ class VecEnv(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
         infos = {} if ended is None else self._infos(ended, observations)
         return self._observed(observations), rewards, terminated, truncated, infos
 
+    def picture(self, lane: int = 0, width: int = 640, height: int = 360) -> NDArray[np.uint8]:
+        """The robot of a lane as it is now, RGB, ``[height, width, 3]``; of a lane whose episode ended, the next one's
+        start."""
+        self._must_be_open()
+        return self._core.picture(lane, width, height)
+
     def set_progress(self, env_steps_total: int) -> None:
         """Tells how many environment steps were trained for in all; pushes and costs of some presets grow with it."""
         self._core.set_progress(env_steps_total)
@@ -235,12 +241,16 @@ def make_vec(
 class Env(gymnasium.Env[Array, Array]):
     """One environment, for what takes only one. Use :func:`make` to make one; :func:`make_vec` is much faster."""
 
-    metadata: Dict[str, Any] = {"render_modes": []}
+    metadata: Dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}
 
-    def __init__(self, lanes: VecEnv) -> None:
+    def __init__(self, lanes: VecEnv, render_mode: Optional[str] = None) -> None:
         if lanes.num_envs != 1:
             raise ValueError("one environment is wanted, not %d" % lanes.num_envs)
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError("render_mode is 'rgb_array' or None, not %r" % render_mode)
         self.lanes = lanes
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": round(1 / lanes.control_period_s)}
         self.observation_space = lanes.single_observation_space
         self.action_space = lanes.single_action_space
 
@@ -264,6 +274,10 @@ class Env(gymnasium.Env[Array, Array]):
             info["episode"] = {"r": float(episode["r"][0]), "l": int(episode["l"][0])}
         return observation, float(rewards[0]), bool(terminated[0]), bool(truncated[0]), info
 
+    def render(self) -> Optional[NDArray[np.uint8]]:  # type: ignore[override]
+        """With ``render_mode="rgb_array"`` the robot as it is now (:meth:`VecEnv.picture`)."""
+        return self.lanes.picture() if self.render_mode else None
+
     def close(self) -> None:
         """As :meth:`VecEnv.close`."""
         self.lanes.close()
@@ -272,10 +286,12 @@ class Env(gymnasium.Env[Array, Array]):
 def make(
     robot: "str | os.PathLike[str] | None" = None,
     task: "str | os.PathLike[str] | None" = None,
+    *,
+    render_mode: Optional[str] = None,
     **options: Any,
 ) -> Env:
-    """One environment; the options are those of :func:`make_vec`."""
-    return Env(make_vec(robot, task, 1, **options))
+    """One environment; with ``render_mode="rgb_array"`` it draws. The other options are those of :func:`make_vec`."""
+    return Env(make_vec(robot, task, 1, **options), render_mode)
 
 
 def _toml(value: Any) -> str:

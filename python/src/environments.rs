@@ -6,10 +6,14 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use caudata_config::{Config, Source, robot_assignment};
 use caudata_durable::set_home;
 use caudata_env::{EpisodeStats, StepOutput, VecEnv};
-use caudata_model::RobotModel;
+use caudata_model::{Pose, RobotModel};
+use caudata_render::{Moment, Quality, View, portrait};
 use caudata_task::reward::TERMS;
-use numpy::{PyArray1, PyArray2, PyReadonlyArray2, PyReadwriteArray1, PyReadwriteArray2};
-use pyo3::exceptions::PyValueError;
+use numpy::{
+    PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadwriteArray1,
+    PyReadwriteArray2,
+};
+use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
 use pyo3::types::{PyBytes, PyDict};
@@ -26,6 +30,8 @@ pub struct Environments {
     env: Mutex<VecEnv>,
     /// `None`: nobody reads them, and they are not filled.
     signals: Option<Signals>,
+    /// Distance of the camera in the first picture.
+    distance_m: Mutex<Option<f64>>,
 }
 
 impl Environments {
@@ -84,6 +90,7 @@ impl Environments {
             env: Mutex::new(env),
             config,
             model,
+            distance_m: Mutex::default(),
         })
     }
 
@@ -184,6 +191,33 @@ impl Environments {
         self.show(py, &mut observations)
     }
 
+    /// A lane's robot as it is now, RGB. `[height, width, 3]`
+    fn picture<'py>(
+        &self,
+        py: Python<'py>,
+        lane: usize,
+        width: u32,
+        height: u32,
+    ) -> PyResult<Bound<'py, PyArray3<u8>>> {
+        let (moment, terrain) = {
+            let env = self.lock(py);
+            if lane >= env.lanes() {
+                let message = format!("lane {lane} of {}: they count from 0", env.lanes());
+                return Err(PyIndexError::new_err(message));
+            }
+            (moment(&env, lane), Arc::new(env.engine().terrain().clone()))
+        };
+        let quality =
+            Quality { width, height, rays: 2, threads: self.config.actors.threads as usize };
+        let drawn = py.detach(|| {
+            let mut far = self.distance_m.lock().unwrap_or_else(PoisonError::into_inner);
+            portrait(&self.model, &moment, &terrain, (View::Iso, 0.0), &mut far, &quality)
+        });
+        let image = drawn.map_err(refused)?;
+        let flat = PyArray1::from_slice(py, image.rgb());
+        flat.reshape([height as usize, width as usize, 3])
+    }
+
     /// Tells how many environment steps were done in all; pushes and costs may grow with it.
     fn set_progress(&self, py: Python<'_>, env_steps_total: u64) {
         self.lock(py).set_progress(env_steps_total);
@@ -244,6 +278,25 @@ fn build(config: &Config, model: &Arc<RobotModel>, seed: u64) -> PyResult<VecEnv
     );
     let engine = engine.map_err(refused)?;
     VecEnv::new(Arc::clone(model), config.task.clone(), engine, seed, 0).map_err(refused)
+}
+
+/// Where a lane's robot is.
+fn moment(env: &VecEnv, lane: usize) -> Moment {
+    let state = env.state();
+    let joints = state.joint_pos_rad.len() / env.lanes();
+    let of = |values: &[f32], width: usize| -> Vec<f64> {
+        values[lane * width..][..width].iter().map(|&x| f64::from(x)).collect()
+    };
+    let (pos_m, quat) = (of(&state.base_pos_m, 3), of(&state.base_quat_wxyz, 4));
+    Moment {
+        time_s: 0.0,
+        base: Pose {
+            pos_m: std::array::from_fn(|i| pos_m[i]),
+            quat_wxyz: std::array::from_fn(|i| quat[i]),
+        },
+        joint_pos_rad: of(&state.joint_pos_rad, joints),
+        contacts: Vec::new(),
+    }
 }
 
 fn slices<'a>(held: &'a mut [numpy::PyReadwriteArrayDyn<'_, f32>]) -> PyResult<Vec<&'a mut [f32]>> {

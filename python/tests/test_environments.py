@@ -29,9 +29,29 @@ class Environments(unittest.TestCase):
     def test_gymnasiums_own_checker_has_nothing_to_say(self):
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            # No pictures, no registration, observations without bounds, actions beyond one: all that is allowed.
-            warnings.filterwarnings("ignore", message=".*(render|spec|infinity|symmetric).*")
-            check_env(caudata.make("polymander", "quick"), skip_render_check=True)
+            # No registration, observations without bounds, actions beyond one: all that is allowed.
+            warnings.filterwarnings("ignore", message=".*(spec|infinity|symmetric).*")
+            check_env(caudata.make("polymander", "quick", render_mode="rgb_array"))
+
+    def test_a_picture_shows_what_moves(self):
+        env = caudata.make("quadruped", render_mode="rgb_array")
+        env.reset(seed=2)
+        before = env.render()
+        self.assertEqual((before.shape, before.dtype), ((360, 640, 3), np.uint8))
+        np.testing.assert_array_equal(before, env.render())
+        for _ in range(10):
+            env.step(env.action_space.low)
+        after = env.render()
+        changed = (before.astype(int) - after).any(axis=2).mean()
+        self.assertTrue(0.001 < changed < 0.9, changed)
+        envs = caudata.make_vec("quadruped", num_envs=2)
+        self.assertEqual(envs.picture(1, width=64, height=48).shape, (48, 64, 3))
+        for lane, width in ((2, 64), (0, 3)):
+            with self.assertRaises((IndexError, ValueError)):
+                envs.picture(lane, width=width)
+        self.assertIsNone(caudata.make("quadruped").render())
+        with self.assertRaisesRegex(ValueError, "rgb_array"):
+            caudata.make("quadruped", render_mode="human")
 
     def test_it_is_a_vector_environment_of_gymnasium(self):
         envs = caudata.make_vec("polymander", "quick", LANES)

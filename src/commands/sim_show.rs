@@ -7,7 +7,7 @@ use std::sync::Arc;
 use caudata_config::{Config, ConfigArgs};
 use caudata_env::StartShift;
 use caudata_model::{Pose, RobotModel};
-use caudata_render::{Camera, Image, Quality, Scene, View, encode, render, robot_items};
+use caudata_render::{Image, Moment, Quality, View, encode, portrait};
 use caudata_runlog::{Axis, QuatPart, RunLog, Setting, Signal, Table, meta_file, rows_file};
 use caudata_sim::{InitialState, Terrain, TerrainConfig, TerrainKind};
 use caudata_studies::failures::stopped;
@@ -17,7 +17,7 @@ use clap::{Args, ValueEnum};
 use serde_json::json;
 
 use crate::commands::ground::{degrees, pair, terrain_parser, triple};
-use crate::commands::sim_walk::{Moment, Walk};
+use crate::commands::sim_walk::Walk;
 use crate::commands::{eval, robot};
 use crate::say;
 
@@ -388,9 +388,6 @@ fn draw(
             return Err(stopped(stop));
         }
         let moment = &moments[if turn { 0 } else { k }];
-        let places =
-            model.kinematics(&moment.base, &moment.joint_pos_rad).or_exit(ExitCode::BadInput)?;
-        let com = model.centre_of_mass_m(&places);
         let forward = moment.base.rotate([1.0, 0.0, 0.0]);
         let extra = if turn { TAU * k as f64 / count as f64 } else { 0.0 };
         let yaw = match args.view {
@@ -398,15 +395,9 @@ fn draw(
             View::Top => 0.0,
             _ => heading.follow(forward[1].atan2(forward[0])),
         };
-        let items = robot_items(model, &moment.base, &moment.joint_pos_rad, &moment.contacts)
-            .or_exit(ExitCode::BadInput)?;
-        let scene = Scene::new(&items, Arc::clone(terrain), moment.time_s);
-        let aspect = f64::from(quality.width) / f64::from(quality.height);
-        let fits = || Camera::far_enough_m(args.view, scene.reach_m(com), aspect);
-        let far_m = *distance_m.get_or_insert_with(fits);
-        let camera =
-            Camera::of_view(args.view, com, yaw + extra, far_m).or_exit(ExitCode::BadConfig)?;
-        let mut image = render(&scene, &camera, &quality).or_exit(ExitCode::BadConfig)?;
+        let from = (args.view, yaw + extra);
+        let mut image = portrait(model, moment, terrain, from, &mut distance_m, &quality)
+            .or_exit(ExitCode::BadConfig)?;
         image.caption(&format!(
             "t = {:.2} s   {}   grid 0.1 m, bold 1 m",
             moment.time_s,

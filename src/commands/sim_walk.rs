@@ -7,19 +7,11 @@ use caudata_env::StartShift;
 use caudata_live::{Order, Stage};
 use caudata_model::{Pose, RobotModel};
 use caudata_policy::PolicyFile;
+use caudata_render::Moment;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 
 /// Vertical force from which a foot counts as standing, N: the same as in evaluations.
 const TOUCH_N: f32 = 1.0;
-
-/// One moment of a robot.
-pub struct Moment {
-    pub time_s: f64,
-    pub base: Pose,
-    /// `[J]`, model order.
-    pub joint_pos_rad: Vec<f64>,
-    pub contacts: Vec<bool>,
-}
 
 /// What is drawn of it.
 pub struct Walk {

@@ -7,7 +7,6 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::path::Path;
 
 use caudata_model::{BaseKind, RobotModel};
 
@@ -496,6 +495,7 @@ mod tests {
     use super::super::map::{Map, apply};
     use super::super::{Format, open};
     use super::*;
+    use std::path::Path;
 
     fn robot(name: &str) -> RobotModel {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots");
