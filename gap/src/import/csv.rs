@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use super::run::{ImportError, bytes, file_stem, files_below};
 use super::sheet::{Hint, Joint, Recording, Sheet};
 use super::units::unit_word;
+use super::words::{CLOCKS, Words};
 
 /// The recording at `path`: a file, or of a folder the files that are `named`; all of them where none is.
 ///
@@ -36,6 +37,12 @@ pub fn open(path: &Path, named: &BTreeSet<&str>) -> Result<Recording, ImportErro
         notes: Vec::new(),
     })
 }
+
+/// Headers of a column that says which joint a row is of.
+const KEYS: [&str; 8] =
+    ["joint", "joint_name", "joint_id", "name", "motor", "motor_id", "servo", "servo_id"];
+/// Most joints that such a column names.
+const MOST_JOINTS: usize = 64;
 
 /// A CSV file as text.
 struct Table {
@@ -83,6 +90,7 @@ impl Table {
             )));
         }
         table.take_units();
+        table.spread();
         table.hints = table.named();
         match table.rows.is_empty() {
             true => Err(table.wrong("has no row below its header".to_owned())),
@@ -107,6 +115,40 @@ impl Table {
             *header = format!("{} [{unit}]", header.trim());
         }
         self.rows.remove(0);
+    }
+
+    /// A row for each joint and moment: the other columns become one for each joint, named `elbow angle`.
+    fn spread(&mut self) {
+        let names = |at: usize| -> BTreeSet<String> {
+            let fields = self.rows.iter().map(|(_, row)| row.get(at).map_or("", |f| f.trim()));
+            fields.take_while(|name| !name.is_empty()).map(str::to_owned).collect()
+        };
+        let is_key = |(at, header): &(usize, &String)| {
+            KEYS.contains(&header.trim().to_lowercase().as_str())
+                && (2..=MOST_JOINTS).contains(&names(*at).len())
+        };
+        let Some((key, _)) = self.header.iter().enumerate().find(is_key) else { return };
+        let names: Vec<String> = names(key).into_iter().collect();
+        let columns = std::mem::take(&mut self.header);
+        let (clocks, others): (Vec<usize>, Vec<usize>) = (0..columns.len())
+            .filter(|at| *at != key)
+            .partition(|at| Words::of(&columns[*at]).has(CLOCKS));
+        self.header = clocks.iter().map(|at| columns[*at].clone()).collect();
+        for name in &names {
+            self.header.extend(others.iter().map(|at| format!("{name} {}", columns[*at].trim())));
+        }
+        for (_, row) in &mut self.rows {
+            row.resize(columns.len(), String::new());
+            let mut spread: Vec<String> = clocks.iter().map(|at| row[*at].clone()).collect();
+            for name in &names {
+                let field = |at: &usize| match row[key].trim() == name {
+                    true => row[*at].clone(),
+                    false => String::new(),
+                };
+                spread.extend(others.iter().map(field));
+            }
+            *row = spread;
+        }
     }
 
     /// Joints of a joint state that was flattened: `name0` holds what `position0` is of, if that never changes.
@@ -345,5 +387,24 @@ mod tests {
         let map = Map::parse("map.toml", MAP).unwrap();
         let error = read(dir.path(), &map, &robot()).unwrap_err().to_string();
         assert!(error.contains("has no column `goals`; it has stamp, goal"), "{error}");
+    }
+
+    #[test]
+    fn rows_of_one_joint_each_become_columns() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("long.csv");
+        let text = "time,joint,actual,volts\ns,,deg,V\n0,hip,1,12\n0,knee,2,12\n0.1,hip,3,12\n0.1,knee,4,11\n";
+        std::fs::write(&file, text).unwrap();
+        let recording = open(&file, &BTreeSet::new()).unwrap();
+        let sheet = &recording.sheets[0];
+        let wanted = ["hip actual [deg]", "hip volts [v]", "knee actual [deg]", "knee volts [v]"];
+        assert_eq!(sheet.header()[1..], wanted);
+        assert_eq!(sheet.values("time [s]", None).unwrap(), [0.0, 0.0, 0.1, 0.1].map(Some));
+        let knee = sheet.values("knee actual [deg]", None).unwrap();
+        assert_eq!(knee, [None, Some(2.0), None, Some(4.0)]);
+        // one joint throughout: nothing to be told apart
+        std::fs::write(&file, "time,joint,actual\n0,hip,1\n1,hip,2\n").unwrap();
+        let recording = open(&file, &BTreeSet::new()).unwrap();
+        assert_eq!(recording.sheets[0].header(), ["time", "joint", "actual"]);
     }
 }
