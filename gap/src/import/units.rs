@@ -8,7 +8,7 @@ const UNIT_WORDS: &[(&str, &str)] = &[
     ("mrad", "mrad"),
     ("rad/s", "rad/s rad/sec"),
     ("mrad/s", "mrad/s"),
-    ("deg/s", "deg/s deg/sec °/s"),
+    ("deg/s", "deg/s deg/sec °/s dps"),
     ("rev/s", "rev/s turns/s rps"),
     ("rev/min", "rpm rev/min r/min u/min 1/min min-1"),
     ("counts/4096", "ticks counts"),

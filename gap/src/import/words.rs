@@ -208,6 +208,7 @@ mod tests {
         let cases = [
             ("vel_deg_s", Some("deg/s"), None),
             ("velocity_rad_per_sec", Some("rad/s"), None),
+            ("vel_dps", Some("deg/s"), None),
             ("speed [rpm]", Some("rev/min"), None),
             ("vel_turns_s", Some("rev/s"), None),
             ("torque_Nmm", Some("mNm"), None),
