@@ -269,11 +269,13 @@ fn source(args: &TrainArgs, resumed: Option<&Path>) -> Source {
 /// Training itself went well: the policy is there, and is refused or can be tried again.
 fn after_training(failure: Failure, folder: &RunFolder) -> Failure {
     let policy = folder.policy().display().to_string();
-    if start::is_refusal(failure.code()) {
-        return failure.context(format!("training is complete, its policy is {policy}"));
-    }
+    // what a robot refuses it refuses again
+    let (how, longer) = match failure.code() {
+        ExitCode::PolicyRefused => ("train it longer", " --iterations N"),
+        _ => ("make up for it", ""),
+    };
     failure.context("training is complete, its evaluation is not").hint(format!(
-        "the last policy is {policy}; make up for it with: caudata train --resume --out {}",
+        "the last policy is {policy}; {how} with: caudata train --resume --out {}{longer}",
         folder.root().display()
     ))
 }
