@@ -111,6 +111,11 @@ pub fn import(file: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
         );
         remarks.note_of(&base.element, message);
     }
+    if root.tag == "mujoco" && options.free_base.is_some_and(|free| free != robot.free_base) {
+        let message =
+            "`--base` is of a URDF: an MJCF has a <freejoint/> in its root body where that is free";
+        remarks.note_of(&robot.bodies[0].element, message);
+    }
     let rolls = robot.bodies.iter().any(finish::wheel);
     if robot.free_base && !rolls && robot_toml::feet(&robot).is_empty() {
         let message = "no foot and no wheel: no shape at the end of a leg touches the ground (a mesh that is missing does \

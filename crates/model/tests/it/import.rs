@@ -346,6 +346,18 @@ const BALL: &str = "<geom size=\"0.03\" pos=\"0 0 -0.2\" mass=\"0.3\"/>";
 const DRIVE: &str = "<actuator><position joint=\"hip\" kp=\"9\" forcerange=\"-3 3\"/></actuator>";
 
 #[test]
+fn what_an_mjcf_says_of_its_base_goes_before_the_option() {
+    let told = |free: bool| {
+        let file = File::new("base.xml", &hopper("", "", BALL, DRIVE));
+        let options = ImportOptions { free_base: Some(free), ..ImportOptions::default() };
+        let made = import::import(&file.0, &options).unwrap();
+        assert_eq!(model(&made).base(), BaseKind::Free);
+        made.notes.iter().any(|n| n.to_string().contains("`--base` is of a URDF"))
+    };
+    assert!(told(false) && !told(true));
+}
+
+#[test]
 fn a_key_counts_from_the_ref_of_its_joint() {
     let key = "<keyframe><key name=\"home\" qpos=\"0 0 0.4 1 0 0 0 0.5\"/></keyframe>";
     let text = hopper("", "ref=\"10\"", BALL, &format!("{DRIVE}{key}"));
