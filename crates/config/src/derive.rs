@@ -52,12 +52,8 @@ impl Size {
         // heights of their axles and of their lowest points
         let wheel = |a: usize| {
             let link = model.joints()[model.actuated()[a]].child_link;
-            let bottom = model.links()[link].geoms.iter().filter(|g| g.collides()).map(|geom| {
-                let at = places.links[link].compose(&geom.link_from_geom);
-                at.pos_m[2] - geom.shape.half_extent_m(at.inverse().rotate([0.0, 0.0, 1.0]))
-            });
             let axle_z = places.links[link].pos_m[2];
-            (axle_z, bottom.fold(axle_z, f64::min))
+            (axle_z, model.lowest_m(&places, link).map_or(axle_z, |z| z.min(axle_z)))
         };
         let driven = 0..model.actuated().len();
         let wheels: Vec<(f64, f64)> =

@@ -97,6 +97,15 @@ impl RobotModel {
         }
     }
 
+    /// Height of the lowest point of a link that can touch, m; `None` where nothing of it can.
+    pub fn lowest_m(&self, places: &Kinematics, link: usize) -> Option<f64> {
+        let shapes = self.links[link].geoms.iter().filter(|g| g.collides()).map(|geom| {
+            let at = places.links[link].compose(&geom.link_from_geom);
+            at.pos_m[2] - geom.shape.half_extent_m(at.inverse().rotate([0.0, 0.0, 1.0]))
+        });
+        shapes.min_by(f64::total_cmp)
+    }
+
     /// Positions of all joints `[J]` (model order) from those of the actuated ones (policy order); the others
     /// are 0.
     ///

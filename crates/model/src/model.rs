@@ -2,10 +2,12 @@
 
 use std::f64::consts::TAU;
 
+use crate::error::ModelError;
 use crate::extension::Extension;
 use crate::params::{
     BacklashParams, ContactParams, Gains, SensorParams, ServoParams, SupplyParams, WaterParams,
 };
+use crate::pose::Pose;
 use crate::types::{BaseKind, Foot, Geom, Joint, JointMotion, Link, ROLLS_FROM_RAD, Shape, Site};
 
 /// A robot, loaded from `*.robot.toml` and the MJCF beside it, and checked: a value that exists is valid.
@@ -152,11 +154,29 @@ impl RobotModel {
     }
 
     /// Whether it tips over when it stands still on one foot of a stride, or on its wheels: one or two feet, or
-    /// without feet one or two wheels, and nothing that holds its base.
+    /// without feet one or two driven wheels and no castor, wheel or belly that is as low, and nothing that
+    /// holds its base.
     pub fn balances(&self) -> bool {
-        let wheels = || (0..self.actuated.len()).filter(|&a| self.rolls(a)).count();
-        let stands_on = if self.feet.is_empty() { wheels() } else { self.feet.len() };
-        self.base == BaseKind::Free && matches!(stands_on, 1 | 2)
+        let stands = match self.feet.len() {
+            0 => self.stands_on_wheels_alone().unwrap_or(false),
+            feet => feet <= 2,
+        };
+        self.base == BaseKind::Free && stands
+    }
+
+    /// Whether one or two driven wheels are all that is low in the nominal pose.
+    fn stands_on_wheels_alone(&self) -> Result<bool, ModelError> {
+        let pos = self.full_pos_rad(&self.nominal_pos_rad)?;
+        let places = self.kinematics(&Pose::IDENTITY, &pos)?;
+        let rolling = (0..self.actuated.len()).filter(|&a| self.rolls(a));
+        let wheels: Vec<usize> =
+            rolling.map(|a| self.joints[self.actuated[a]].child_link).collect();
+        let lowest_m = |l: usize| self.lowest_m(&places, l).unwrap_or(f64::INFINITY);
+        // as low as a wheel: less than a tenth of its radius above the ground
+        let low_m = wheels.iter().map(|&l| 0.1 * places.links[l].pos_m[2] + 0.9 * lowest_m(l));
+        let low_m = low_m.fold(f64::INFINITY, f64::min);
+        let bare = |l: usize| wheels.contains(&l) || lowest_m(l) > low_m;
+        Ok(matches!(wheels.len(), 1 | 2) && (0..self.links.len()).all(bare))
     }
 
     /// Whether a shape of a link is a wheel: a cylinder about the hinge that carries the link, which turns by

@@ -134,6 +134,12 @@ fn wheels_are_no_feet_and_a_damping_ratio_becomes_a_gain() {
     assert!(told(&made, "a wheel and no foot") && told(&made, "dampratio"), "{:?}", made.notes);
     let m = model(&made);
     assert!(m.feet().is_empty() && !m.rolls(0) && m.rolls(1) && m.rolls(2) && m.balances());
+    // on a castor, or a belly that lies on the ground, it stands
+    for (z_m, balances) in [(-0.07, false), (-0.03, true)] {
+        let castor = format!("<freejoint/><geom size=\"0.025\" pos=\"-0.2 0 {z_m}\"/>");
+        let text = text(position, velocity).replace("<freejoint/>", &castor);
+        assert_eq!(model(&read("cart.xml", &text).unwrap()).balances(), balances, "{z_m}");
+    }
     let gains = m.gains()[0];
     assert_eq!(model(&read("cart.xml", &text(velocity, position)).unwrap()).gains(), m.gains());
     let by_speed = text(position, velocity)
