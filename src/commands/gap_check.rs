@@ -63,7 +63,7 @@ fn print(checked: &Checked) {
         return;
     }
     say::line(
-        "\nCannot show in these runs (and the trial of `caudata gap excite` that would show it):",
+        "\nHard to see in these runs, if at all (and the trial of `caudata gap excite` that shows it well):",
     );
     let mut by_need: Vec<(String, Vec<&str>)> = Vec::new();
     for (effect, blind) in &checked.cannot_tell {

@@ -178,7 +178,9 @@ fn round(x: f64) -> f64 {
 pub fn can_walk(model: &RobotModel) -> Result<(), ConfigError> {
     let mut geoms = model.links().iter().flat_map(|l| &l.geoms);
     let why = if model.base() == BaseKind::Fixed {
-        "is held (base = \"fixed\"), so it cannot be trained to walk".to_owned()
+        "is held (base = \"fixed\"), so it cannot be trained to walk; a <freejoint/> on its root body frees an MJCF, \
+         `robot import --base free` a URDF"
+            .to_owned()
     } else if !geoms.any(|g| g.collides()) {
         "has no shape that touches the ground, so it falls through it; give its feet and its trunk shapes in the MJCF"
             .to_owned()
