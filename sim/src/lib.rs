@@ -37,7 +37,7 @@ use std::sync::Arc;
 use caudata_model::RobotModel;
 
 pub use config::{EngineConfig, EngineKind, Precision};
-pub use engine::Engine;
+pub use engine::{Engine, Rig};
 pub use error::SimError;
 pub use extension::check_extension;
 pub use momenta::Momenta;

@@ -5,12 +5,13 @@ use super::group::Group;
 use super::pairs::{self, Meeting};
 use super::program::Program;
 use super::rounded::{Box3, Core, nearest};
-use super::vec3::{Inertia, V3, add_scaled, dot, scale, select3, turn};
+use super::vec3::{Inertia, V3, add_scaled, dot, scale, select3, sub, turn};
 use crate::real::Mask;
 use crate::simd::Lanes;
 
 /// Cores nearer than this overlap: the line between their centres is the direction then, m.
 const TOUCHING_M: f64 = 1e-5;
+
 /// Adds what cores that meet do to each other.
 #[inline(always)]
 pub(super) fn collide<R: Lanes>(
@@ -24,13 +25,13 @@ pub(super) fn collide<R: Lanes>(
         let (ca, cb) = (&program.cores[a], &program.cores[b]);
         let (fa, fb) = (&frames[ca.node], &frames[cb.node]);
         let (from, to) = (fa.point(ca.centre), fb.point(cb.centre));
-        let between = subtract(to, from);
+        let between = sub(to, from);
         let bound = R::uniform(ca.bound) + R::uniform(cb.bound);
         if !dot(between, between).lt(bound * bound).any() {
             continue;
         }
         let (near, far) = nearest(&world(ca, fa, from), &world(cb, fb, to));
-        let apart = subtract(far, near);
+        let apart = sub(far, near);
         let reach = R::uniform(ca.radius) + R::uniform(cb.radius);
         let square = dot(apart, apart);
         let on = square.lt(reach * reach);
@@ -54,11 +55,6 @@ pub(super) fn collide<R: Lanes>(
         };
         pairs::push(program, group, frames, inertias, &meeting);
     }
-}
-
-#[inline(always)]
-fn subtract<R: Lanes>(a: V3<R>, b: V3<R>) -> V3<R> {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
 #[inline(always)]

@@ -49,12 +49,11 @@ use self::core::{Core, CoreOf, LaneState, Start};
 pub use self::readout::Readout;
 use crate::config::Precision;
 use crate::drive::loop_memory_steps;
-use crate::engine::{check_new, check_step};
 use crate::error::check_lane;
 use crate::observe::Coordinates;
 use crate::simd::Width;
 use crate::snapshot::{Owner, refused};
-use crate::{Engine, EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
+use crate::{Engine, EngineConfig, InitialState, LaneParams, Rig, SimError, State, Terrain};
 
 /// Most lanes one engine takes; each needs about 20 kB of memory.
 pub const MAX_LANES: usize = 1 << 20;
@@ -64,14 +63,10 @@ const BATCH_FORMAT: &str = "caudata-batch-5";
 
 /// The batch engine.
 pub struct BatchEngine {
-    model: Arc<RobotModel>,
-    config: EngineConfig,
-    terrain: Arc<Terrain>,
+    rig: Rig,
     terrain_mark: u64,
-    params: Vec<LaneParams>,
     core: Box<dyn Core>,
     pool: pool::Pool,
-    state: State,
 }
 
 impl BatchEngine {
@@ -87,27 +82,19 @@ impl BatchEngine {
         terrain: Arc<Terrain>,
         threads: usize,
     ) -> Result<Self, SimError> {
-        check_new(&model, &config, lanes, MAX_LANES)?;
-        let width = width(&config)?;
-        let groups = lanes.div_ceil(width.lanes());
-        let threads = threads.clamp(1, groups);
-        let core = build_core(&model, lanes, &config, &terrain, threads, width)?;
-        let params = vec![LaneParams::nominal(&model); lanes];
-        let state = State::of(&model, lanes);
+        let rig = Rig::new(model, (lanes, MAX_LANES), config, terrain)?;
+        let width = width(&rig.config)?;
+        let threads = threads.clamp(1, lanes.div_ceil(width.lanes()));
         let mut engine = Self {
-            terrain_mark: terrain.fingerprint(),
-            model,
-            config,
-            terrain,
-            params,
-            core,
+            terrain_mark: rig.terrain.fingerprint(),
+            core: build_core(&rig, threads, width)?,
             pool: pool::Pool::new(threads),
-            state,
+            rig,
         };
-        let init = InitialState::nominal(&engine.model);
         for lane in 0..lanes {
-            engine.core.set_params(lane, &engine.model, &engine.config, &engine.params[lane]);
+            engine.take_params(lane);
         }
+        let init = InitialState::nominal(engine.model());
         for lane in 0..lanes {
             engine.reset(lane, &init)?;
         }
@@ -138,26 +125,26 @@ impl BatchEngine {
     /// As [`Engine::reset`].
     pub fn correct(&mut self, lane: usize, init: &InitialState) -> Result<(), SimError> {
         check_lane(lane, self.lanes())?;
-        let at = self.coordinates(lane, init)?;
-        let start = start_of(&self.params[lane], init, &at);
-        let driven = self.model.actuated();
-        self.core.correct(lane, &start, driven, &mut self.state);
+        init.validate(self.model(), lane)?;
+        let at = self.coordinates(init)?;
+        let rig = &mut self.rig;
+        let start = start_of(&rig.params[lane], init, &at);
+        self.core.correct(lane, &start, rig.model.actuated(), &mut rig.state);
         Ok(())
     }
 
     /// Where `init` puts a lane.
-    fn coordinates(&self, lane: usize, init: &InitialState) -> Result<Coordinates, SimError> {
-        init.validate(&self.model, lane)?;
-        Coordinates::start(&self.model, &self.config, &self.terrain, init)
+    fn coordinates(&self, init: &InitialState) -> Result<Coordinates, SimError> {
+        Coordinates::start(self.model(), self.config(), self.terrain(), init)
     }
 
     fn owner(&self) -> Owner<'_> {
         Owner {
             format: BATCH_FORMAT,
-            model_hash: self.model.hash(),
-            config: &self.config,
+            model_hash: self.model().hash(),
+            config: self.config(),
             terrain: self.terrain_mark,
-            lanes: self.params.len(),
+            lanes: self.lanes(),
         }
     }
 }
@@ -200,17 +187,11 @@ fn start_of<'a>(params: &LaneParams, init: &'a InitialState, at: &'a Coordinates
     }
 }
 
-fn build_core(
-    model: &RobotModel,
-    lanes: usize,
-    config: &EngineConfig,
-    terrain: &Terrain,
-    threads: usize,
-    width: Width,
-) -> Result<Box<dyn Core>, SimError> {
+fn build_core(rig: &Rig, threads: usize, width: Width) -> Result<Box<dyn Core>, SimError> {
+    let (model, config, lanes) = (&*rig.model, &rig.config, rig.params.len());
     macro_rules! of {
         ($number:ty) => {
-            Ok(Box::new(CoreOf::<$number>::new(model, lanes, config, terrain, threads)?))
+            Ok(Box::new(CoreOf::<$number>::new(model, lanes, config, &rig.terrain, threads)?))
         };
     }
     if config.precision == Precision::Double {
@@ -228,82 +209,60 @@ fn build_core(
 }
 
 impl Engine for BatchEngine {
-    fn terrain(&self) -> &Terrain {
-        &self.terrain
+    fn rig(&self) -> &Rig {
+        &self.rig
     }
 
-    fn lanes(&self) -> usize {
-        self.params.len()
+    fn rig_mut(&mut self) -> &mut Rig {
+        &mut self.rig
     }
 
-    fn model(&self) -> &RobotModel {
-        &self.model
+    fn take_params(&mut self, lane: usize) {
+        let rig = &self.rig;
+        self.core.set_params(lane, &rig.model, &rig.config, &rig.params[lane]);
     }
 
-    fn config(&self) -> &EngineConfig {
-        &self.config
-    }
-
-    fn params(&self, lane: usize) -> &LaneParams {
-        &self.params[lane]
-    }
-
-    fn set_params(&mut self, lane: usize, params: &LaneParams) -> Result<(), SimError> {
-        check_lane(lane, self.lanes())?;
-        params.validate(&self.model, lane)?;
-        self.params[lane].clone_from(params);
-        self.core.set_params(lane, &self.model, &self.config, params);
+    fn begin(&mut self, lane: usize, init: &InitialState) -> Result<(), SimError> {
+        let at = self.coordinates(init)?;
+        let start = start_of(&self.rig.params[lane], init, &at);
+        self.core.reset(lane, &start, &mut self.rig.state);
         Ok(())
     }
 
-    fn reset(&mut self, lane: usize, init: &InitialState) -> Result<(), SimError> {
-        check_lane(lane, self.lanes())?;
-        let at = self.coordinates(lane, init)?;
-        let start = start_of(&self.params[lane], init, &at);
-        self.core.reset(lane, &start, &mut self.state);
+    fn advance(&mut self, targets_rad: &[f32], wrenches: &[f32]) -> Result<(), SimError> {
+        self.core.step(&self.pool, targets_rad, wrenches, &mut self.rig.state);
         Ok(())
-    }
-
-    fn step(&mut self, targets_rad: &[f32], wrenches: &[f32]) -> Result<(), SimError> {
-        check_step(self, targets_rad, wrenches)?;
-        self.core.step(&self.pool, targets_rad, wrenches, &mut self.state);
-        Ok(())
-    }
-
-    fn state(&self) -> &State {
-        &self.state
     }
 
     fn snapshot(&self) -> Result<Vec<u8>, SimError> {
-        let lanes: Vec<_> = (0..self.params.len()).map(|l| self.core.get(l)).collect();
-        self.owner().save(&(&self.params, lanes, &self.state))
+        let lanes: Vec<_> = (0..self.lanes()).map(|l| self.core.get(l)).collect();
+        self.owner().save(&(&self.rig.params, lanes, &self.rig.state))
     }
 
     fn restore(&mut self, bytes: &[u8]) -> Result<(), SimError> {
         let (params, lanes, state): (Vec<LaneParams>, Vec<LaneState>, State) =
             self.owner().load(bytes)?;
-        let count = self.params.len();
+        let count = self.lanes();
         if [params.len(), lanes.len(), state.lanes] != [count; 3] {
             return Err(refused("it has another number of lanes"));
         }
         for (lane, p) in params.iter().enumerate() {
-            p.validate(&self.model, lane)?;
+            p.validate(self.model(), lane)?;
         }
         let fits = |(lane, p)| {
-            let steps = loop_memory_steps(p, self.config.dt_s);
+            let steps = loop_memory_steps(p, self.config().dt_s);
             self.core.fits(lane, steps)
         };
         if !lanes.iter().zip(&params).all(fits) {
             return Err(refused("its lanes have another layout"));
         }
         for (lane, (p, from)) in params.iter().zip(&lanes).enumerate() {
-            self.core.set_params(lane, &self.model, &self.config, p);
+            self.core.set_params(lane, &self.rig.model, &self.rig.config, p);
             if !self.core.put(lane, from) {
                 return Err(refused("its lanes have another layout"));
             }
         }
-        self.params = params;
-        self.state = state;
+        (self.rig.params, self.rig.state) = (params, state);
         Ok(())
     }
 }

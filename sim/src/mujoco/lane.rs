@@ -51,8 +51,8 @@ impl Lane {
         params: LaneParams,
         init: &InitialState,
     ) -> Result<Self, SimError> {
-        let (model, config) = (&*shared.model, &shared.config);
-        let at = Coordinates::start(model, config, &shared.terrain, init)?;
+        let (model, config) = (&*shared.rig.model, &shared.rig.config);
+        let at = Coordinates::start(model, config, &shared.rig.terrain, init)?;
         let mut robot = Robot::new(model, config);
         robot.place(&at);
         let memory = Memory {
@@ -75,10 +75,10 @@ impl Lane {
         params: LaneParams,
         mut memory: Memory,
     ) -> Result<Self, SimError> {
-        let (model, config) = (&*shared.model, &shared.config);
+        let (model, config) = (&*shared.rig.model, &shared.rig.config);
         memory.drive.fit(config, &params);
         let nominal = InitialState::nominal(model);
-        let mut at = Coordinates::start(model, config, &shared.terrain, &nominal)?;
+        let mut at = Coordinates::start(model, config, &shared.rig.terrain, &nominal)?;
         (at.world_from_base.pos_m, at.world_from_base.quat_wxyz) = memory.held;
         memory.robot.read(&mut at);
         let seen = Observer::new(model, &params, at);
@@ -140,7 +140,7 @@ impl Lane {
         if self.stands_still() {
             return Ok(());
         }
-        let model = &*shared.model;
+        let model = &*shared.rig.model;
         let Memory { drive, robot, .. } = &mut self.memory;
         robot.clear_loads();
         robot.push_link(model.torso_link(), self.wrench);
@@ -164,11 +164,11 @@ impl Lane {
             return;
         }
         let Memory { drive, robot, .. } = &mut self.memory;
-        if !robot.is_sound(&shared.config) {
+        if !robot.is_sound(&shared.rig.config) {
             self.memory.out.diverged[0] = true;
             return;
         }
-        self.drive.account(&shared.model, &shared.stops, robot, drive);
+        self.drive.account(&shared.rig.model, &shared.stops, robot, drive);
         robot.add_contacts(&mut self.contacts_ns);
     }
 
@@ -181,10 +181,10 @@ impl Lane {
         self.memory.robot.read(&mut self.seen.at);
         self.report(shared, Some(self.memory.imu_vel_mps))?;
         let Memory { drive, out, .. } = &mut self.memory;
-        self.drive.write(drive, &shared.model, out);
-        let mean = |sum: f64| (sum / f64::from(shared.config.substeps)) as f32;
+        self.drive.write(drive, &shared.rig.model, out);
+        let mean = |sum: f64| (sum / f64::from(shared.rig.config.substeps)) as f32;
         let (parts, _) = self.contacts_ns.as_chunks::<4>();
-        let (feet, body) = parts.split_at(shared.model.feet().len());
+        let (feet, body) = parts.split_at(shared.rig.model.feet().len());
         for (slot, foot) in out.foot_force_n.chunks_exact_mut(3).zip(feet) {
             slot.copy_from_slice(&[mean(foot[0]), mean(foot[1]), mean(foot[2])]);
         }
@@ -199,7 +199,7 @@ impl Lane {
 
     /// Writes what is seen of the robot where it is, as [`Observer::report`].
     fn report(&mut self, shared: &Shared, before_mps: Option<[f64; 3]>) -> Result<(), SimError> {
-        let (model, config, terrain) = (&shared.model, &shared.config, &shared.terrain);
+        let (model, config, terrain) = (&shared.rig.model, &shared.rig.config, &shared.rig.terrain);
         let (out, gravity) = (&mut self.memory.out, self.params.gravity_mps2);
         let seen = &mut self.seen;
         self.memory.imu_vel_mps = seen.report(out, model, config, terrain, gravity, before_mps)?;
@@ -210,9 +210,9 @@ impl Lane {
 impl Water {
     /// `None` on dry ground, and for a robot whose file knows no water.
     fn new(shared: &Shared, params: &LaneParams) -> Option<Self> {
-        let level = shared.terrain.water_level_m?;
+        let level = shared.rig.terrain.water_level_m?;
         Some(Self {
-            links: WaterLink::all(&shared.model, params)?,
+            links: WaterLink::all(&shared.rig.model, params)?,
             surface: Surface {
                 level_m: f64::from(level + params.water_level_offset_m),
                 current_mps: params.water_current_mps.map(f64::from),

@@ -22,10 +22,9 @@ use std::sync::Arc;
 
 use caudata_model::RobotModel;
 
-use crate::engine::{WRENCH, check_new, check_step};
-use crate::error::check_lane;
+use crate::engine::WRENCH;
 use crate::stop::Stop;
-use crate::{Engine, EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
+use crate::{Engine, EngineConfig, InitialState, Rig, SimError, Terrain};
 use lane::Lane;
 use process::{Process, Request};
 use shared::{Shared, cannot};
@@ -40,9 +39,8 @@ pub struct MujocoEngine {
     shared: Shared,
     process: Process,
     lanes: Vec<Lane>,
-    /// Parameters set since the lane was last built.
-    pending: Vec<Option<LaneParams>>,
-    state: State,
+    /// Lanes whose parameters have changed since they were built.
+    stale: Vec<bool>,
 }
 
 impl MujocoEngine {
@@ -57,26 +55,25 @@ impl MujocoEngine {
         terrain: Arc<Terrain>,
         _threads: usize,
     ) -> Result<Self, SimError> {
-        check_new(&model, &config, lanes, MAX_MUJOCO_LANES)?;
-        if config.self_collision {
+        let rig = Rig::new(model, (lanes, MAX_MUJOCO_LANES), config, terrain)?;
+        if rig.config.self_collision {
             return Err(cannot("self_collision"));
         }
-        if terrain.has_patches() {
+        if rig.terrain.has_patches() {
             return Err(cannot("slippery patches of ground"));
         }
-        let shared = Shared { stops: Stop::all(&model, &config)?, model, config, terrain };
+        let shared = Shared { stops: Stop::all(&rig.model, &rig.config)?, rig };
         let mut engine = Self {
-            process: Process::start(&opening(&shared, lanes))?,
+            process: Process::start(&opening(&shared))?,
             lanes: Vec::with_capacity(lanes),
-            pending: vec![None; lanes],
-            state: State::of(&shared.model, lanes),
+            stale: vec![false; lanes],
             shared,
         };
-        let params = LaneParams::nominal(&engine.shared.model);
-        let init = InitialState::nominal(&engine.shared.model);
+        let init = InitialState::nominal(engine.model());
         for number in 0..lanes {
+            let params = engine.params(number).clone();
             let process = &mut engine.process;
-            let lane = Lane::new(&engine.shared, process, number, params.clone(), &init)?;
+            let lane = Lane::new(&engine.shared, process, number, params, &init)?;
             engine.lanes.push(lane);
             engine.publish(number);
         }
@@ -84,16 +81,18 @@ impl MujocoEngine {
     }
 
     fn publish(&mut self, lane: usize) {
-        self.state.copy_lane(lane, &self.lanes[lane].memory.out);
+        self.shared.rig.state.copy_lane(lane, &self.lanes[lane].memory.out);
     }
 
     /// Builds lanes anew whose parameters have changed.
-    fn take_pending(&mut self) -> Result<(), SimError> {
+    fn take_stale(&mut self) -> Result<(), SimError> {
         for number in 0..self.lanes.len() {
-            let Some(params) = self.pending[number].take() else { continue };
-            let memory = self.lanes[number].memory.clone();
-            let process = &mut self.process;
-            self.lanes[number] = Lane::from_memory(&self.shared, process, number, params, memory)?;
+            if std::mem::take(&mut self.stale[number]) {
+                let (params, memory) =
+                    (self.params(number).clone(), self.lanes[number].memory.clone());
+                let (shared, process) = (&self.shared, &mut self.process);
+                self.lanes[number] = Lane::from_memory(shared, process, number, params, memory)?;
+            }
         }
         Ok(())
     }
@@ -118,11 +117,11 @@ impl MujocoEngine {
 }
 
 /// What the script is told first.
-fn opening(shared: &Shared, lanes: usize) -> Request {
+fn opening(shared: &Shared) -> Request {
     let mut request = Request::new(b'0');
-    request.u32(lanes);
-    request.u32(shared.model.feet().len());
-    let grid = shared.terrain.grid();
+    request.u32(shared.rig.params.len());
+    request.u32(shared.rig.model.feet().len());
+    let grid = shared.rig.terrain.grid();
     request.u32(grid.map_or(0, |g| g.points()));
     request.numbers(&[grid.map_or(0.0, |g| g.size_m())]);
     for &height in grid.map_or(&[][..], |g| g.heights_m()) {
@@ -132,64 +131,42 @@ fn opening(shared: &Shared, lanes: usize) -> Request {
 }
 
 impl Engine for MujocoEngine {
-    fn terrain(&self) -> &Terrain {
-        &self.shared.terrain
+    fn rig(&self) -> &Rig {
+        &self.shared.rig
     }
 
-    fn lanes(&self) -> usize {
-        self.lanes.len()
+    fn rig_mut(&mut self) -> &mut Rig {
+        &mut self.shared.rig
     }
 
-    fn model(&self) -> &RobotModel {
-        &self.shared.model
+    /// MuJoCo's model is made anew with them at the next reset or step, whichever comes first.
+    fn take_params(&mut self, lane: usize) {
+        self.stale[lane] = true;
     }
 
-    fn config(&self) -> &EngineConfig {
-        &self.shared.config
-    }
-
-    fn params(&self, lane: usize) -> &LaneParams {
-        self.pending[lane].as_ref().unwrap_or(&self.lanes[lane].params)
-    }
-
-    fn set_params(&mut self, lane: usize, params: &LaneParams) -> Result<(), SimError> {
-        check_lane(lane, self.lanes())?;
-        params.validate(&self.shared.model, lane)?;
-        // MuJoCo's model is made anew with them at the next reset or step, whichever comes first.
-        self.pending[lane] = Some(params.clone());
-        Ok(())
-    }
-
-    fn reset(&mut self, lane: usize, init: &InitialState) -> Result<(), SimError> {
-        check_lane(lane, self.lanes())?;
-        init.validate(&self.shared.model, lane)?;
+    fn begin(&mut self, lane: usize, init: &InitialState) -> Result<(), SimError> {
         let params = self.params(lane).clone();
         let process = &mut self.process;
         self.lanes[lane] = Lane::new(&self.shared, process, lane, params, init)?;
-        self.pending[lane] = None;
+        self.stale[lane] = false;
         self.publish(lane);
         Ok(())
     }
 
-    fn step(&mut self, targets_rad: &[f32], wrenches: &[f32]) -> Result<(), SimError> {
-        check_step(self, targets_rad, wrenches)?;
-        self.take_pending()?;
-        let width = self.shared.model.actuated().len();
+    fn advance(&mut self, targets_rad: &[f32], wrenches: &[f32]) -> Result<(), SimError> {
+        self.take_stale()?;
+        let width = self.model().actuated().len();
         for (i, lane) in self.lanes.iter_mut().enumerate() {
             lane.begin(&targets_rad[i * width..][..width], &wrenches[i * WRENCH..][..WRENCH]);
         }
-        for substep in 0..self.shared.config.substeps {
-            self.substep(f64::from(substep) * self.shared.config.dt_s)?;
+        for substep in 0..self.shared.rig.config.substeps {
+            self.substep(f64::from(substep) * self.shared.rig.config.dt_s)?;
         }
         for lane in 0..self.lanes.len() {
             self.lanes[lane].end(&self.shared)?;
             self.publish(lane);
         }
         Ok(())
-    }
-
-    fn state(&self) -> &State {
-        &self.state
     }
 
     /// Refused: going on from positions, velocities and warm start was not bit-exact.

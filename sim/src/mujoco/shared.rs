@@ -1,17 +1,11 @@
 //! What all lanes of an engine share.
 
-use std::sync::Arc;
-
-use caudata_model::RobotModel;
-
 use crate::stop::Stop;
-use crate::{EngineConfig, SimError, Terrain};
+use crate::{Rig, SimError};
 
 /// What all lanes share.
 pub(super) struct Shared {
-    pub model: Arc<RobotModel>,
-    pub config: EngineConfig,
-    pub terrain: Arc<Terrain>,
+    pub rig: Rig,
     /// The drive-line's bookkeeping asks for them; those that act are MuJoCo's.
     pub stops: Vec<Stop>,
 }

@@ -40,8 +40,9 @@ pub(super) struct Lane {
 impl Lane {
     /// A lane in `init`.
     pub fn new(shared: &Shared, params: LaneParams, init: &InitialState) -> Result<Self, SimError> {
-        let at = Coordinates::start(&shared.model, &shared.config, &shared.terrain, init)?;
-        let memory = DriveMemory::new(&shared.model, &shared.config, &params, init);
+        let at =
+            Coordinates::start(&shared.rig.model, &shared.rig.config, &shared.rig.terrain, init)?;
+        let memory = DriveMemory::new(&shared.rig.model, &shared.rig.config, &params, init);
         Self::at(shared, params, at, memory)
     }
 
@@ -52,10 +53,10 @@ impl Lane {
         at: Coordinates,
         drive_memory: DriveMemory,
     ) -> Result<Self, SimError> {
-        let model = &*shared.model;
+        let model = &*shared.rig.model;
         let seen = Observer::new(model, &params, at);
         let servos: Vec<_> = (0..model.actuated().len())
-            .map(|a| ServoDrive::new(model, &params, a, shared.config.dt_s))
+            .map(|a| ServoDrive::new(model, &params, a, shared.rig.config.dt_s))
             .collect();
         let mut lane = Self {
             memory: Memory {
@@ -66,7 +67,7 @@ impl Lane {
                 out: State::of(model, 1),
             },
             robot: Robot::new(shared, &params, &servos, &seen.masses)?,
-            drive: LaneDrive::new(model, &shared.config, &params, &servos, &shared.stops),
+            drive: LaneDrive::new(model, &shared.rig.config, &params, &servos, &shared.stops),
             contacts: ContactImpulses::default(),
             water: Water::new(shared, &params, &seen.masses),
             params,
@@ -82,7 +83,7 @@ impl Lane {
     pub fn rebuild(&mut self, shared: &Shared, params: LaneParams) -> Result<(), SimError> {
         let memory = self.memory.clone();
         let mut lane = if memory.out.diverged[0] {
-            Self::new(shared, params, &InitialState::nominal(&shared.model))? // it only waits for its reset
+            Self::new(shared, params, &InitialState::nominal(&shared.rig.model))? // it only waits for its reset
         } else {
             self.robot.read(&mut self.seen.at);
             Self::at(shared, params, self.seen.at.clone(), memory.drive.clone())?
@@ -93,7 +94,7 @@ impl Lane {
             owed_friction: Owed::default(),
             ..memory
         };
-        lane.memory.drive.fit(&shared.config, &lane.params);
+        lane.memory.drive.fit(&shared.rig.config, &lane.params);
         *self = lane;
         Ok(())
     }
@@ -113,7 +114,7 @@ impl Lane {
 
     /// Runs and reports one period; whether it ended in a sound state.
     fn run_period(&mut self, shared: &Shared, targets_rad: &[f32], wrench: &[f32]) -> bool {
-        let (model, config, stops) = (&*shared.model, &shared.config, &shared.stops);
+        let (model, config, stops) = (&*shared.rig.model, &shared.rig.config, &shared.stops);
         let memory = &mut self.memory;
         self.drive.begin(&mut memory.drive, targets_rad);
         self.contacts.clear(model.feet().len());
@@ -145,7 +146,7 @@ impl Lane {
 
     /// Writes what is seen of the robot where it is, as [`Observer::report`].
     fn report(&mut self, shared: &Shared, before_mps: Option<[f64; 3]>) -> Result<(), SimError> {
-        let (model, config, terrain) = (&shared.model, &shared.config, &shared.terrain);
+        let (model, config, terrain) = (&shared.rig.model, &shared.rig.config, &shared.rig.terrain);
         let (out, gravity) = (&mut self.memory.out, self.params.gravity_mps2);
         let seen = &mut self.seen;
         self.memory.imu_vel_mps = seen.report(out, model, config, terrain, gravity, before_mps)?;

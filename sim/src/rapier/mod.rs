@@ -48,11 +48,10 @@ use std::sync::Arc;
 
 use caudata_model::RobotModel;
 
-use crate::engine::{WRENCH, check_new, check_step};
-use crate::error::check_lane;
+use crate::engine::WRENCH;
 use crate::mobility::Mobility;
 use crate::stop::Stop;
-use crate::{Engine, EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
+use crate::{Engine, EngineConfig, InitialState, Rig, SimError, Terrain};
 use lane::Lane;
 use shared::Shared;
 
@@ -63,9 +62,8 @@ pub const MAX_RAPIER_LANES: usize = 65_536;
 pub struct RapierEngine {
     shared: Shared,
     lanes: Vec<Lane>,
-    /// Parameters set since the lane was last built.
-    pending: Vec<Option<LaneParams>>,
-    state: State,
+    /// Lanes whose parameters have changed since they were built.
+    stale: Vec<bool>,
     threads: usize,
 }
 
@@ -81,85 +79,61 @@ impl RapierEngine {
         terrain: Arc<Terrain>,
         threads: usize,
     ) -> Result<Self, SimError> {
-        check_new(&model, &config, lanes, MAX_RAPIER_LANES)?;
-        let params = LaneParams::nominal(&model);
-        let init = InitialState::nominal(&model);
-        let state = State::of(&model, lanes);
+        let rig = Rig::new(model, (lanes, MAX_RAPIER_LANES), config, terrain)?;
         let shared = Shared {
-            stops: Stop::all(&model, &config)?,
-            ground: world::height_field(&terrain),
-            mobility_per_kg: Mobility::of(&model, &config)?.links,
-            grip: friction::Grip::new(Arc::clone(&terrain)),
-            model,
-            config,
-            terrain,
+            stops: Stop::all(&rig.model, &rig.config)?,
+            ground: world::height_field(&rig.terrain),
+            mobility_per_kg: Mobility::of(&rig.model, &rig.config)?.links,
+            grip: friction::Grip::new(Arc::clone(&rig.terrain)),
+            rig,
         };
-        let built = (0..lanes)
-            .map(|_| Lane::new(&shared, params.clone(), &init))
-            .collect::<Result<Vec<_>, _>>()?;
+        let init = InitialState::nominal(&shared.rig.model);
+        let built = shared.rig.params.iter().map(|p| Lane::new(&shared, p.clone(), &init));
         let mut engine = Self {
+            lanes: built.collect::<Result<_, _>>()?,
             shared,
-            lanes: built,
-            pending: vec![None; lanes],
-            state,
+            stale: vec![false; lanes],
             threads: threads.clamp(1, lanes),
         };
-        for lane in 0..lanes {
-            engine.publish(lane);
-        }
+        engine.publish_all();
         Ok(engine)
     }
 
     fn publish(&mut self, lane: usize) {
-        self.state.copy_lane(lane, &self.lanes[lane].memory.out);
+        self.shared.rig.state.copy_lane(lane, &self.lanes[lane].memory.out);
+    }
+
+    fn publish_all(&mut self) {
+        (0..self.lanes.len()).for_each(|lane| self.publish(lane));
     }
 }
 
 impl Engine for RapierEngine {
-    fn terrain(&self) -> &Terrain {
-        &self.shared.terrain
+    fn rig(&self) -> &Rig {
+        &self.shared.rig
     }
 
-    fn lanes(&self) -> usize {
-        self.lanes.len()
+    fn rig_mut(&mut self) -> &mut Rig {
+        &mut self.shared.rig
     }
 
-    fn model(&self) -> &RobotModel {
-        &self.shared.model
+    /// The world is rebuilt with them at the next reset or step, whichever comes first.
+    fn take_params(&mut self, lane: usize) {
+        self.stale[lane] = true;
     }
 
-    fn config(&self) -> &EngineConfig {
-        &self.shared.config
-    }
-
-    fn params(&self, lane: usize) -> &LaneParams {
-        self.pending[lane].as_ref().unwrap_or(&self.lanes[lane].params)
-    }
-
-    fn set_params(&mut self, lane: usize, params: &LaneParams) -> Result<(), SimError> {
-        check_lane(lane, self.lanes())?;
-        params.validate(&self.shared.model, lane)?;
-        // The world is rebuilt with them at the next reset or step, whichever comes first.
-        self.pending[lane] = Some(params.clone());
-        Ok(())
-    }
-
-    fn reset(&mut self, lane: usize, init: &InitialState) -> Result<(), SimError> {
-        check_lane(lane, self.lanes())?;
-        init.validate(&self.shared.model, lane)?;
-        let params = self.params(lane).clone();
-        self.lanes[lane] = Lane::new(&self.shared, params, init)?;
-        self.pending[lane] = None;
+    fn begin(&mut self, lane: usize, init: &InitialState) -> Result<(), SimError> {
+        self.lanes[lane] = Lane::new(&self.shared, self.params(lane).clone(), init)?;
+        self.stale[lane] = false;
         self.publish(lane);
         Ok(())
     }
 
-    fn step(&mut self, targets_rad: &[f32], wrenches: &[f32]) -> Result<(), SimError> {
-        let width = self.shared.model.actuated().len();
-        check_step(self, targets_rad, wrenches)?;
-        for (lane, pending) in self.lanes.iter_mut().zip(&mut self.pending) {
-            if let Some(params) = pending.take() {
-                lane.rebuild(&self.shared, params)?;
+    fn advance(&mut self, targets_rad: &[f32], wrenches: &[f32]) -> Result<(), SimError> {
+        let width = self.model().actuated().len();
+        for (number, lane) in self.lanes.iter_mut().enumerate() {
+            if std::mem::take(&mut self.stale[number]) {
+                lane.rebuild(&self.shared, self.shared.rig.params[number].clone())?;
             }
         }
         let shared = &self.shared;
@@ -182,25 +156,17 @@ impl Engine for RapierEngine {
             }
             run(0, own);
         });
-        for lane in 0..self.lanes.len() {
-            self.publish(lane);
-        }
+        self.publish_all();
         Ok(())
     }
 
-    fn state(&self) -> &State {
-        &self.state
-    }
-
     fn snapshot(&self) -> Result<Vec<u8>, SimError> {
-        snapshot::save(&self.shared, &self.lanes, &self.pending)
+        snapshot::save(&self.shared, &self.lanes, &self.stale)
     }
 
     fn restore(&mut self, bytes: &[u8]) -> Result<(), SimError> {
-        (self.lanes, self.pending) = snapshot::load(&self.shared, bytes, self.lanes.len())?;
-        for lane in 0..self.lanes.len() {
-            self.publish(lane);
-        }
+        (self.lanes, self.shared.rig.params, self.stale) = snapshot::load(&self.shared, bytes)?;
+        self.publish_all();
         Ok(())
     }
 }

@@ -45,7 +45,7 @@ impl Robot {
         masses: &[LinkMass],
     ) -> Result<Self, SimError> {
         let (world, handles) = world::build(shared, params, masses)?;
-        let armature_kgm2 = (shared.model.joints().iter())
+        let armature_kgm2 = (shared.rig.model.joints().iter())
             .map(|joint| match joint.kind {
                 JointKind::Actuated { index } => servos[index].armature_kgm2() as f32,
                 JointKind::Passive | JointKind::Backlash => joint.armature_kgm2 as f32,

@@ -1,19 +1,14 @@
 //! What all lanes of an engine share.
 
-use std::sync::Arc;
-
-use caudata_model::RobotModel;
 use rapier3d::prelude::SharedShape;
 
 use super::friction::Grip;
+use crate::Rig;
 use crate::stop::Stop;
-use crate::{EngineConfig, Terrain};
 
 /// What all lanes share.
 pub(super) struct Shared {
-    pub model: Arc<RobotModel>,
-    pub config: EngineConfig,
-    pub terrain: Arc<Terrain>,
+    pub rig: Rig,
     /// End stops, model order.
     pub stops: Vec<Stop>,
     /// The terrain's height field as Rapier has it, shared by all worlds.

@@ -15,13 +15,13 @@ use crate::{InitialState, LaneParams, SimError};
 /// Changes whenever the layout below or Rapier's own layout does.
 const RAPIER_FORMAT: &str = "caudata-rapier-8 rapier-0.36.1";
 
-fn owner(shared: &Shared, lanes: usize) -> Owner<'_> {
+fn owner(shared: &Shared) -> Owner<'_> {
     Owner {
         format: RAPIER_FORMAT,
-        model_hash: shared.model.hash(),
-        config: &shared.config,
-        terrain: shared.terrain.fingerprint(),
-        lanes,
+        model_hash: shared.rig.model.hash(),
+        config: &shared.rig.config,
+        terrain: shared.rig.terrain.fingerprint(),
+        lanes: shared.rig.params.len(),
     }
 }
 
@@ -37,35 +37,33 @@ struct SavedLane {
     terrain_at: Option<usize>,
 }
 
-/// All lanes as bytes.
-pub(super) fn save(
-    shared: &Shared,
-    lanes: &[Lane],
-    pending: &[Option<LaneParams>],
-) -> Result<Vec<u8>, SimError> {
+/// All lanes as bytes. The parameters of `stale` ones wait for them in the rig.
+pub(super) fn save(shared: &Shared, lanes: &[Lane], stale: &[bool]) -> Result<Vec<u8>, SimError> {
     let terrain = terrain_bytes(shared)?;
+    let pending = stale.iter().zip(&shared.rig.params).map(|(stale, p)| stale.then(|| p.clone()));
     let saved = (lanes.iter().zip(pending))
-        .map(|(lane, pending)| save_lane(lane, pending.clone(), &terrain))
+        .map(|(lane, pending)| save_lane(lane, pending, &terrain))
         .collect::<Result<Vec<_>, _>>()?;
-    owner(shared, lanes.len()).save(&saved)
+    owner(shared).save(&saved)
 }
 
-/// The lanes in `bytes`, of which there must be `expected`, and the parameters that wait for each of them.
-pub(super) fn load(
-    shared: &Shared,
-    bytes: &[u8],
-    expected: usize,
-) -> Result<(Vec<Lane>, Vec<Option<LaneParams>>), SimError> {
-    let saved: Vec<SavedLane> = owner(shared, expected).load(bytes)?;
-    if saved.len() != expected {
+/// Lanes, the parameters of each, and whether these still wait for it.
+type Loaded = (Vec<Lane>, Vec<LaneParams>, Vec<bool>);
+
+/// What is in `bytes`.
+pub(super) fn load(shared: &Shared, bytes: &[u8]) -> Result<Loaded, SimError> {
+    let saved: Vec<SavedLane> = owner(shared).load(bytes)?;
+    if saved.len() != shared.rig.params.len() {
         return Err(refused("it has another number of lanes"));
     }
     let terrain = terrain_bytes(shared)?;
     let load = |mut saved: SavedLane| {
-        let pending = saved.pending.take();
-        Ok((load_lane(shared, saved, &terrain)?, pending))
+        let (pending, own) = (saved.pending.take(), saved.params.clone());
+        let stale = pending.is_some();
+        Ok((load_lane(shared, saved, &terrain)?, pending.unwrap_or(own), stale))
     };
-    saved.into_iter().map(load).collect()
+    let loaded = saved.into_iter().map(load).collect::<Result<Vec<_>, SimError>>()?;
+    Ok(loaded.into_iter().collect())
 }
 
 fn save_lane(
@@ -89,7 +87,7 @@ fn save_lane(
 
 fn load_lane(shared: &Shared, saved: SavedLane, terrain: &[u8]) -> Result<Lane, SimError> {
     let SavedLane { params, memory, mut world, terrain_at, .. } = saved;
-    params.validate(&shared.model, 0)?;
+    params.validate(&shared.rig.model, 0)?;
     if let Some(at) = terrain_at {
         if at > world.len() {
             return Err(refused("its terrain does not fit"));
@@ -97,7 +95,7 @@ fn load_lane(shared: &Shared, saved: SavedLane, terrain: &[u8]) -> Result<Lane, 
         world.splice(at..at, terrain.iter().copied());
     }
     // Building is deterministic, so the fresh lane's handles are valid in the restored world.
-    let mut lane = Lane::new(shared, params, &InitialState::nominal(&shared.model))?;
+    let mut lane = Lane::new(shared, params, &InitialState::nominal(&shared.rig.model))?;
     lane.robot.world = decode::<PhysicsWorld>(&world)?;
     lane.memory = memory;
     Ok(lane)

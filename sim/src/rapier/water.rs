@@ -43,8 +43,8 @@ pub(super) struct Water {
 impl Water {
     /// `None` on dry ground, and for a robot whose file knows no water.
     pub fn new(shared: &Shared, params: &LaneParams, masses: &[LinkMass]) -> Option<Self> {
-        let level = shared.terrain.water_level_m?;
-        let links = WaterLink::all(&shared.model, params)?;
+        let level = shared.rig.terrain.water_level_m?;
+        let links = WaterLink::all(&shared.rig.model, params)?;
         let wet = |l: &WaterLink<f64>| {
             (l.added_mass_kg.iter().chain(&l.added_inertia_kgm2)).any(|&a| a > 0.0)
         };
@@ -57,7 +57,7 @@ impl Water {
                 gravity_mps2: params.gravity_mps2,
             },
             masses: masses.to_vec(),
-            dt_s: shared.config.dt_s as f32,
+            dt_s: shared.rig.config.dt_s as f32,
         })
     }
 

@@ -78,17 +78,17 @@ pub(super) fn build(
 ) -> Result<(PhysicsWorld, RobotHandles), SimError> {
     let mut world = PhysicsWorld {
         gravity: Vector::from_array(params.gravity_mps2),
-        integration_parameters: integration_parameters(&shared.config),
+        integration_parameters: integration_parameters(&shared.rig.config),
         ..PhysicsWorld::default()
     };
     insert_ground(&mut world, shared);
-    let legs = self_contact::legs(&shared.model);
+    let legs = self_contact::legs(&shared.rig.model);
     let handles = Builder {
-        hanging: self_contact::hanging_legs(&shared.model, &legs),
+        hanging: self_contact::hanging_legs(&shared.rig.model, &legs),
         legs,
         world: &mut world,
-        model: &shared.model,
-        config: &shared.config,
+        model: &shared.rig.model,
+        config: &shared.rig.config,
         params,
         masses,
     }

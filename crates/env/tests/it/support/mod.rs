@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use caudata_env::VecEnv;
 use caudata_model::RobotModel;
-use caudata_sim::{Engine, EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
+use caudata_sim::{Engine, EngineConfig, InitialState, LaneParams, Rig, SimError, State, Terrain};
 use caudata_task::TaskConfig;
 use serde::{Deserialize, Serialize};
 
@@ -53,11 +53,7 @@ pub enum Breakdown {
 
 #[derive(Clone)]
 pub struct FakeEngine {
-    model: Arc<RobotModel>,
-    config: EngineConfig,
-    terrain: Terrain,
-    state: State,
-    params: Vec<LaneParams>,
+    rig: Rig,
     steps: Vec<u32>,
     /// (lane, step of its episode, how); once.
     pub breakdown: Option<(usize, u32, Breakdown)>,
@@ -68,30 +64,27 @@ struct Saved(State, Vec<LaneParams>, Vec<u32>);
 
 impl FakeEngine {
     pub fn new(model: Arc<RobotModel>, lanes: usize) -> Self {
-        let state = State::zeros(lanes, model.joints().len(), ACT_DIM, model.feet().len());
-        let nominal = LaneParams::nominal(&model);
-        Self {
-            terrain: Terrain::flat(),
-            state,
-            params: vec![nominal; lanes],
-            steps: vec![0; lanes],
+        let rig = Rig {
+            terrain: Arc::new(Terrain::flat()),
+            state: State::zeros(lanes, model.joints().len(), ACT_DIM, model.feet().len()),
+            params: vec![LaneParams::nominal(&model); lanes],
             config: EngineConfig { dt_s: 0.004, substeps: 5, ..EngineConfig::default() },
-            breakdown: None,
             model,
-        }
+        };
+        Self { rig, steps: vec![0; lanes], breakdown: None }
     }
 
     /// Sets everything that follows from joints, base and heading.
     fn derive(&mut self, lane: usize) {
-        let state = &mut self.state;
-        let spine = state.joint_pos_rad[lane * state.joints + self.model.actuated()[0]];
+        let state = &mut self.rig.state;
+        let spine = state.joint_pos_rad[lane * state.joints + self.rig.model.actuated()[0]];
         let (sin, cos) = (ROLL_PER_SPINE * spine).sin_cos();
         state.imu_gravity[lane * 3..][..3].copy_from_slice(&[0.0, -sin, -cos]);
         let base: [f32; 3] = state.base_pos_m[lane * 3..][..3].try_into().unwrap();
         let vel: [f32; 3] = state.base_vel_mps[lane * 3..][..3].try_into().unwrap();
         state.com_pos_m[lane * 3..][..3].copy_from_slice(&[base[0], base[1], COM_HEIGHT_M]);
         state.com_vel_mps[lane * 3..][..3].copy_from_slice(&vel);
-        for (foot, part) in self.model.feet().iter().enumerate() {
+        for (foot, part) in self.rig.model.feet().iter().enumerate() {
             let at = (lane * 4 + foot) * 3;
             state.foot_pos_m[at..][..3].copy_from_slice(&[
                 base[0],
@@ -105,37 +98,20 @@ impl FakeEngine {
 }
 
 impl Engine for FakeEngine {
-    fn terrain(&self) -> &Terrain {
-        &self.terrain
+    fn rig(&self) -> &Rig {
+        &self.rig
     }
 
-    fn lanes(&self) -> usize {
-        self.params.len()
+    fn rig_mut(&mut self) -> &mut Rig {
+        &mut self.rig
     }
 
-    fn model(&self) -> &RobotModel {
-        &self.model
-    }
+    fn take_params(&mut self, _lane: usize) {}
 
-    fn config(&self) -> &EngineConfig {
-        &self.config
-    }
-
-    fn params(&self, lane: usize) -> &LaneParams {
-        &self.params[lane]
-    }
-
-    fn set_params(&mut self, lane: usize, params: &LaneParams) -> Result<(), SimError> {
-        params.validate(&self.model, lane)?;
-        self.params[lane] = params.clone();
-        Ok(())
-    }
-
-    fn reset(&mut self, lane: usize, init: &InitialState) -> Result<(), SimError> {
-        init.validate(&self.model, lane)?;
-        let state = &mut self.state;
+    fn begin(&mut self, lane: usize, init: &InitialState) -> Result<(), SimError> {
+        let state = &mut self.rig.state;
         let joints = state.joints;
-        for (i, &j) in self.model.actuated().iter().enumerate() {
+        for (i, &j) in self.rig.model.actuated().iter().enumerate() {
             state.joint_pos_rad[lane * joints + j] = init.joint_pos_rad[i];
             state.joint_vel_radps[lane * joints + j] = init.joint_vel_radps[i];
         }
@@ -150,18 +126,18 @@ impl Engine for FakeEngine {
         Ok(())
     }
 
-    fn step(&mut self, targets_rad: &[f32], wrenches: &[f32]) -> Result<(), SimError> {
-        let dt = self.config.control_period_s() as f32;
-        let mass = self.model.total_mass_kg() as f32;
+    fn advance(&mut self, targets_rad: &[f32], wrenches: &[f32]) -> Result<(), SimError> {
+        let dt = self.rig.config.control_period_s() as f32;
+        let mass = self.rig.model.total_mass_kg() as f32;
         for lane in 0..self.lanes() {
             self.steps[lane] += 1;
-            if self.state.diverged[lane] {
+            if self.rig.state.diverged[lane] {
                 continue;
             }
-            let state = &mut self.state;
-            for (i, &j) in self.model.actuated().iter().enumerate() {
+            let state = &mut self.rig.state;
+            for (i, &j) in self.rig.model.actuated().iter().enumerate() {
                 let at = lane * state.joints + j;
-                let share = 0.5 * self.params[lane].kp_nm_per_rad[i] / 15.0;
+                let share = 0.5 * self.rig.params[lane].kp_nm_per_rad[i] / 15.0;
                 let change = share * (targets_rad[lane * ACT_DIM + i] - state.joint_pos_rad[at]);
                 state.joint_pos_rad[at] += change;
                 state.joint_vel_radps[at] = change / dt;
@@ -176,8 +152,8 @@ impl Engine for FakeEngine {
                 && (broken, step) == (lane, self.steps[lane])
             {
                 match how {
-                    Breakdown::Flagged => self.state.diverged[lane] = true,
-                    Breakdown::Unnoticed => self.state.com_vel_mps[lane * 3] = f32::NAN,
+                    Breakdown::Flagged => self.rig.state.diverged[lane] = true,
+                    Breakdown::Unnoticed => self.rig.state.com_vel_mps[lane * 3] = f32::NAN,
                 }
                 self.breakdown = None;
             }
@@ -185,12 +161,8 @@ impl Engine for FakeEngine {
         Ok(())
     }
 
-    fn state(&self) -> &State {
-        &self.state
-    }
-
     fn snapshot(&self) -> Result<Vec<u8>, SimError> {
-        let saved = Saved(self.state.clone(), self.params.clone(), self.steps.clone());
+        let saved = Saved(self.rig.state.clone(), self.rig.params.clone(), self.steps.clone());
         Ok(postcard::to_stdvec(&saved).unwrap())
     }
 
@@ -198,7 +170,7 @@ impl Engine for FakeEngine {
         let Saved(state, params, steps) = postcard::from_bytes(bytes).map_err(|error| {
             SimError::Snapshot { action: "restored", reason: error.to_string() }
         })?;
-        (self.state, self.params, self.steps) = (state, params, steps);
+        (self.rig.state, self.rig.params, self.steps) = (state, params, steps);
         Ok(())
     }
 }
