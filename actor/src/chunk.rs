@@ -11,41 +11,15 @@ use crate::policy::LoadedPolicy;
 use crate::trace::ChunkTrace;
 use crate::{ActorError, ActorMetrics, ActorSettings, gaussian};
 
-/// Memory of a chunk that has been sent, for the next one: fresh memory would be given back to the system and
-/// asked for again each time.
-#[derive(Default)]
-pub(crate) struct Spare {
-    observations: Vec<f32>,
-    actions: Vec<f32>,
-    action_means: Vec<f32>,
-    log_probs: Vec<f32>,
-    rewards: Vec<f32>,
-    terminated: Vec<bool>,
-    truncated: Vec<bool>,
-}
-
-impl From<RolloutChunk> for Spare {
-    fn from(chunk: RolloutChunk) -> Self {
-        Self {
-            observations: chunk.observations,
-            actions: chunk.actions,
-            action_means: chunk.action_means,
-            log_probs: chunk.log_probs,
-            rewards: chunk.rewards,
-            terminated: chunk.terminated,
-            truncated: chunk.truncated,
-        }
-    }
-}
-
 /// Collects a chunk, with its times where it is traced; or `None` when asked to stop in the middle of it (its
-/// steps are then lost, and were never sent).
+/// steps are then lost, and were never sent). `spare` is a chunk that was sent: its memory is used again, since
+/// fresh memory would be given back to the system and asked for again each time.
 pub(crate) fn collect(
     settings: &ActorSettings,
     env: &mut VecEnv,
     policy: &mut LoadedPolicy,
     sequence: u64,
-    spare: &mut Spare,
+    spare: &mut RolloutChunk,
     metrics: &ActorMetrics,
     should_stop: &dyn Fn() -> bool,
 ) -> Result<Option<(RolloutChunk, Option<ChunkTrace>)>, ActorError> {
@@ -150,7 +124,7 @@ fn empty_chunk(
     env: &VecEnv,
     policy: &LoadedPolicy,
     sequence: u64,
-    spare: &mut Spare,
+    spare: &mut RolloutChunk,
 ) -> RolloutChunk {
     let (steps, lanes) = (settings.chunk_steps, env.lanes());
     let (obs_dim, act_dim) = (env.obs_dim() + env.critic().dim(), env.act_dim());
@@ -175,15 +149,13 @@ fn empty_chunk(
         rewards: emptied(&mut spare.rewards, cells),
         terminated: emptied(&mut spare.terminated, cells),
         truncated: emptied(&mut spare.truncated, cells),
-        final_observations: Vec::new(),
-        episodes: Vec::new(),
         moments: moments_of(&[], obs_dim),
         action_history: Some(ActionHistory {
             first: env.contract().observation.range(Observed::Actions).start,
             steps: ACTION_HISTORY,
             clip: env.task().action.clip,
         }),
-        trace: None,
+        ..RolloutChunk::default()
     }
 }
 

@@ -8,7 +8,6 @@ use caudata_telemetry::StopFlag;
 use caudata_telemetry::spans::{self, Laps, Part};
 use caudata_transport::{ActorLink, Control, SendError, Value};
 
-use crate::chunk::Spare;
 use crate::policy::LoadedPolicy;
 use crate::quota::Quota;
 use crate::trace::SentChunk;
@@ -62,7 +61,7 @@ pub fn run(
         quota,
         actor_key: crate::actor_key(settings.actor_id, settings.incarnation),
         policy: None,
-        spare: Spare::default(),
+        spare: RolloutChunk::default(),
         sent: 0,
         greeted: false,
     };
@@ -98,7 +97,7 @@ struct Actor<'a> {
     quota: Quota,
     actor_key: u64,
     policy: Option<LoadedPolicy>,
-    spare: Spare,
+    spare: RolloutChunk,
     /// Chunks that the link took; also the sequence number of the next one.
     sent: u64,
     /// Whether the learner that is there now has had our hello.
@@ -275,7 +274,7 @@ impl Actor<'_> {
         let envelope = Envelope::Chunk(Box::new(chunk));
         let frame = encode(&envelope);
         if let Envelope::Chunk(chunk) = envelope {
-            self.spare = Spare::from(*chunk);
+            self.spare = *chunk;
         }
         laps.lap(Part::Encoding);
         Packed::Frame(frame)

@@ -51,7 +51,7 @@ pub struct ActorBye {
 }
 
 /// T steps of N environments under one policy.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct RolloutChunk {
     /// The training run.
     pub run_id: String,
@@ -150,7 +150,7 @@ pub struct EpisodeSummary {
 }
 
 /// Count, mean and sum of squared deviations of observations, per component.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Moments {
     /// Observations counted: T times N.
     pub count: u64,
