@@ -64,17 +64,15 @@ impl ChunkTrace {
         let steps = chunk.steps;
         let part = |name, time_ns: Option<[u64; 2]>, took: Duration| {
             let time_ns = time_ns?;
+            let context = tracer.child_of(self.collected);
             Some(Span {
-                name,
-                kind: Kind::Internal,
-                context: tracer.child_of(self.collected),
                 parent: Some(self.collected.span),
                 time_ns,
                 attributes: vec![
                     ("caudata.of_so_many", steps.into()),
                     ("caudata.all_s", took.as_secs_f64().into()),
                 ],
-                links: Vec::new(),
+                ..Span::since(0, name, Kind::Internal, context)
             })
         };
         let parts = [
@@ -83,9 +81,6 @@ impl ChunkTrace {
         ];
         parts.into_iter().flatten().for_each(|span| tracer.record(span));
         tracer.record(Span {
-            name: "collect chunk",
-            kind: Kind::Internal,
-            context: self.collected,
             parent: Some(self.policy.span),
             time_ns: [self.began_ns, self.ended_ns],
             attributes: vec![
@@ -96,16 +91,13 @@ impl ChunkTrace {
                 ("caudata.steps", steps.into()),
                 ("caudata.lanes", chunk.lanes.into()),
             ],
-            links: Vec::new(),
+            ..Span::since(0, "collect chunk", Kind::Internal, self.collected)
         });
+        let context = tracer.child_of(self.collected);
         tracer.record(Span {
-            name: "send chunk",
-            kind: Kind::Producer,
-            context: tracer.child_of(self.collected),
             parent: Some(self.collected.span),
-            time_ns: [self.ended_ns, now_ns()],
             attributes: vec![("caudata.bytes", chunk.bytes.into())],
-            links: Vec::new(),
+            ..Span::since(self.ended_ns, "send chunk", Kind::Producer, context)
         });
     }
 }

@@ -64,3 +64,4 @@ pub use serve::{HttpServer, MetricsServer};
 pub use stop::{DRAIN_DEADLINE, INSIST_DEADLINE, Insistence, StopFlag};
 pub use tensorboard::EventFile;
 pub use thread::Joined;
+pub use traces::unix_ms;

@@ -3,7 +3,7 @@
 
 use caudata_proto::hex::hex;
 use caudata_proto::{ChunkIdentity, RolloutChunk, TraceContext, chunk_identity};
-use caudata_telemetry::traces::{Kind, Span, Tracer, Value, now_ns};
+use caudata_telemetry::traces::{Kind, Span, Tracer, Value};
 
 /// Chunks that a batch names as its origin.
 const LINKS_MAX: usize = 256;
@@ -52,11 +52,7 @@ impl Traces {
             return;
         };
         self.tracer.record(Span {
-            name: "receive chunk",
-            kind: Kind::Consumer,
-            context: self.tracer.child_of(collected),
             parent: Some(collected.span),
-            time_ns: [began_ns, now_ns()],
             attributes: vec![
                 ("caudata.actor", u64::from(chunk.actor_id).into()),
                 ("caudata.incarnation", chunk.incarnation.into()),
@@ -64,7 +60,12 @@ impl Traces {
                 ("caudata.bytes", bytes.into()),
                 ("caudata.outcome", outcome.into()),
             ],
-            links: Vec::new(),
+            ..Span::since(
+                began_ns,
+                "receive chunk",
+                Kind::Consumer,
+                self.tracer.child_of(collected),
+            )
         });
     }
 
@@ -76,16 +77,13 @@ impl Traces {
         let oldest = chunks.iter().map(|chunk| chunk.policy_version).min();
         let lag = oldest.map_or(0, |oldest| current.version.saturating_sub(oldest));
         self.tracer.record(Span {
-            name: "batch",
-            kind: Kind::Internal,
-            context,
             parent: Some(current.root.span),
-            time_ns: [began_ns, now_ns()],
             attributes: vec![
                 ("caudata.chunks", chunks.len().into()),
                 ("caudata.lag_max", lag.into()),
             ],
             links: chunks.iter().filter_map(|chunk| chunk.trace).take(LINKS_MAX).collect(),
+            ..Span::since(began_ns, "batch", Kind::Internal, context)
         });
     }
 
@@ -94,13 +92,9 @@ impl Traces {
         let batch = self.current.as_ref().and_then(|current| current.batch);
         let Some(batch) = batch else { return };
         self.tracer.record(Span {
-            name,
-            kind: Kind::Internal,
-            context: self.tracer.child_of(batch),
             parent: Some(batch.span),
-            time_ns: [began_ns, now_ns()],
             attributes,
-            links: Vec::new(),
+            ..Span::since(began_ns, name, Kind::Internal, self.tracer.child_of(batch))
         });
     }
 
@@ -126,16 +120,12 @@ impl Traces {
     pub fn complete(&mut self) {
         let Some(current) = self.current.take() else { return };
         self.tracer.record(Span {
-            name: "policy version",
-            kind: Kind::Internal,
-            context: current.root,
-            parent: None,
-            time_ns: [current.began_ns, now_ns()],
             attributes: vec![
                 ("caudata.policy_version", current.version.into()),
                 ("caudata.policy_sha256", hex(&current.sha256).as_str().into()),
             ],
             links: current.origin.into_iter().collect(),
+            ..Span::since(current.began_ns, "policy version", Kind::Internal, current.root)
         });
     }
 }

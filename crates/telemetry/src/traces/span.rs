@@ -26,6 +26,15 @@ pub struct Span {
     pub links: Vec<TraceContext>,
 }
 
+impl Span {
+    /// From `began_ns` until now, with nothing else known.
+    pub fn since(began_ns: u64, name: &'static str, kind: Kind, context: TraceContext) -> Self {
+        let time_ns = [began_ns, super::now_ns()];
+        let (attributes, links) = (Vec::new(), Vec::new());
+        Self { name, kind, context, parent: None, time_ns, attributes, links }
+    }
+}
+
 pub(crate) fn to_wire(span: Span) -> wire::Span {
     let [start_time_unix_nano, end_time_unix_nano] = span.time_ns;
     wire::Span {
