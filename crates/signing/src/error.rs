@@ -52,7 +52,12 @@ pub(crate) fn check_kept(path: &Path) -> Result<(), SigningError> {
     }
     let reason =
         format!("anybody may write it (mode {mode:o}); `chmod o-w` it, and look at its keys");
-    Err(SigningError::Content { path: path.to_owned(), reason })
+    Err(content(path, reason))
+}
+
+/// What is in a file, or beside it, cannot be used.
+pub(crate) fn content(path: &Path, reason: impl ToString) -> SigningError {
+    SigningError::Content { path: path.to_owned(), reason: reason.to_string() }
 }
 
 pub(crate) fn file_error(path: &Path) -> impl FnOnce(std::io::Error) -> SigningError + '_ {
@@ -61,9 +66,7 @@ pub(crate) fn file_error(path: &Path) -> impl FnOnce(std::io::Error) -> SigningE
 
 pub(crate) fn read_small(path: &Path) -> Result<String, SigningError> {
     read_text_at_most(path, FILE_MAX).map_err(|error| match error.kind() {
-        ErrorKind::FileTooLarge | ErrorKind::InvalidData => {
-            SigningError::Content { path: path.to_owned(), reason: error.to_string() }
-        }
+        ErrorKind::FileTooLarge | ErrorKind::InvalidData => content(path, error),
         _ => file_error(path)(error),
     })
 }

@@ -8,7 +8,7 @@ use caudata_proto::hex::hex;
 use caudata_proto::registry::{Freshness, Manifest, Signature, SignedFreshness};
 use ed25519_dalek::{Signer, SigningKey};
 
-use crate::error::{SigningError, check_private, file_error, from_hex, read_small};
+use crate::error::{SigningError, check_private, content, file_error, from_hex, read_small};
 
 /// `format` of a trust file.
 pub const TRUST_FORMAT: &str = "caudata.trust.v1";
@@ -100,10 +100,8 @@ impl ReleaseKey {
     pub fn read(path: &Path, id: &str) -> Result<Self, SigningError> {
         check_private(path)?;
         let text = read_small(path)?;
-        let seed = from_hex(text.trim()).ok_or_else(|| SigningError::Content {
-            path: path.to_owned(),
-            reason: "a key is 64 hexadecimal digits".to_owned(),
-        })?;
+        let seed = from_hex(text.trim());
+        let seed = seed.ok_or_else(|| content(path, "a key is 64 hexadecimal digits"))?;
         Ok(Self::from_seed(id, &seed))
     }
 

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use caudata_proto::hex::hex;
 use ed25519_dalek::Signer;
 
-use crate::error::{SigningError, file_error, from_hex, read_small};
+use crate::error::{SigningError, content, file_error, from_hex, read_small};
 use crate::key::ReleaseKey;
 use crate::trust::Trust;
 
@@ -104,13 +104,11 @@ impl Trust {
                 None => break,
             }
         }
-        Err(SigningError::Content {
-            path: path.to_owned(),
-            reason: format!(
-                "it and its successors go from version {from} to {}: {version} is not the next of any",
-                trust.version
-            ),
-        })
+        let to = trust.version;
+        let reason = format!(
+            "it and its successors go from version {from} to {to}: {version} is not the next of any"
+        );
+        Err(content(path, reason))
     }
 
     /// Whether `key` is, under its name, one of the root keys.
@@ -130,9 +128,7 @@ impl Trust {
         }
         let text = read_small(&file)?;
         let signatures = read_signatures(&file)?;
-        let next = self
-            .successor(&text, &signatures)
-            .map_err(|why| SigningError::Content { path: file, reason: why.to_string() })?;
+        let next = self.successor(&text, &signatures).map_err(|why| content(&file, why))?;
         Ok(Some(next))
     }
 
@@ -145,12 +141,10 @@ impl Trust {
                 None => return Ok(self),
             }
         }
-        Err(SigningError::Content {
-            path: path.to_owned(),
-            reason: format!(
-                "more than {CHAIN_MAX} trust files follow it: give robots a newer one to begin with"
-            ),
-        })
+        let reason = format!(
+            "more than {CHAIN_MAX} trust files follow it: give robots a newer one to begin with"
+        );
+        Err(content(path, reason))
     }
 }
 
@@ -171,12 +165,9 @@ impl Trust {
                 .and_then(|rest| rest.strip_prefix('.'))
                 .and_then(|digits| digits.parse::<u64>().ok());
             if version.is_some_and(|version| version > next) {
-                return Err(SigningError::Content {
-                    path: path.to_owned(),
-                    reason: format!(
-                        "{name} lies beside it and version {next} does not: put it back"
-                    ),
-                });
+                let reason =
+                    format!("{name} lies beside it and version {next} does not: put it back");
+                return Err(content(path, reason));
             }
         }
         Ok(())
@@ -224,10 +215,8 @@ pub fn read_signatures(file: &Path) -> Result<Vec<TrustSignature>, SigningError>
     let lines = text.lines().enumerate();
     lines
         .map(|(number, line)| {
-            parse(line).ok_or_else(|| SigningError::Content {
-                path: path.clone(),
-                reason: format!("line {} is not a name and 128 hexadecimal digits", number + 1),
-            })
+            let wrong = || format!("line {} is not a name and 128 hexadecimal digits", number + 1);
+            parse(line).ok_or_else(|| content(&path, wrong()))
         })
         .collect()
 }

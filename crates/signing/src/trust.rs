@@ -9,7 +9,7 @@ use caudata_proto::registry::{LabelName, Manifest, NONCE_BYTES, SignedFreshness,
 use ed25519_dalek::VerifyingKey;
 use serde::Deserialize;
 
-use crate::error::{SigningError, check_kept, from_hex, read_small};
+use crate::error::{SigningError, check_kept, content, from_hex, read_small};
 use crate::key::{TRUST_FORMAT, freshness_bytes, signed_bytes};
 
 /// Most keys of a trust file.
@@ -97,7 +97,7 @@ impl Trust {
     pub(crate) fn first(path: &Path) -> Result<Self, SigningError> {
         check_kept(path)?;
         let text = read_small(path)?;
-        Self::parse(&text).map_err(|reason| SigningError::Content { path: path.to_owned(), reason })
+        Self::parse(&text).map_err(|reason| content(path, reason))
     }
 
     /// Which of its successors it is.
