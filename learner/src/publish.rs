@@ -3,12 +3,12 @@
 use std::path::Path;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use caudata_policy::PolicyFile;
 use caudata_proto::registry::StreamName;
 use caudata_registry_client::{ClientError, RegistryClient, manifest_of};
-use caudata_telemetry::progress;
+use caudata_telemetry::{progress, unix_ms};
 use crossbeam_channel::{Receiver, Sender, bounded};
 
 use crate::LearnerError;
@@ -197,8 +197,7 @@ impl Worker {
     /// One try; on failure one line and whether trying again can help. Ends early when the publisher is
     /// closed.
     fn attempt(&mut self, policy: &PolicyFile) -> Result<(), (String, bool)> {
-        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        let manifest = manifest_of(self.stream.clone(), policy, now.as_millis() as u64)
+        let manifest = manifest_of(self.stream.clone(), policy, unix_ms())
             .map_err(|error| (error.to_string(), false))?;
         let shared = Arc::clone(&self.shared);
         let Self { client, runtime, .. } = self;

@@ -46,10 +46,7 @@ impl Origin {
 
     /// `by`, now.
     pub fn of(by: &str) -> Self {
-        let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
-        // A clock before 1970 is a wrong clock.
-        let unix_ms = now.map_or(0, |d| u64::try_from(d.as_millis()).unwrap_or(u64::MAX));
-        Self { by: by.to_owned(), unix_ms }
+        Self { by: by.to_owned(), unix_ms: caudata_telemetry::unix_ms() }
     }
 }
 
@@ -66,6 +63,13 @@ pub struct Deed<'a> {
     pub generation: Option<u64>,
     /// In words.
     pub detail: String,
+}
+
+impl<'a> Deed<'a> {
+    /// What no stream's state follows from.
+    pub fn of(what: &'a str, stream: &'a str, version: u64, detail: String) -> Self {
+        Self { what, stream, version, generation: None, detail }
+    }
 }
 
 /// One line on disk.
@@ -313,13 +317,8 @@ impl AuditLog {
 
     fn append_undone(&mut self, why: &str) -> Result<(), StoreError> {
         let Some(line) = self.last.clone() else { return Ok(()) };
-        let deed = Deed {
-            what: UNDONE,
-            stream: &line.stream,
-            version: line.version,
-            generation: None,
-            detail: format!("entry {} did not happen: {why}", line.number),
-        };
+        let detail = format!("entry {} did not happen: {why}", line.number);
+        let deed = Deed::of(UNDONE, &line.stream, line.version, detail);
         self.append(&Origin::of("server"), &deed)
     }
 

@@ -95,13 +95,8 @@ impl Store {
     pub(crate) fn write_down_damage(&mut self, damaged: &[Damage]) {
         for damage in damaged {
             let file = damage.path.strip_prefix(&self.root).unwrap_or(&damage.path);
-            let deed = Deed {
-                what: "damaged",
-                stream: damage.stream.as_str(),
-                version: damage.version,
-                generation: None,
-                detail: format!("{} was found damaged", file.display()),
-            };
+            let detail = format!("{} was found damaged", file.display());
+            let deed = Deed::of("damaged", damage.stream.as_str(), damage.version, detail);
             if let Err(error) = self.audit.write(&Origin::of("server"), &deed) {
                 tracing::error!(%error, "the record does not say what was found damaged");
             }

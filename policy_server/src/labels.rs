@@ -157,11 +157,8 @@ impl Store {
             detail = format!("{detail}, overridden: {reason}");
         }
         let deed = Deed {
-            what: "label",
-            stream: state.stream.as_str(),
-            version: state.version,
             generation: Some(state.generation),
-            detail: clipped(&detail),
+            ..Deed::of("label", state.stream.as_str(), state.version, clipped(&detail))
         };
         let path = self.label_path(&state.stream, &state.label);
         self.announced(origin, &deed, |store| {
@@ -230,11 +227,8 @@ impl Store {
         state.unix_ms = origin.unix_ms;
         state.generation = self.generation + 1;
         let deed = Deed {
-            what: "quarantine",
-            stream: state.stream.as_str(),
-            version: state.version,
             generation: Some(state.generation),
-            detail: clipped(&state.reason),
+            ..Deed::of("quarantine", state.stream.as_str(), state.version, clipped(&state.reason))
         };
         let path = self.note_path("quarantine", &state.stream, state.version);
         let quarantined = Quarantined { state: state.clone(), sha256 };
@@ -323,13 +317,8 @@ impl Store {
         report.unix_ms = origin.unix_ms;
         let what = if report.state.went_well() { "ack" } else { "nack" };
         let words = format!("{} {} {}", report.robot, report.state.name(), report.reason);
-        let deed = Deed {
-            what,
-            stream: report.stream.as_str(),
-            version: report.version,
-            generation: None,
-            detail: clipped(words.trim_end()),
-        };
+        let words = clipped(words.trim_end());
+        let deed = Deed::of(what, report.stream.as_str(), report.version, words);
         let path = self.note_path("reports", &report.stream, report.version);
         let next = before.with(report.clone());
         self.announced(origin, &deed, |store| store.write_note(&path, &ReportsFile::from(&next)))?;

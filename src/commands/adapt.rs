@@ -1,14 +1,13 @@
 //! `caudata adapt`: from measured logs to a policy for the robot as it is. The work is in `crates/studies`.
 
 use std::path::Path;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use caudata_evaluation::SuiteResult;
 use caudata_proto::registry::StreamName;
 use caudata_registry_client::{RegistryClient, manifest_of};
 use caudata_studies::adapt::{self, Adapted, Named};
 use caudata_studies::files;
-use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
+use caudata_telemetry::{ExitCode, Failure, FailureExt, Process, unix_ms};
 use clap::Args;
 
 use crate::commands::gap_diagnose::steps;
@@ -53,9 +52,7 @@ pub fn run(args: &AdaptArgs, process: &Process) -> Result<(), Failure> {
 fn publish(server: &str, stream: &str, path: &Path) -> Result<u64, Failure> {
     let stream = StreamName::new(stream).or_exit(ExitCode::BadConfig)?;
     let file = files::policy(path)?;
-    let now = SystemTime::now().duration_since(UNIX_EPOCH);
-    let created_ms = now.map_or(0, |t| t.as_millis() as u64);
-    let manifest = manifest_of(stream, &file, created_ms).or_exit(ExitCode::BadInput)?;
+    let manifest = manifest_of(stream, &file, unix_ms()).or_exit(ExitCode::BadInput)?;
     block_on(async {
         let mut client = RegistryClient::new(server)?;
         client.publish(manifest, file.bytes()).await

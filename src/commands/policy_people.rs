@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use caudata_proto::registry::{LabelName, Manifest, Overview, SetLabel, reverting};
 use caudata_registry_client::ClientError;
 use caudata_signing::ReleaseKey;
-use caudata_telemetry::{ExitCode, Failure};
+use caudata_telemetry::{ExitCode, Failure, unix_ms};
 use serde_json::json;
 
 use crate::commands::policy_calls::{ServerArgs, as_json, block_on};
@@ -147,14 +147,12 @@ pub fn revert(args: &RevertArgs) -> Result<(), Failure> {
         (Some(path), Some(id)) => Some(ReleaseKey::read(path, id).map_err(unusable)?),
         _ => None,
     };
-    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
-    let now_ms = now.map_or(0, |d| u64::try_from(d.as_millis()).unwrap_or(u64::MAX));
     let published = block_on(async {
         let mut client = args.server.client()?;
         let old = client.manifest(&stream, Some(args.version)).await?;
         let newest = client.list(Some(&stream), 1, None).await?.manifests;
         let next = newest.first().map_or(args.version, |m| m.version) + 1;
-        let mut manifest = reverting(&old, next, now_ms);
+        let mut manifest = reverting(&old, next, unix_ms());
         if let Some(key) = &key {
             key.sign(&mut manifest);
         }

@@ -2,10 +2,9 @@
 
 use std::io;
 use std::path::Path;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use caudata_evaluation::SuiteResult;
-use caudata_telemetry::EventFile;
+use caudata_telemetry::{EventFile, unix_ms};
 use serde_json::Value;
 
 use super::show;
@@ -13,8 +12,7 @@ use super::show;
 /// Adds the figures of `result` to the files of TensorBoard in `folder`: the project's targets, the means of each
 /// scenario, and as a text what was met and what not.
 pub fn write(folder: &Path, result: &SuiteResult) -> io::Result<()> {
-    let now = SystemTime::now().duration_since(UNIX_EPOCH);
-    let now_s = now.map_or(0.0, |t| t.as_secs_f64());
+    let now_s = unix_ms() as f64 * 1e-3;
     let step = result.policy_version;
     let mut file = EventFile::create(folder, now_s)?;
     file.scalars(now_s, step, &scalars(result))?;
