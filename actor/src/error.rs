@@ -70,10 +70,6 @@ impl ActorError {
             Self::Starved { .. } => Some("the learner's log says what it was doing"),
             _ => None,
         };
-        let failure = Failure::new(code, self);
-        match hint {
-            Some(hint) => failure.hint(hint),
-            None => failure,
-        }
+        Failure::new(code, self).hint_if(hint)
     }
 }

@@ -268,9 +268,5 @@ impl DeployError {
 /// The failure that ends the process.
 pub fn failure(error: DeployError) -> Failure {
     let hint = error.hint();
-    let failure = Failure::new(error.exit_code(), error);
-    match hint {
-        Some(hint) => failure.hint(hint),
-        None => failure,
-    }
+    Failure::new(error.exit_code(), error).hint_if(hint)
 }

@@ -161,10 +161,6 @@ impl LearnerError {
             }
             _ => None,
         };
-        let failure = Failure::new(self.exit_code(), self);
-        match hint {
-            Some(hint) => failure.hint(hint),
-            None => failure,
-        }
+        Failure::new(self.exit_code(), self).hint_if(hint)
     }
 }
