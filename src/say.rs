@@ -54,6 +54,15 @@ pub fn json(value: &impl Serialize) -> Result<(), Failure> {
     Ok(())
 }
 
+/// The bar with its parts as the template says.
+pub fn laid_out(bar: ProgressBar, template: &str) -> ProgressBar {
+    // Templates are constants; a wrong one would only lose the layout.
+    match ProgressStyle::with_template(template) {
+        Ok(style) => bar.with_style(style),
+        Err(_) => bar,
+    }
+}
+
 /// How often a line tells how far something is, where there is no terminal.
 const SHARE_EVERY: Duration = Duration::from_secs(10);
 
@@ -72,14 +81,8 @@ impl Share {
     /// A task of `total` equal parts; `what` names one of them.
     pub fn new(what: &'static str, total: usize) -> Self {
         let bar = std::io::stderr().is_terminal().then(|| {
-            let bar = ProgressBar::new(total as u64);
-            // The template is a constant; a wrong one would only lose the layout.
-            if let Ok(style) =
-                ProgressStyle::with_template("{bar:24} {pos}/{len} {msg}, {eta} left")
-            {
-                bar.set_style(style);
-            }
-            bar.with_message(what)
+            let layout = "{bar:24} {pos}/{len} {msg}, {eta} left";
+            laid_out(ProgressBar::new(total as u64), layout).with_message(what)
         });
         let now = Instant::now();
         Self { bar, what, total, done: 0, began: now, told: now }

@@ -54,38 +54,23 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
             None => Ok(()),
         },
         BenchCommand::Calibrate(WithJson { plan, json }) => {
-            let found = calibrate::run(plan, &own()?, &mut |case| {
-                if !*json {
-                    show::calibrated(case);
-                }
-            })?;
+            let found = calibrate::run(plan, &own()?, &mut told(*json, show::calibrated))?;
             say::either(*json, &found, show::calibration)
         }
         BenchCommand::Session(WithJson { plan, json }) => {
-            let found = session::run(plan, &own()?, &mut |case| {
-                if !*json {
-                    show::session(case);
-                }
-            })?;
+            let found = session::run(plan, &own()?, &mut told(*json, show::session))?;
             say::either(*json, &found, show::sessions)
         }
         BenchCommand::Explain(WithJson { plan, json }) => {
-            let found = explain::run(plan, &own()?, &learner()?, &mut |case| {
-                if !*json {
-                    show::explained(case);
-                }
-            })?;
+            let found =
+                explain::run(plan, &own()?, &learner()?, &mut told(*json, show::explained))?;
             say::either(*json, &found, show::explanations)
         }
         BenchCommand::Train(WithJson { plan, json }) => {
             say::either(*json, &train::run(plan, &learner()?)?, show::train)
         }
         BenchCommand::Skill(WithJson { plan, json }) => {
-            let found = skill::run(plan, &own()?, &mut |one| {
-                if !*json {
-                    show::skill(one);
-                }
-            })?;
+            let found = skill::run(plan, &own()?, &mut told(*json, show::skill))?;
             say::either(*json, &found, |found| say::record(found, "median_s"))
         }
         BenchCommand::Transport(WithJson { plan, json }) => {
@@ -98,6 +83,15 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
             let found = ingest::run(plan)?;
             say::either(*json, &found, show::ingest)?;
             found.verdict(plan)
+        }
+    }
+}
+
+/// Tells a person of each case as it comes.
+fn told<T>(json: bool, show: fn(&T)) -> impl FnMut(&T) {
+    move |case| {
+        if !json {
+            show(case);
         }
     }
 }

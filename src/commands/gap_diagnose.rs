@@ -7,7 +7,7 @@ use caudata_gap::Progress;
 use caudata_gap::report::{Report, Verdict};
 use caudata_studies::{News, Steps, diagnosis};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use serde_json::json;
 
 use super::gap_report;
@@ -111,11 +111,7 @@ impl View {
 }
 
 fn spinner() -> ProgressBar {
-    let bar = ProgressBar::new_spinner();
-    // The template is a constant; a wrong one would only lose the layout.
-    if let Ok(style) = ProgressStyle::with_template("{spinner} {elapsed}  {msg}") {
-        bar.set_style(style);
-    }
+    let bar = say::laid_out(ProgressBar::new_spinner(), "{spinner} {elapsed}  {msg}");
     bar.enable_steady_tick(Duration::from_millis(120));
     bar
 }

@@ -19,5 +19,6 @@ pub mod steps;
 mod table;
 pub mod training;
 
+pub use out_folder::{Asked, differences};
 pub use steps::{News, Steps};
 pub use table::Table;

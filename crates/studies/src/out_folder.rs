@@ -132,8 +132,8 @@ fn same_as_before(out: &Path, path: &Path, asked: &Asked) -> Result<(), Failure>
     Err(refused(format!("{out} was made with something else: {named}")))
 }
 
-/// In words.
-fn differences(before: &Asked, now: &Asked) -> Vec<String> {
+/// Keys that differ, in words.
+pub fn differences(before: &Asked, now: &Asked) -> Vec<String> {
     let mut keys: Vec<&String> = before.keys().chain(now.keys()).collect();
     keys.sort_unstable();
     keys.dedup();

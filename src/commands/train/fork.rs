@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use caudata_config::{CHANGES, Change, Changes, Config, ConfigError, Source};
-use caudata_studies::files;
+use caudata_studies::{Asked, differences, files};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 
 use super::folder::RunFolder;
@@ -138,21 +138,11 @@ pub fn same_training(before: &Config, now: &Config) -> Result<(), Failure> {
 /// The keys of decisive sections whose values differ, in words.
 fn differing(before: &Config, now: &Config) -> Vec<String> {
     const DECISIVE: [&str; 6] = ["run.seed", "actors.", "learner.", "engine.", "terrain.", "task."];
-    let (before, now) = (before.entries(), now.entries());
-    let value = |entries: &[(String, String)], key: &str| {
-        let found = entries.iter().find(|(name, _)| name == key);
-        found.map_or_else(|| "absent".to_owned(), |(_, value)| value.clone())
+    let decisive = |config: &Config| -> Asked {
+        let all = config.entries().into_iter();
+        all.filter(|(key, _)| DECISIVE.iter().any(|prefix| key.starts_with(prefix))).collect()
     };
-    let mut keys: Vec<&String> = before.iter().chain(&now).map(|(key, _)| key).collect();
-    keys.sort_unstable();
-    keys.dedup();
-    keys.into_iter()
-        .filter(|key| DECISIVE.iter().any(|prefix| key.starts_with(prefix)))
-        .filter_map(|key| {
-            let (was, is) = (value(&before, key), value(&now, key));
-            (was != is).then(|| format!("{key} was {was} and is {is}"))
-        })
-        .collect()
+    differences(&decisive(before), &decisive(now))
 }
 
 /// Copies the files of a folder into another, which is made.

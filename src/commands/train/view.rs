@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use caudata_durable::OwnerError;
 use caudata_telemetry::StopFlag;
 use caudata_telemetry::progress::{Changed, Event, Iteration, Started, Warning};
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 
 use crate::say;
 
@@ -38,12 +38,7 @@ impl View {
         if !std::io::stderr().is_terminal() {
             return View::Plain { last: None };
         }
-        let bar = ProgressBar::new(0);
-        // The template is a constant; a wrong one would only lose the layout.
-        if let Ok(style) = ProgressStyle::with_template("{bar:24} {pos}/{len}  {msg}") {
-            bar.set_style(style);
-        }
-        View::Bar(bar)
+        View::Bar(say::laid_out(ProgressBar::new(0), "{bar:24} {pos}/{len}  {msg}"))
     }
 
     /// Shows an event of the learner, which came as `line`.
