@@ -4,7 +4,7 @@ use caudata_model::pose::{add, cross, dot, sub};
 use caudata_model::{Ball, BaseKind, JointMotion, Kinematics, Pose, RobotModel};
 use nalgebra::{Matrix3, Vector3};
 
-use crate::{EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
+use crate::{InitialState, LaneParams, Rig, SimError, State, Terrain};
 
 /// Position and velocity of one robot.
 #[derive(Debug, Clone, PartialEq)]
@@ -177,12 +177,11 @@ impl Observer {
     pub fn report(
         &mut self,
         out: &mut State,
-        model: &RobotModel,
-        config: &EngineConfig,
-        terrain: &Terrain,
+        rig: &Rig,
         gravity_mps2: [f32; 3],
         before_mps: Option<[f64; 3]>,
     ) -> Result<[f64; 3], SimError> {
+        let model = &*rig.model;
         self.follow(model)?;
         let (at, motion) = (&self.at, &self.motion);
         let base = &motion.places.links[0];
@@ -201,7 +200,7 @@ impl Observer {
 
         for (f, foot) in model.feet().iter().enumerate() {
             let (p, v) = motion.point(foot.link, foot.centre_m);
-            let ground = f64::from(terrain.height_m(p[0] as f32, p[1] as f32));
+            let ground = f64::from(rig.terrain.height_m(p[0] as f32, p[1] as f32));
             put(&mut out.foot_pos_m, f, p);
             put(&mut out.foot_vel_mps, f, v);
             let low = |ball: &Ball| motion.point(foot.link, ball.centre_m).0[2] - ball.radius_m;
@@ -215,7 +214,7 @@ impl Observer {
         put(&mut out.imu_gravity, 0, unrotate(&world_from_imu, unit_or_down(gravity_mps2)));
 
         let vel = motion.point(link, link_from_imu.pos_m).1;
-        let period_s = config.control_period_s();
+        let period_s = rig.config.control_period_s();
         let acceleration = sub(vel, before_mps.unwrap_or(vel)).map(|v| v / period_s);
         let force = sub(acceleration, gravity_mps2.map(f64::from));
         put(&mut out.imu_acc_mps2, 0, unrotate(&world_from_imu, force));
@@ -263,12 +262,8 @@ fn put_all(field: &mut [f32], row: usize, values: &[f64]) {
 
 impl Coordinates {
     /// The coordinates `init` asks for.
-    pub fn start(
-        model: &RobotModel,
-        config: &EngineConfig,
-        terrain: &Terrain,
-        init: &InitialState,
-    ) -> Result<Self, SimError> {
+    pub fn start(rig: &Rig, init: &InitialState) -> Result<Self, SimError> {
+        let Rig { model, config, terrain, .. } = rig;
         let wide = |v: &[f32]| -> Vec<f64> { v.iter().map(|&x| f64::from(x)).collect() };
         let full =
             |v: &[f32]| model.full_pos_rad(&wide(v)).map_err(|e| SimError::Model(e.to_string()));

@@ -197,8 +197,7 @@ impl<R: Lanes> Group<R> {
                 to.set_lane(lane, &one);
             }
         }
-        let servos: Vec<ServoDrive<f64>> =
-            (0..program.actuated).map(|a| ServoDrive::new(model, p, a, config.dt_s)).collect();
+        let servos = ServoDrive::all(model, p, config.dt_s);
         let hinges = JointPassive::all(model, p);
         for (i, node) in program.nodes.iter().enumerate() {
             let joint = &model.joints()[node.joint];

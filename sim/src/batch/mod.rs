@@ -126,16 +126,11 @@ impl BatchEngine {
     pub fn correct(&mut self, lane: usize, init: &InitialState) -> Result<(), SimError> {
         check_lane(lane, self.lanes())?;
         init.validate(self.model(), lane)?;
-        let at = self.coordinates(init)?;
+        let at = Coordinates::start(&self.rig, init)?;
         let rig = &mut self.rig;
         let start = start_of(&rig.params[lane], init, &at);
         self.core.correct(lane, &start, rig.model.actuated(), &mut rig.state);
         Ok(())
-    }
-
-    /// Where `init` puts a lane.
-    fn coordinates(&self, init: &InitialState) -> Result<Coordinates, SimError> {
-        Coordinates::start(self.model(), self.config(), self.terrain(), init)
     }
 
     fn owner(&self) -> Owner<'_> {
@@ -223,7 +218,7 @@ impl Engine for BatchEngine {
     }
 
     fn begin(&mut self, lane: usize, init: &InitialState) -> Result<(), SimError> {
-        let at = self.coordinates(init)?;
+        let at = Coordinates::start(&self.rig, init)?;
         let start = start_of(&self.rig.params[lane], init, &at);
         self.core.reset(lane, &start, &mut self.rig.state);
         Ok(())

@@ -12,6 +12,11 @@ use crate::params::backlash_joints;
 use crate::stop::Stop;
 
 impl ServoDrive<f64> {
+    /// Of each actuated joint.
+    pub fn all(model: &RobotModel, params: &LaneParams, dt_s: f64) -> Vec<Self> {
+        (0..model.actuated().len()).map(|a| Self::new(model, params, a, dt_s)).collect()
+    }
+
     /// Servo `a` (policy order) of a lane with parameters `params`, for physics steps of `dt_s`.
     pub fn new(model: &RobotModel, params: &LaneParams, a: usize, dt_s: f64) -> Self {
         let servo = model.servo(a);

@@ -52,7 +52,7 @@ impl Lane {
         init: &InitialState,
     ) -> Result<Self, SimError> {
         let (model, config) = (&*shared.rig.model, &shared.rig.config);
-        let at = Coordinates::start(model, config, &shared.rig.terrain, init)?;
+        let at = Coordinates::start(&shared.rig, init)?;
         let mut robot = Robot::new(model, config);
         robot.place(&at);
         let memory = Memory {
@@ -78,13 +78,11 @@ impl Lane {
         let (model, config) = (&*shared.rig.model, &shared.rig.config);
         memory.drive.fit(config, &params);
         let nominal = InitialState::nominal(model);
-        let mut at = Coordinates::start(model, config, &shared.rig.terrain, &nominal)?;
+        let mut at = Coordinates::start(&shared.rig, &nominal)?;
         (at.world_from_base.pos_m, at.world_from_base.quat_wxyz) = memory.held;
         memory.robot.read(&mut at);
         let seen = Observer::new(model, &params, at);
-        let servos: Vec<_> = (0..model.actuated().len())
-            .map(|a| ServoDrive::new(model, &params, a, config.dt_s))
-            .collect();
+        let servos = ServoDrive::all(model, &params, config.dt_s);
         let drive = LaneDrive::new(model, config, &params, &servos, &shared.stops);
         let water = Water::new(shared, &params);
         check(drive.features, water.as_ref())?;
@@ -199,10 +197,8 @@ impl Lane {
 
     /// Writes what is seen of the robot where it is, as [`Observer::report`].
     fn report(&mut self, shared: &Shared, before_mps: Option<[f64; 3]>) -> Result<(), SimError> {
-        let (model, config, terrain) = (&shared.rig.model, &shared.rig.config, &shared.rig.terrain);
         let (out, gravity) = (&mut self.memory.out, self.params.gravity_mps2);
-        let seen = &mut self.seen;
-        self.memory.imu_vel_mps = seen.report(out, model, config, terrain, gravity, before_mps)?;
+        self.memory.imu_vel_mps = self.seen.report(out, &shared.rig, gravity, before_mps)?;
         Ok(())
     }
 }

@@ -40,8 +40,7 @@ pub(super) struct Lane {
 impl Lane {
     /// A lane in `init`.
     pub fn new(shared: &Shared, params: LaneParams, init: &InitialState) -> Result<Self, SimError> {
-        let at =
-            Coordinates::start(&shared.rig.model, &shared.rig.config, &shared.rig.terrain, init)?;
+        let at = Coordinates::start(&shared.rig, init)?;
         let memory = DriveMemory::new(&shared.rig.model, &shared.rig.config, &params, init);
         Self::at(shared, params, at, memory)
     }
@@ -55,9 +54,7 @@ impl Lane {
     ) -> Result<Self, SimError> {
         let model = &*shared.rig.model;
         let seen = Observer::new(model, &params, at);
-        let servos: Vec<_> = (0..model.actuated().len())
-            .map(|a| ServoDrive::new(model, &params, a, shared.rig.config.dt_s))
-            .collect();
+        let servos = ServoDrive::all(model, &params, shared.rig.config.dt_s);
         let mut lane = Self {
             memory: Memory {
                 drive: drive_memory,
@@ -146,10 +143,8 @@ impl Lane {
 
     /// Writes what is seen of the robot where it is, as [`Observer::report`].
     fn report(&mut self, shared: &Shared, before_mps: Option<[f64; 3]>) -> Result<(), SimError> {
-        let (model, config, terrain) = (&shared.rig.model, &shared.rig.config, &shared.rig.terrain);
         let (out, gravity) = (&mut self.memory.out, self.params.gravity_mps2);
-        let seen = &mut self.seen;
-        self.memory.imu_vel_mps = seen.report(out, model, config, terrain, gravity, before_mps)?;
+        self.memory.imu_vel_mps = self.seen.report(out, &shared.rig, gravity, before_mps)?;
         Ok(())
     }
 }
