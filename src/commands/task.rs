@@ -8,6 +8,7 @@ use caudata_task::layout::Part;
 use caudata_task::reward::{Sense, TERMS};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Subcommand;
+use serde_json::{Value, json};
 
 use crate::commands::robot;
 use crate::say;
@@ -30,11 +31,7 @@ pub enum TaskCommand {
 
 pub fn run(command: &TaskCommand) -> Result<(), Failure> {
     match command {
-        TaskCommand::Terms { json: true } => terms_json(),
-        TaskCommand::Terms { json: false } => {
-            terms();
-            Ok(())
-        }
+        TaskCommand::Terms { json } => say::either(*json, &terms(), print),
         TaskCommand::New { robot: file } => {
             let model = robot::load(file)?;
             let text = Config::derived(&model).or_exit(ExitCode::BadInput)?;
@@ -49,59 +46,28 @@ fn plain(about: &str) -> String {
     about.trim().replace(['`', '[', ']'], "")
 }
 
-fn terms() {
-    say::line("Reward terms: weights in [task.reward.weights]; own ones in [[task.reward.term]]");
-    let rows = TERMS.iter().map(|term| {
-        let sense = match term.sense {
-            Sense::Reward => "reward",
-            Sense::Guide => "guide",
-            Sense::Cost => "cost",
-        };
-        let weight = format!("{}", term.default_weight);
-        [term.name, sense, term.unit, &weight, &plain(term.about)].map(str::to_owned).to_vec()
-    });
-    say::table(&["term", "", "unit", "weight", "value"], rows);
-    say::line("\nObservation terms: [[task.observation.term]] name = ..., or name and value");
-    let rows = Part::ALL.map(|part| {
-        let frame = part.frame(&["each foot".to_owned()]);
-        vec![part.name().to_owned(), part.unit().to_owned(), frame]
-    });
-    say::table(&["term", "unit", "values"], rows);
-    say::line("\nSignals for values of one's own (radians are pure numbers)");
-    let rows = SIGNALS.iter().map(|signal| {
-        let known = match signal.known {
-            Known::Sensed => "robot and simulation",
-            Known::Simulated => "simulation",
-        };
-        let unit = signal.unit.to_string();
-        [signal.name, signal.shape.name(), &unit, known, &plain(signal.about)]
-            .map(str::to_owned)
-            .to_vec()
-    });
-    say::table(&["signal", "values", "unit", "known to", ""], rows);
-    say::line("\nFunctions, beside + - * / ^ < > <= >= and .x .y .z .JOINT .FOOT");
-    let rows = FUNCTIONS.iter().map(|function| {
-        let arguments = ["a", "b", "c"][..function.arguments].join(", ");
-        let call = format!("{}({arguments})", function.name);
-        vec![call, function.about.to_owned()]
-    });
-    say::table(&[], rows);
-}
-
-fn terms_json() -> Result<(), Failure> {
+/// What a task file may name.
+fn terms() -> Value {
     let rewards = TERMS.iter().map(|term| {
-        serde_json::json!({
+        json!({
             "name": term.name,
+            "sense": match term.sense {
+                Sense::Reward => "reward",
+                Sense::Guide => "guide",
+                Sense::Cost => "cost",
+            },
             "cost": term.sense == Sense::Cost,
             "unit": term.unit,
             "default_weight": term.default_weight,
             "about": plain(term.about),
         })
     });
-    let observations =
-        Part::ALL.map(|part| serde_json::json!({ "name": part.name(), "unit": part.unit() }));
+    let observations = Part::ALL.map(|part| {
+        let frame = part.frame(&["each foot".to_owned()]);
+        json!({ "name": part.name(), "unit": part.unit(), "values": frame })
+    });
     let signals = SIGNALS.iter().map(|signal| {
-        serde_json::json!({
+        json!({
             "name": signal.name,
             "values": signal.shape.name(),
             "unit": signal.unit.to_string(),
@@ -109,17 +75,42 @@ fn terms_json() -> Result<(), Failure> {
             "about": plain(signal.about),
         })
     });
-    let functions = FUNCTIONS.iter().map(|function| {
-        serde_json::json!({
-            "name": function.name,
-            "arguments": function.arguments,
-            "about": function.about,
-        })
+    let functions = FUNCTIONS.iter().map(|f| {
+        let call = format!("{}({})", f.name, ["a", "b", "c"][..f.arguments].join(", "));
+        json!({ "name": f.name, "arguments": f.arguments, "call": call, "about": f.about })
     });
-    say::json(&serde_json::json!({
+    json!({
         "rewards": rewards.collect::<Vec<_>>(),
         "observations": observations,
         "signals": signals.collect::<Vec<_>>(),
         "functions": functions.collect::<Vec<_>>(),
-    }))
+    })
+}
+
+/// The same as tables.
+fn print(terms: &Value) {
+    let table = |about: &str, list: &str, keys: &str| {
+        say::line(about);
+        say::records(terms[list].as_array().map_or(&[][..], Vec::as_slice), keys);
+    };
+    table(
+        "Reward terms: weights in [task.reward.weights]; own ones in [[task.reward.term]]",
+        "rewards",
+        "name sense unit default_weight about",
+    );
+    table(
+        "\nObservation terms: [[task.observation.term]] name = ..., or name and value",
+        "observations",
+        "name unit values",
+    );
+    table(
+        "\nSignals for values of one's own (radians are pure numbers); sensed: known to the robot as well",
+        "signals",
+        "name values unit sensed about",
+    );
+    table(
+        "\nFunctions, beside + - * / ^ < > <= >= and .x .y .z .JOINT .FOOT",
+        "functions",
+        "call about",
+    );
 }
