@@ -174,15 +174,11 @@ struct Columns {
 
 impl Columns {
     fn new(model: &RobotModel, truth: &GroundTruth) -> Self {
-        let mut signals = Vec::new();
-        let names = model.actuated_names();
-        for kind in [Signal::Command, Signal::Position, Signal::Velocity, Signal::Current] {
-            signals.extend(Signal::each(kind, &names));
-        }
+        let of_joints: [fn(String) -> Signal; 4] =
+            [Signal::Command, Signal::Position, Signal::Velocity, Signal::Current];
+        let mut signals = Signal::each(&of_joints, &model.actuated_names());
         signals.push(Signal::Voltage);
-        for kind in [Signal::Gyro, Signal::Acceleration, Signal::Gravity] {
-            signals.extend(Axis::ALL.map(kind));
-        }
+        signals.extend(Signal::axes(&[Signal::Gyro, Signal::Acceleration, Signal::Gravity]));
         let base = truth.base_pos_m.is_some();
         if base {
             signals.extend(Axis::ALL.map(Signal::BasePosition));

@@ -403,14 +403,12 @@ fn simulate(
 fn signals(model: &RobotModel) -> Vec<Signal> {
     let joints = model.actuated_names();
     let feet = || model.feet().iter().map(|foot| foot.name.clone());
-    let mut signals = Signal::each(Signal::Command, &joints);
-    signals.extend(Signal::each(Signal::Position, &joints));
-    signals.extend(Signal::each(Signal::Velocity, &joints));
-    signals.extend(Signal::each(Signal::Torque, &joints));
-    signals.extend(Axis::ALL.map(Signal::Gyro));
-    signals.extend(Axis::ALL.map(Signal::Acceleration));
-    signals.extend(Axis::ALL.map(Signal::Gravity));
-    signals.extend(Axis::ALL.map(Signal::BasePosition));
+    let of_joints: [fn(String) -> Signal; 4] =
+        [Signal::Command, Signal::Position, Signal::Velocity, Signal::Torque];
+    let mut signals = Signal::each(&of_joints, &joints);
+    let of_axes: [fn(Axis) -> Signal; 4] =
+        [Signal::Gyro, Signal::Acceleration, Signal::Gravity, Signal::BasePosition];
+    signals.extend(Signal::axes(&of_axes));
     signals.extend(QuatPart::ALL.map(Signal::BaseQuaternion));
     signals.extend(Axis::ALL.map(Signal::BaseVelocity));
     signals.extend(feet().flat_map(|leg| Axis::ALL.map(|axis| Signal::Foot(leg.clone(), axis))));

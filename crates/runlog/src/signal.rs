@@ -93,9 +93,15 @@ pub enum Signal {
 }
 
 impl Signal {
-    /// One for each of these joints.
-    pub fn each(kind: fn(String) -> Self, joints: &[&str]) -> Vec<Self> {
-        joints.iter().map(|name| kind((*name).to_owned())).collect()
+    /// One for each of these joints, kind by kind.
+    pub fn each(kinds: &[fn(String) -> Self], joints: &[&str]) -> Vec<Self> {
+        let one = |kind: &fn(String) -> Self, name: &&str| kind((*name).to_owned());
+        kinds.iter().flat_map(|kind| joints.iter().map(move |name| one(kind, name))).collect()
+    }
+
+    /// One for each axis, kind by kind.
+    pub fn axes(kinds: &[fn(Axis) -> Self]) -> Vec<Self> {
+        kinds.iter().flat_map(|kind| Axis::ALL.map(kind)).collect()
     }
 
     /// The parts of the column's name, which dots join: kind, joint or leg or marker, coordinate; empty where

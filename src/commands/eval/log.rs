@@ -60,9 +60,7 @@ pub fn write(
 pub fn signals(model: &RobotModel) -> Vec<Signal> {
     let joints = model.actuated_names();
     let feet = model.feet().iter().map(|foot| foot.name.clone());
-    let mut signals = Signal::each(Signal::Position, &joints);
-    signals.extend(Signal::each(Signal::Velocity, &joints));
-    signals.extend(Signal::each(Signal::Torque, &joints));
+    let mut signals = Signal::each(&[Signal::Position, Signal::Velocity, Signal::Torque], &joints);
     signals.extend(Axis::ALL.map(Signal::BasePosition));
     signals.extend(QuatPart::ALL.map(Signal::BaseQuaternion));
     signals.extend(feet.map(Signal::Contact));

@@ -107,16 +107,12 @@ impl Session {
 
 /// Columns of a log.
 pub fn signals(model: &RobotModel, channels: Channels) -> Vec<Signal> {
-    let names = model.actuated_names();
-    let each = |kind| Signal::each(kind, &names);
-    let mut all = each(Signal::Command);
-    all.extend(each(Signal::Position));
-    all.extend(each(Signal::Velocity));
-    all.extend(each(Signal::Current));
+    let of_joints: [fn(String) -> Signal; 4] =
+        [Signal::Command, Signal::Position, Signal::Velocity, Signal::Current];
+    let mut all = Signal::each(&of_joints, &model.actuated_names());
     all.push(Signal::Voltage);
     if channels.imu {
-        all.extend(Axis::ALL.map(Signal::Gyro));
-        all.extend(Axis::ALL.map(Signal::Acceleration));
+        all.extend(Signal::axes(&[Signal::Gyro, Signal::Acceleration]));
     }
     if channels.mocap {
         all.extend(Axis::ALL.map(Signal::BasePosition));

@@ -85,9 +85,8 @@ impl Sensing {
     /// Columns of the log.
     pub fn signals(&self, model: &RobotModel) -> Vec<Signal> {
         let names = model.actuated_names();
-        let each = |kind| Signal::each(kind, &names);
-        let mut all = each(Signal::Command);
-        all.extend(each(Signal::Position));
+        let each = |kind| Signal::each(&[kind], &names);
+        let mut all = Signal::each(&[Signal::Command, Signal::Position], &names);
         if self.log_velocity {
             all.extend(each(Signal::Velocity));
         }
