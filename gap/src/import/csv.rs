@@ -39,7 +39,7 @@ pub fn open(path: &Path, named: &BTreeSet<&str>) -> Result<Recording, ImportErro
 }
 
 /// Headers of a column that says which joint a row is of.
-const KEYS: [&str; 8] =
+const JOINT_COLUMNS: [&str; 8] =
     ["joint", "joint_name", "joint_id", "name", "motor", "motor_id", "servo", "servo_id"];
 /// Most joints that such a column names.
 const MOST_JOINTS: usize = 64;
@@ -124,7 +124,7 @@ impl Table {
             fields.take_while(|name| !name.is_empty()).map(str::to_owned).collect()
         };
         let is_key = |(at, header): &(usize, &String)| {
-            KEYS.contains(&header.trim().to_lowercase().as_str())
+            JOINT_COLUMNS.contains(&header.trim().to_lowercase().as_str())
                 && (2..=MOST_JOINTS).contains(&names(*at).len())
         };
         let Some((key, _)) = self.header.iter().enumerate().find(is_key) else { return };

@@ -16,8 +16,8 @@ pub(super) struct Order {
 }
 
 impl Order {
-    /// Of a recording of `robot`. Columns of angles that call as many joints otherwise as there are without a column
-    /// are taken to have them in the robot's order (`Soll Schulter`, `Ist Schulter`, `Soll Ellbogen` of an arm of
+    /// What the columns of a recording of `robot` mean. Those of angles that call as many joints otherwise as there are
+    /// without a column are taken to have them in the robot's order (`Soll Schulter`, `Ist Schulter`, `Soll Ellbogen` of an arm of
     /// shoulder and elbow), by their numbers where all have one. Else numbers count from 0, or from 1 where the last
     /// joint's is there and no 0.
     pub(super) fn of(recording: &Recording, robot: &RobotModel, clock: &str) -> Self {

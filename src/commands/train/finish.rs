@@ -13,7 +13,6 @@ use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
 use serde::Serialize;
 
 use super::accounting::{Balance, balance};
-use super::after_training;
 use super::choose::{self, CHOSEN, Choice, choose};
 use super::folder::RunFolder;
 use super::robot::{RobotRun, run_robot};
@@ -156,6 +155,20 @@ pub fn evaluate(
         robot_failure: failure.as_ref().map(ToString::to_string),
         failure,
     })
+}
+
+/// Training itself went well: the policy is there, and is refused or can be tried again.
+pub fn after_training(failure: Failure, folder: &RunFolder) -> Failure {
+    let policy = folder.policy().display().to_string();
+    // what a robot refuses it refuses again
+    let (how, longer) = match failure.code() {
+        ExitCode::PolicyRefused => ("train it longer", " --iterations N"),
+        _ => ("make up for it", ""),
+    };
+    failure.context("training is complete, its evaluation is not").hint(format!(
+        "the last policy is {policy}; {how} with: caudata train --resume --out {}{longer}",
+        folder.root().display()
+    ))
 }
 
 /// The hash of a version on the server; `None` where the server does not hold it.

@@ -127,7 +127,7 @@ pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
         return stopped_early(args, &folder, &outcome);
     }
     let report = finish::evaluate(&config, &folder, model, &mut outcome, &process.stop)
-        .map_err(|failure| after_training(failure, &folder))?;
+        .map_err(|failure| finish::after_training(failure, &folder))?;
     outcome.stop_server();
     let text = serde_json::to_string_pretty(&report).or_exit(ExitCode::Internal)?;
     folder.write("report.json", text.as_bytes())?;
@@ -264,20 +264,6 @@ fn source(args: &TrainArgs, resumed: Option<&Path>) -> Source {
     set("run.seed", args.seed.map(|seed| seed.to_string()));
     set("transport.kind", args.transport.map(|kind| kind.name().to_owned()));
     source
-}
-
-/// Training itself went well: the policy is there, and is refused or can be tried again.
-fn after_training(failure: Failure, folder: &RunFolder) -> Failure {
-    let policy = folder.policy().display().to_string();
-    // what a robot refuses it refuses again
-    let (how, longer) = match failure.code() {
-        ExitCode::PolicyRefused => ("train it longer", " --iterations N"),
-        _ => ("make up for it", ""),
-    };
-    failure.context("training is complete, its evaluation is not").hint(format!(
-        "the last policy is {policy}; {how} with: caudata train --resume --out {}{longer}",
-        folder.root().display()
-    ))
 }
 
 /// Says where the run stands and how to go on.
