@@ -8,12 +8,12 @@ use super::alike::wider;
 use super::extend::parameters;
 use super::levels::RIGHT_LEAVES;
 use super::naming::Named;
-use super::product::{gram, stiffen};
+use super::product::{dot, gram, stiffen};
 use super::state::{Context, Derivatives, State};
 use super::words::rounded;
 use crate::error::GapError;
 use crate::plots::Correlation;
-use crate::replay::Term;
+use crate::replay::{LANES, Term, Variant};
 use crate::report::{Cause, Parameter};
 
 /// Half an interval is at least this part of the smallest change that matters: labs differ by more than the
@@ -22,6 +22,9 @@ const FINEST: f64 = 0.35;
 /// … and this part of the effect: the law that is fitted is not quite nature's (on the benchmark, whose laws
 /// are others, one error in two is larger than 4 %), more where the model leaves more than a right one does.
 const LAW: f64 = 0.1;
+/// Sizes at which an effect with a threshold may begin: each is so much nearer to the fitted one, and all fill one
+/// engine.
+const NEARER: f64 = 0.75;
 
 /// Sandwich covariance of the fitted parameters.
 pub struct Spread {
@@ -33,28 +36,58 @@ pub struct Spread {
 }
 
 /// The parameters of term `index` with their 95 % intervals. `wider`: variances of them that are larger than
-/// `spread` says, SI², if any (see [`beside`]).
+/// `spread` says, SI², if any (see [`beside`]). `amounts`: see there.
 pub fn intervals(
     context: &Context,
     best: &State,
     index: usize,
     spread: &Spread,
-    wider: &[f64],
+    (wider, amounts): (&[f64], &[f64]),
 ) -> BTreeMap<String, Parameter> {
     let model = context.replayer.model();
     let offset: usize = best.terms[..index].iter().map(|t| t.values.len()).sum();
     let term = &best.terms[index];
-    let neutral = term.neutral(model);
     // what the model still gets wrong pulls at its parameters as well; and no interval is finer than a part of
     // what matters
     let poor = (best.fit.misfit / RIGHT_LEAVES).max(1.0).sqrt();
     parameters(model, term, |p| {
         let variance = spread.variance.get(offset + p).copied().unwrap_or(0.0);
         let sd = variance.max(wider.get(p).copied().unwrap_or(0.0)).max(0.0).sqrt();
-        (1.96 * sd * poor)
-            .hypot(FINEST * term.scale(model, p).abs())
-            .hypot(LAW * poor * (term.values[p] - neutral[p]).abs())
+        (1.96 * sd * poor).hypot(FINEST * term.scale(model, p).abs()).hypot(LAW * poor * amounts[p])
     })
+}
+
+/// How much of an effect each parameter of term `index` is, SI: how far it is from where the effect begins. That is its
+/// neutral value; but where there is a threshold nothing may happen for most of the way, and a stop that is nowhere at
+/// 4 rad begins where the joint would get.
+///
+/// # Errors
+/// As [`crate::replay::Replayer::predict`].
+pub fn amounts(context: &Context, best: &State, index: usize) -> Result<Vec<f64>, GapError> {
+    let term = &best.terms[index];
+    let neutral = term.neutral(context.replayer.model());
+    let away = |share: f64| term.values.iter().zip(&neutral).map(move |(v, z)| share * (z - v));
+    let mut share = 1.0;
+    if term.effect.hinge {
+        let shares: Vec<f64> = (0..LANES as i32).map(|k| NEARER.powi(k)).collect();
+        let at = |share: &f64| {
+            let mut terms = best.terms.clone();
+            for (value, way) in terms[index].values.iter_mut().zip(away(*share)) {
+                *value += way;
+            }
+            terms
+        };
+        let variants: Vec<Variant> = shares.iter().map(at).collect();
+        let predictions = context.replayer.predict(&context.fit.data, &variants)?;
+        let does = |prediction: &Vec<f32>| {
+            let trace = context.fit.change(prediction, &predictions[0]);
+            dot(&trace, &trace)
+        };
+        let whole = does(&best.fit.prediction);
+        let nothing = |(_, p): &(&f64, &Vec<f32>)| does(p) <= LAW * LAW * whole;
+        share = shares.iter().zip(&predictions).take_while(nothing).fold(1.0, |_, (s, _)| *s);
+    }
+    Ok(away(share).map(f64::abs).collect())
 }
 
 /// (JᵀJ)⁻¹·(Σ over blocks of score·scoreᵀ)·(JᵀJ)⁻¹: holds where residuals hang together within a block.

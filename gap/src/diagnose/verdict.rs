@@ -17,7 +17,7 @@ use super::local::local_gaps;
 use super::naming::{self, Named};
 use super::request::{Diagnosis, Request, Split};
 use super::search::Found;
-use super::spread::{Spread, beside, correlation, intervals, spread, widen};
+use super::spread::{Spread, amounts, beside, correlation, intervals, spread, widen};
 use super::state::{Context, On, State};
 use super::synonyms::synonyms;
 use super::tracking::Tracking;
@@ -321,8 +321,10 @@ fn cause(
         true => Vec::new(),
         false => beside(context, best, named.index, &weighed.open, spread)?,
     };
-    let parameters = intervals(context, best, named.index, spread, &wider);
-    let mut grounds = grounds(context, named, term, weighed.same_name, &parameters, doubts);
+    let amounts = amounts(context, best, named.index)?;
+    let parameters = intervals(context, best, named.index, spread, (&wider, &amounts));
+    let sizes = (&parameters, &amounts[..]);
+    let mut grounds = grounds(context, named, term, weighed.same_name, sizes, doubts);
     grounds.scatter = grounds.scatter.max(own_scatter);
     Ok(Cause {
         effect: term.effect.id.to_owned(),
@@ -370,26 +372,30 @@ fn grounds(
     named: &Named,
     term: &Term,
     among: f64,
-    parameters: &BTreeMap<String, Parameter>,
+    sizes: (&BTreeMap<String, Parameter>, &[f64]),
     doubts: &Doubts,
 ) -> Grounds {
     let near = doubts.grounds(context, &term.place);
     Grounds {
         among_look_alikes: among,
         gain: named.worth.cross / named.worth.of.max(1e-9),
-        distance: distance(context, term, parameters),
-        at_bound: near.at_bound || parameters.values().any(|p| p.at_bound),
+        distance: distance(context, term, sizes),
+        at_bound: near.at_bound || sizes.0.values().any(|p| p.at_bound),
         ..near
     }
 }
 
-/// How far the size of `term` is from no effect, in halves of its 95 % interval.
-fn distance(context: &Context, term: &Term, parameters: &BTreeMap<String, Parameter>) -> f64 {
+/// How far the size of `term` is from no effect, in halves of its 95 % interval: `amounts` of its parameters.
+fn distance(
+    context: &Context,
+    term: &Term,
+    (parameters, amounts): (&BTreeMap<String, Parameter>, &[f64]),
+) -> f64 {
     let neutral = term.neutral(context.replayer.model());
     let of = |p: usize| {
         let of = &parameters[term.effect.parameters[p].name];
         let end = if of.value < neutral[p] { of.ci_high } else { of.ci_low };
-        (of.value - neutral[p]).abs() / (of.value - end).abs().max(f64::MIN_POSITIVE)
+        amounts[p] / (of.value - end).abs().max(f64::MIN_POSITIVE)
     };
     sizes(term.effect).map(of).fold(0.0, f64::max).min(1e3)
 }

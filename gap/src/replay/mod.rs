@@ -17,5 +17,5 @@ mod trace;
 pub use crate::term::{Term, Variant};
 pub use cuts::SegmentOptions;
 pub use data::{Data, Piece, Segment};
-pub use replayer::Replayer;
+pub use replayer::{LANES, Replayer};
 pub use starts::Start;

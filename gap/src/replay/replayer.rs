@@ -17,7 +17,7 @@ use crate::term::{Term, Variant};
 use crate::trial::Trial;
 
 /// Lanes of one engine: the widest vector register's.
-const LANES: usize = 16;
+pub const LANES: usize = 16;
 /// Depth of the water unless a run says otherwise, m: deeper than any robot is long.
 const DEPTH_M: f64 = 2.0;
 

@@ -206,6 +206,10 @@ fn a_stop_that_angles_pass_is_told_and_simulated_nowhere() {
     assert_eq!(names(&d), ["hard_stop"], "{}", d.report.summary);
     let found = d.extension.lane["joints.swing.high_rad"];
     assert!((found - stop).abs() < 0.005, "{found} {stop}");
+    // and its interval goes by how far the joint would get, not by the 4 rad at which no stop is
+    let high = &d.report.causes[0].parameters["high_rad"];
+    assert!((high.ci_low..=high.ci_high).contains(&stop), "{high:?} {stop}");
+    assert!(high.ci_high - high.ci_low < 0.4 * (farthest - stop), "{high:?} {farthest}");
     assert!(d.report.summary.contains("past the end stop"), "{}", d.report.summary);
 }
 
