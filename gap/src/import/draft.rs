@@ -627,5 +627,10 @@ mod tests {
         assert!(unread.is_empty() && rows == 1, "{unread:?}");
         let last = [(0, "pos"), (0, "cmd"), (1, "cmd"), (1, "pos")];
         assert_eq!(read_of[10..], last.map(|(j, kind)| format!("{kind}.{}", joints[j])));
+        // where a hand is, is no joint, though two are left
+        let row = vec!["2.0"; 13].join(",");
+        let text = format!("t,{},hand_pos_x,hand_pos_y\n{row}\n", named.join(","));
+        let (_, unread, _) = read("quadruped", &text);
+        assert_eq!(unread, ["hand_pos_x", "hand_pos_y"]);
     }
 }

@@ -36,7 +36,9 @@ impl Order {
                 numbers.extend(words.number());
                 let file = recording.file_of(sheet.as_ref());
                 let angle = words.kind_in(file).is_some_and(|kind| ["cmd", "pos"].contains(&kind));
-                let label = words.label().filter(|label| angle && !labels.contains(label));
+                // where a hand or a base is, is no joint
+                let place = words.has("x y z w");
+                let label = words.label().filter(|l| angle && !place && !labels.contains(l));
                 labels.extend(label);
             }
         }

@@ -8,7 +8,7 @@ use super::units::unit_word;
 /// Words that tell a kind of signal, the first that fits; a command is one of the words in [`COMMANDS`] with any
 /// of them or none.
 const KIND_WORDS: &[(&str, &str)] = &[
-    ("vel", "vel velocity speed qd dq omega drehzahl vitesse velocidad"),
+    ("vel", "vel velocity speed qd dq dot omega drehzahl vitesse velocidad"),
     ("cur", "cur current currents amps i strom courant corriente"),
     ("tau", "tau torque torques effort drehmoment"),
     ("volt", "volt volts voltage supply vbat vin spannung"),
@@ -19,7 +19,7 @@ const KIND_WORDS: &[(&str, &str)] = &[
         "pos position positions angle angles q encoder present actual measured meas feedback fb theta ist winkel mesure medida",
     ),
 ];
-pub(super) const COMMANDS: &str = "goal goals cmd command commands commanded target targets desired des setpoint sp reference ref soll consigne consigna";
+pub(super) const COMMANDS: &str = "goal goals action actions qcmd cmd command commands commanded target targets desired des setpoint sp reference ref soll consigne consigna";
 pub(super) const CLOCKS: &str =
     "t time timestamp stamp clock seconds datetime zeit zeitstempel temps tiempo";
 
@@ -240,5 +240,10 @@ mod tests {
         assert_eq!(kind("elbow", "motor_currents.csv"), Some("cur"));
         assert_eq!(kind("elbow", "states.csv"), None);
         assert_eq!(Words::of("elbow").kind_in(None), None);
+        let dot = Words::of("q1_dot");
+        assert_eq!(
+            (dot.kind(), dot.label().as_deref(), dot.number()),
+            (Some("vel"), Some("1"), Some(1))
+        );
     }
 }
