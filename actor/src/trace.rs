@@ -4,7 +4,8 @@
 use std::time::Duration;
 
 use caudata_proto::TraceContext;
-use caudata_telemetry::traces::{Kind, Span, Tracer, now_ns};
+use caudata_telemetry::now_ns;
+use caudata_telemetry::traces::{Kind, Span, Tracer};
 
 use crate::policy::LoadedPolicy;
 

@@ -4,8 +4,8 @@ use std::time::{Duration, Instant};
 
 use caudata_config::LearnerConfig;
 use caudata_proto::RolloutChunk;
+use caudata_telemetry::now_ns;
 use caudata_telemetry::spans::{Laps, Part};
-use caudata_telemetry::traces::now_ns;
 use caudata_telemetry::{Pulse, StopFlag};
 use caudata_transport::{Frame, LearnerLink};
 

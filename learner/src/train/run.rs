@@ -9,9 +9,9 @@ use caudata_policy::PolicyFile;
 use caudata_proto::RolloutChunk;
 use caudata_random::Stream;
 use caudata_telemetry::StopFlag;
+use caudata_telemetry::now_ns;
 use caudata_telemetry::progress::{Event, Finished};
 use caudata_telemetry::spans::{Laps, Part};
-use caudata_telemetry::traces::now_ns;
 use caudata_transport::{Control, LearnerLink, PolicyUpdate};
 
 use super::collect::{Collected, collect};

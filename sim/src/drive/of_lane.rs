@@ -12,7 +12,7 @@ use crate::params::backlash_joints;
 use crate::stop::Stop;
 
 impl ServoDrive<f64> {
-    /// Of each actuated joint.
+    /// The drives of a lane, one for each actuated joint.
     pub fn all(model: &RobotModel, params: &LaneParams, dt_s: f64) -> Vec<Self> {
         (0..model.actuated().len()).map(|a| Self::new(model, params, a, dt_s)).collect()
     }

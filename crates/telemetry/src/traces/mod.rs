@@ -97,14 +97,3 @@ fn scattered(number: u64) -> u64 {
     x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     (x ^ (x >> 31)).max(1)
 }
-
-/// Time since 1970, ns; 0 before, which is a wrong clock.
-pub fn now_ns() -> u64 {
-    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
-    since.map_or(0, |since| u64::try_from(since.as_nanos()).unwrap_or(u64::MAX))
-}
-
-/// The same, ms.
-pub fn unix_ms() -> u64 {
-    now_ns() / 1_000_000
-}

@@ -29,7 +29,7 @@ pub struct Span {
 impl Span {
     /// From `began_ns` until now, with nothing else known.
     pub fn since(began_ns: u64, name: &'static str, kind: Kind, context: TraceContext) -> Self {
-        let time_ns = [began_ns, super::now_ns()];
+        let time_ns = [began_ns, crate::now_ns()];
         let (attributes, links) = (Vec::new(), Vec::new());
         Self { name, kind, context, parent: None, time_ns, attributes, links }
     }
