@@ -128,6 +128,9 @@ impl Table {
                 && (2..=MOST_JOINTS).contains(&names(*at).len())
         };
         let Some((key, _)) = self.header.iter().enumerate().find(is_key) else { return };
+        if !self.header.iter().any(|header| Words::of(header).has(CLOCKS)) {
+            return;
+        }
         let names: Vec<String> = names(key).into_iter().collect();
         let columns = std::mem::take(&mut self.header);
         let (clocks, others): (Vec<usize>, Vec<usize>) = (0..columns.len())
@@ -137,18 +140,26 @@ impl Table {
         for name in &names {
             self.header.extend(others.iter().map(|at| format!("{name} {}", columns[*at].trim())));
         }
-        for (_, row) in &mut self.rows {
+        let mut rows: Vec<(usize, Vec<String>)> = Vec::new();
+        for (line, mut row) in std::mem::take(&mut self.rows) {
             row.resize(columns.len(), String::new());
-            let mut spread: Vec<String> = clocks.iter().map(|at| row[*at].clone()).collect();
-            for name in &names {
-                let field = |at: &usize| match row[key].trim() == name {
-                    true => row[*at].clone(),
-                    false => String::new(),
-                };
-                spread.extend(others.iter().map(field));
+            let Some(joint) = names.iter().position(|name| row[key].trim() == name) else {
+                continue;
+            };
+            let stamps: Vec<String> = clocks.iter().map(|at| row[*at].clone()).collect();
+            // a moment's joints follow each other and share its row
+            if rows.last().is_none_or(|(_, last)| !last.starts_with(&stamps)) {
+                let mut moment = stamps;
+                moment.resize(self.header.len(), String::new());
+                rows.push((line, moment));
             }
-            *row = spread;
+            if let Some((_, moment)) = rows.last_mut() {
+                for (k, at) in others.iter().enumerate() {
+                    moment[clocks.len() + joint * others.len() + k] = std::mem::take(&mut row[*at]);
+                }
+            }
         }
+        self.rows = rows;
     }
 
     /// Joints of a joint state that was flattened: `name0` holds what `position0` is of, if that never changes.
@@ -399,9 +410,9 @@ mod tests {
         let sheet = &recording.sheets[0];
         let wanted = ["hip actual [deg]", "hip volts [v]", "knee actual [deg]", "knee volts [v]"];
         assert_eq!(sheet.header()[1..], wanted);
-        assert_eq!(sheet.values("time [s]", None).unwrap(), [0.0, 0.0, 0.1, 0.1].map(Some));
+        assert_eq!(sheet.values("time [s]", None).unwrap(), [0.0, 0.1].map(Some));
         let knee = sheet.values("knee actual [deg]", None).unwrap();
-        assert_eq!(knee, [None, Some(2.0), None, Some(4.0)]);
+        assert_eq!(knee, [2.0, 4.0].map(Some));
         // one joint throughout: nothing to be told apart
         std::fs::write(&file, "time,joint,actual\n0,hip,1\n1,hip,2\n").unwrap();
         let recording = open(&file, &BTreeSet::new()).unwrap();
