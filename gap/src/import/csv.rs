@@ -121,11 +121,19 @@ impl Table {
     fn spread(&mut self) {
         let names = |at: usize| -> BTreeSet<String> {
             let fields = self.rows.iter().map(|(_, row)| row.get(at).map_or("", |f| f.trim()));
-            fields.take_while(|name| !name.is_empty()).map(str::to_owned).collect()
+            fields.filter(|name| !name.is_empty()).map(str::to_owned).collect()
         };
+        // a signal that is called `servo` keeps its value from row to row
+        let changes = |at: usize| {
+            let differs = |w: &&[(usize, Vec<String>)]| w[0].1.get(at) != w[1].1.get(at);
+            2 * self.rows.windows(2).filter(differs).count() >= self.rows.len()
+        };
+        let whole = |name: &String| name.parse::<f64>().is_err() || name.parse::<u8>().is_ok();
         let is_key = |(at, header): &(usize, &String)| {
-            JOINT_COLUMNS.contains(&header.trim().to_lowercase().as_str())
-                && (2..=MOST_JOINTS).contains(&names(*at).len())
+            JOINT_COLUMNS.contains(&header.trim().to_lowercase().as_str()) && changes(*at) && {
+                let names = names(*at);
+                (2..=MOST_JOINTS).contains(&names.len()) && names.iter().all(whole)
+            }
         };
         let Some((key, _)) = self.header.iter().enumerate().find(is_key) else { return };
         if !self.header.iter().any(|header| Words::of(header).has(CLOCKS)) {
@@ -413,6 +421,10 @@ mod tests {
         assert_eq!(sheet.values("time [s]", None).unwrap(), [0.0, 0.1].map(Some));
         let knee = sheet.values("knee actual [deg]", None).unwrap();
         assert_eq!(knee, [2.0, 4.0].map(Some));
+        // a signal that is called so is none of a joint
+        std::fs::write(&file, "time,servo,angle\n0,0,1\n1,0,2\n2,30,3\n3,30,4\n").unwrap();
+        let recording = open(&file, &BTreeSet::new()).unwrap();
+        assert_eq!(recording.sheets[0].header(), ["time", "servo", "angle"]);
         // one joint throughout: nothing to be told apart
         std::fs::write(&file, "time,joint,actual\n0,hip,1\n1,hip,2\n").unwrap();
         let recording = open(&file, &BTreeSet::new()).unwrap();

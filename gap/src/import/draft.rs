@@ -627,6 +627,20 @@ mod tests {
         assert!(unread.is_empty() && rows == 1, "{unread:?}");
         let last = [(0, "pos"), (0, "cmd"), (1, "cmd"), (1, "pos")];
         assert_eq!(read_of[10..], last.map(|(j, kind)| format!("{kind}.{}", joints[j])));
+        // an IMU's column with a 0 does not make the motors count from 0
+        let motors: Vec<String> = (1..=12).map(|k| format!("motor_{k}_cmd")).collect();
+        let text = format!("t,imu_q0,{}\n{}\n", motors.join(","), vec!["0.1"; 14].join(","));
+        let (read_of, unread, _) = read("quadruped", &text);
+        assert_eq!(
+            (unread, &read_of[0]),
+            (vec!["imu_q0".to_owned()], &format!("cmd.{}", joints[0]))
+        );
+        // numbers that come again stay in the order of their columns
+        let legs: Vec<String> =
+            (0..4).flat_map(|leg| (0..3).map(move |k| format!("leg{leg}_q{k}"))).collect();
+        let text = format!("t,{}\n{}\n", legs.join(","), vec!["0.1"; 13].join(","));
+        let all: Vec<String> = joints.iter().map(|joint| format!("pos.{joint}")).collect();
+        assert_eq!(read("quadruped", &text).0, all);
         // where a hand is, is no joint, though two are left
         let row = vec!["2.0"; 13].join(",");
         let text = format!("t,{},hand_pos_x,hand_pos_y\n{row}\n", named.join(","));

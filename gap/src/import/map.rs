@@ -30,7 +30,6 @@ use serde::Deserialize;
 use super::run::{ImportError, Imported};
 use super::sheet::{Recording, Sheet};
 use super::units::unit_word;
-use crate::check::series::median_step_s;
 
 /// Later than this a stamp is of the calendar (1970 and some months), not of a run, s.
 const CALENDAR_S: f64 = 1e7;
@@ -263,8 +262,8 @@ pub fn apply(
     let mut signals: Vec<Signal> = Vec::new();
     let mut samples: Vec<(f64, usize, f64)> = Vec::new();
     let mut used: BTreeSet<(&str, &str)> = BTreeSet::new();
-    // values and median step of the signal with the most values
-    let mut most = (0, 0.0);
+    // values of the signal with the most, and their rate
+    let mut most = (0, 1.0);
     for column in &map.signal {
         let sheet = sheet_of(recording, column).map_err(wrong)?;
         let time_s = sheet.values(&map.time.column, None)?;
@@ -283,7 +282,7 @@ pub fn apply(
         }
         if samples.len() - before > most.0 {
             let time_s: Vec<f64> = samples[before..].iter().map(|sample| sample.0).collect();
-            most = (time_s.len(), median_step_s(&time_s));
+            most = (time_s.len(), rate_hz(&time_s));
         }
         let signal = column.signal.parse();
         signals.push(signal.map_err(|e| wrong(format!("{}: {e}", column.signal)))?);
@@ -295,15 +294,11 @@ pub fn apply(
     if let Some(first_s) = rows.first().map(|r| r.0).filter(|t| *t > CALENDAR_S) {
         rows.iter_mut().for_each(|row| row.0 -= first_s);
     }
-    let (Some(first), Some(last)) = (rows.first(), rows.last()) else {
+    if rows.is_empty() {
         return Err(wrong("has no row with a stamp and a value".to_owned()));
-    };
-    // Topics have stamps of their own: the rate is that of the signal with the most values, whatever pauses it has.
-    let rate_hz = match most {
-        (_, step_s) if step_s > 0.0 => 1.0 / step_s,
-        (values, _) => values as f64 / (last.0 - first.0).max(1e-6),
-    };
-    let meta = map.meta(robot, rate_hz, &recording.name);
+    }
+    // Topics have stamps of their own: the rate is that of the signal with the most values.
+    let meta = map.meta(robot, most.1, &recording.name);
     Ok(Imported {
         name: recording.name.chars().map(letters).collect(),
         meta,
@@ -312,6 +307,16 @@ pub fn apply(
         notes,
         unused: unused(recording, map, &used),
     })
+}
+
+/// Values per second, pauses left out: whatever stamps are rounded to, and however values are bunched.
+fn rate_hz(time_s: &[f64]) -> f64 {
+    const PAUSE: f64 = 5.0;
+    let steps = || time_s.windows(2).map(|w| w[1] - w[0]);
+    let most_s = PAUSE * steps().sum::<f64>() / steps().count().max(1) as f64;
+    let (count, span_s) =
+        steps().filter(|step| *step <= most_s).fold((0.0, 0.0), |(n, s), x| (n + 1.0, s + x));
+    count / f64::max(span_s, 1e-6)
 }
 
 fn letters(c: char) -> char {

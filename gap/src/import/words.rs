@@ -120,7 +120,7 @@ impl Words {
     }
 
     /// The same, whatever number stands behind it (`q1`, `ref2`).
-    fn says(&self, any: &str) -> bool {
+    pub(super) fn says(&self, any: &str) -> bool {
         any.split(' ').any(|word| self.words.iter().any(|w| parted(w).0 == word))
     }
 

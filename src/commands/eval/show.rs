@@ -30,6 +30,10 @@ pub fn print_on(engine: &str, r: &ScenarioResult, trained: &CommandContract) {
 /// Which part of a command (vx, vy, m/s; yaw rate, rad/s) no command of the training had.
 fn beyond(command: [f64; 3], trained: &CommandContract) -> Option<String> {
     const ROUNDING: f64 = 1e-4;
+    if command == [0.0; 3] {
+        // to stand has a share of its own (`zero_share`)
+        return None;
+    }
     let ranges = [trained.vx_mps, trained.vy_mps, trained.yaw_rate_radps];
     let names = ["vx, m/s", "vy, m/s", "yaw rate, rad/s"];
     let mut parts = names.into_iter().zip(command).zip(ranges.map(|range| range.map(f64::from)));
