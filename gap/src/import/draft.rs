@@ -357,7 +357,14 @@ impl Draft<'_> {
         let words = Words::of(column);
         let kind = match hint {
             Some(hint) => Some(hint.kind).filter(|kind| !kind.is_empty()),
-            None => words.kind_in(file).or(self.by_numbers.get(column).copied()),
+            None => {
+                // the name of a file says nothing of a count or a stamp
+                let joint = || {
+                    joint_called(self.robot, &words.whole).or(self.order.joint(&words, self.robot))
+                };
+                let kind = words.kind_in(file.filter(|_| joint().is_some()));
+                kind.or(self.by_numbers.get(column).copied())
+            }
         };
         let kind = kind.filter(|_| !values.is_empty()).ok_or(String::new())?;
         if let (None, Some(why)) = (hint, words.moves_otherwise()) {

@@ -9,7 +9,7 @@ use super::words::{Words, joint_called};
 
 /// What is no joint: a sensor, a supply, where a base or a hand is.
 const NO_JOINT: &str = "x y z w roll pitch yaw euler quat imu base trunk torso hand tool tip ee foot force acc gyro mag \
-                        marker battery bat cell unnamed index";
+                        marker battery bat cell unnamed index seq id count frame";
 
 /// Joints by what columns call them.
 pub(super) struct Order {
