@@ -30,8 +30,8 @@ pub struct Environments {
     env: Mutex<VecEnv>,
     /// `None`: nobody reads them, and they are not filled.
     signals: Option<Signals>,
-    /// Distance of the camera in the first picture.
-    distance_m: Mutex<Option<f64>>,
+    /// Size of the last picture, and distance of the camera in the first of that size.
+    distance_m: Mutex<([u32; 2], Option<f64>)>,
 }
 
 impl Environments {
@@ -205,13 +205,16 @@ impl Environments {
                 let message = format!("lane {lane} of {}: they count from 0", env.lanes());
                 return Err(PyIndexError::new_err(message));
             }
-            (moment(&env, lane), Arc::new(env.engine().terrain().clone()))
+            (moment(&env, lane), Arc::clone(&env.engine().rig().terrain))
         };
         let quality =
             Quality { width, height, rays: 2, threads: self.config.actors.threads as usize };
         let drawn = py.detach(|| {
-            let mut far = self.distance_m.lock().unwrap_or_else(PoisonError::into_inner);
-            portrait(&self.model, &moment, &terrain, (View::Iso, 0.0), &mut far, &quality)
+            let mut last = self.distance_m.lock().unwrap_or_else(PoisonError::into_inner);
+            if last.0 != [width, height] {
+                *last = ([width, height], None);
+            }
+            portrait(&self.model, &moment, &terrain, (View::Iso, 0.0), &mut last.1, &quality)
         });
         let image = drawn.map_err(refused)?;
         let flat = PyArray1::from_slice(py, image.rgb());

@@ -6,7 +6,7 @@
 
 use std::fmt::Write;
 
-use caudata_model::{BaseKind, Pose, RobotModel};
+use caudata_model::{BaseKind, IMU_TILT_MAX_RAD, Pose, RobotModel};
 use caudata_task::{JointTable, Mirror, ObservationLayout, check_joint_names};
 
 use crate::ConfigError;
@@ -199,9 +199,6 @@ pub fn can_walk(model: &RobotModel) -> Result<(), ConfigError> {
     };
     Err(ConfigError::Robot(format!("robot '{}' {why}", model.name())))
 }
-
-/// A tilt of the IMU up to this is one of its mounting and shows in what it reads, rad.
-const IMU_TILT_MAX_RAD: f64 = 0.35;
 
 /// How far the IMU's z axis is off the vertical in the nominal pose.
 fn imu_tilt_rad(model: &RobotModel) -> Option<f64> {

@@ -33,7 +33,7 @@ mod xml_text;
 pub use error::ModelError;
 pub use extension::{Extension, ExtensionEffect, ExtensionParameter};
 pub use kinematics::{JointFrame, Kinematics};
-pub use model::RobotModel;
+pub use model::{IMU_TILT_MAX_RAD, RobotModel};
 pub use params::{
     AddedShare, BacklashParams, ContactParams, DragScale, EncoderSide, Gains, ImuParams,
     SensorParams, ServoParams, SupplyParams, WaterParams,

@@ -10,6 +10,9 @@ use crate::params::{
 use crate::pose::Pose;
 use crate::types::{BaseKind, Foot, Geom, Joint, JointMotion, Link, ROLLS_FROM_RAD, Shape, Site};
 
+/// A tilt of the IMU up to this is one of its mounting and shows in what it reads, rad.
+pub const IMU_TILT_MAX_RAD: f64 = 0.35;
+
 /// A robot, loaded from `*.robot.toml` and the MJCF beside it, and checked: a value that exists is valid.
 ///
 /// Two orders are used everywhere: *model order* (all joints, depth first as in the MJCF) and *policy order*

@@ -87,9 +87,10 @@ fn samples(table: &Table, signal: &Signal) -> Option<Vec<(f64, f64)>> {
 /// Times of the signal with the most values, s. Where signals have stamps of their own, as the topics of a ROS
 /// bag have, rows come at no rate of any of them.
 pub fn busiest(table: &Table) -> Vec<f64> {
-    let times = |signal: &Signal| samples(table, signal).unwrap_or_default();
-    let most = table.signals().iter().map(times).max_by_key(Vec::len);
-    most.unwrap_or_default().into_iter().map(|sample| sample.0).collect()
+    let values = |signal: &&Signal| table.column(signal).map_or(0, |c| c.iter().flatten().count());
+    let most = table.signals().iter().max_by_key(values);
+    let samples = most.and_then(|signal| samples(table, signal)).unwrap_or_default();
+    samples.into_iter().map(|sample| sample.0).collect()
 }
 
 /// Median of the steps between rows, s; 0 for fewer than two rows.

@@ -102,13 +102,15 @@ impl Table {
         ImportError::Format { file: self.file.clone(), message }
     }
 
-    /// A first row of units, and nothing else, belongs to the header.
+    /// A first row of units belongs to the header: no number is in it, and most of it is known.
     fn take_units(&mut self) {
         let Some((_, row)) = self.rows.first() else { return };
         let bare = |field: &str| field.trim().trim_matches(['[', ']', '(', ')']).to_lowercase();
         let units: Vec<String> = row.iter().map(|field| bare(field)).collect();
         let plain = |unit: &String| ["", "-", "1"].contains(&unit.as_str());
-        if units.iter().all(plain) || !units.iter().all(|u| plain(u) || unit_word(u).is_some()) {
+        let said = || units.iter().filter(|unit| !plain(unit));
+        let known = said().filter(|unit| unit_word(unit).is_some()).count();
+        if known == 0 || 2 * known < said().count() || said().any(|u| number(u, true).is_some()) {
             return;
         }
         for (header, unit) in self.header.iter_mut().zip(units).filter(|(_, unit)| !plain(unit)) {
@@ -128,11 +130,11 @@ impl Table {
             let differs = |w: &&[(usize, Vec<String>)]| w[0].1.get(at) != w[1].1.get(at);
             2 * self.rows.windows(2).filter(differs).count() >= self.rows.len()
         };
-        let whole = |name: &String| name.parse::<f64>().is_err() || name.parse::<u8>().is_ok();
+        let names_one = |name: &String| name.parse::<f64>().is_err() || name.parse::<u8>().is_ok();
         let is_key = |(at, header): &(usize, &String)| {
             JOINT_COLUMNS.contains(&header.trim().to_lowercase().as_str()) && changes(*at) && {
                 let names = names(*at);
-                (2..=MOST_JOINTS).contains(&names.len()) && names.iter().all(whole)
+                (2..=MOST_JOINTS).contains(&names.len()) && names.iter().all(names_one)
             }
         };
         let Some((key, _)) = self.header.iter().enumerate().find(is_key) else { return };
@@ -412,12 +414,13 @@ mod tests {
     fn rows_of_one_joint_each_become_columns() {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("long.csv");
-        let text = "time,joint,actual,volts\ns,,deg,V\n0,hip,1,12\n0,knee,2,12\n0.1,hip,3,12\n0.1,knee,4,11\n";
+        let text = "time,joint,actual,volts,load\ns,,deg,V,bits\n0,hip,1,12,5\n0,knee,2,12,5\n0.1,hip,3,12,5\n0.1,knee,4,11,5\n";
         std::fs::write(&file, text).unwrap();
         let recording = open(&file, &BTreeSet::new()).unwrap();
         let sheet = &recording.sheets[0];
-        let wanted = ["hip actual [deg]", "hip volts [v]", "knee actual [deg]", "knee volts [v]"];
-        assert_eq!(sheet.header()[1..], wanted);
+        let of =
+            |joint| ["actual [deg]", "volts [v]", "load [bits]"].map(|c| format!("{joint} {c}"));
+        assert_eq!(sheet.header()[1..], [of("hip"), of("knee")].concat());
         assert_eq!(sheet.values("time [s]", None).unwrap(), [0.0, 0.1].map(Some));
         let knee = sheet.values("knee actual [deg]", None).unwrap();
         assert_eq!(knee, [2.0, 4.0].map(Some));

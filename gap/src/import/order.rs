@@ -69,3 +69,79 @@ impl Order {
         by_label.or_else(by_number).filter(|joint| *joint < robot.actuated().len())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use caudata_model::RobotModel;
+
+    use super::super::draft::map;
+    use super::super::map::{Map, apply};
+    use super::super::{Format, open};
+
+    fn model(name: &str) -> RobotModel {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots");
+        RobotModel::load(format!("{folder}/{name}.robot.toml").as_ref()).unwrap()
+    }
+
+    /// Joints in another language or by number, a row of units, and joints that are named.
+    #[test]
+    fn columns_that_name_no_joint_have_them_in_order() {
+        let dir = tempfile::tempdir().unwrap();
+        let read = |robot: &str, text: &str| {
+            let file = dir.path().join("run.csv");
+            std::fs::write(&file, text).unwrap();
+            let recordings = open(&file, Format::Csv, None).unwrap();
+            let drafted = map(&recordings, &model(robot)).unwrap();
+            let run = Map::parse("draft", &drafted.map)
+                .map(|map| apply(&recordings[0], &map, &model(robot)).unwrap().rows.len());
+            (drafted.read, drafted.unread, run.unwrap())
+        };
+        let names = model("quadruped").actuated_names().join(" ");
+        let joints: Vec<&str> = names.split(' ').collect();
+        // twelve, from 1 on, the tenth before the second
+        let numbers: Vec<String> = (1..=12).map(|k| k.to_string()).collect();
+        let mut shuffled = numbers.clone();
+        shuffled.sort();
+        let header: Vec<String> =
+            shuffled.iter().map(|k| format!("q_ref{k},motor_{k}_angle")).collect();
+        let row = vec!["0.1"; 25].join(",");
+        let text = format!("t,{}\n{row}\n", header.join(","));
+        let (read_of, unread, rows) = read("quadruped", &text);
+        assert!(unread.is_empty() && rows == 1, "{unread:?}");
+        assert_eq!(read_of[..2], [format!("cmd.{}", joints[0]), format!("pos.{}", joints[0])]);
+        assert_eq!(read_of[2], format!("cmd.{}", joints[9]), "the tenth, called 10");
+        // two that are left are those without a column
+        let named: Vec<String> = joints[2..].iter().map(|j| format!("{j} Soll")).collect();
+        let row = vec!["2.0"; 15].join(",");
+        let units = vec!["deg"; 14].join(",");
+        let text = format!(
+            "Zeit,{},Ist Oberschenkel,Soll Oberschenkel,Soll Hüfte,Ist Hüfte\ns,{units}\n{row}\n",
+            named.join(",")
+        );
+        let (read_of, unread, rows) = read("quadruped", &text);
+        assert!(unread.is_empty() && rows == 1, "{unread:?}");
+        let last = [(0, "pos"), (0, "cmd"), (1, "cmd"), (1, "pos")];
+        assert_eq!(read_of[10..], last.map(|(j, kind)| format!("{kind}.{}", joints[j])));
+        // an IMU's column with a 0 does not make the motors count from 0
+        let motors: Vec<String> = (1..=12).map(|k| format!("motor_{k}_cmd")).collect();
+        let text = format!("t,imu_q0,{}\n{}\n", motors.join(","), vec!["0.1"; 14].join(","));
+        let (read_of, unread, _) = read("quadruped", &text);
+        assert_eq!(
+            (unread, &read_of[0]),
+            (vec!["imu_q0".to_owned()], &format!("cmd.{}", joints[0]))
+        );
+        // numbers that come again stay in the order of their columns
+        let legs: Vec<String> =
+            (0..4).flat_map(|leg| (0..3).map(move |k| format!("leg{leg}_q{k}"))).collect();
+        let text = format!("t,{}\n{}\n", legs.join(","), vec!["0.1"; 13].join(","));
+        let all: Vec<String> = joints.iter().map(|joint| format!("pos.{joint}")).collect();
+        assert_eq!(read("quadruped", &text).0, all);
+        // where a hand is, is no joint, though two are left
+        let row = vec!["2.0"; 13].join(",");
+        let text = format!("t,{},hand_pos_x,hand_pos_y\n{row}\n", named.join(","));
+        let (_, unread, _) = read("quadruped", &text);
+        assert_eq!(unread, ["hand_pos_x", "hand_pos_y"]);
+    }
+}

@@ -8,7 +8,7 @@ use super::units::unit_word;
 /// Words that tell a kind of signal, the first that fits; a command is one of the words in [`COMMANDS`] with any
 /// of them or none.
 const KIND_WORDS: &[(&str, &str)] = &[
-    ("vel", "vel velocity speed qd dq dot omega drehzahl vitesse velocidad"),
+    ("vel", "vel velocity speed qd dq qvel dot omega drehzahl vitesse velocidad"),
     ("cur", "cur current currents amps i strom courant corriente"),
     ("tau", "tau torque torques effort drehmoment"),
     ("volt", "volt volts voltage supply vbat vin spannung"),
@@ -16,7 +16,7 @@ const KIND_WORDS: &[(&str, &str)] = &[
     ("pwm", "pwm duty"),
     (
         "pos",
-        "pos position positions angle angles q encoder present actual measured meas feedback fb theta ist winkel mesure medida",
+        "pos position positions angle angles q qpos encoder present actual measured meas feedback fb theta ist winkel mesure medida",
     ),
 ];
 pub(super) const COMMANDS: &str = "goal goals action actions qcmd cmd command commands commanded target targets desired des setpoint sp reference ref soll consigne consigna";

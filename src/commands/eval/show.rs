@@ -22,7 +22,7 @@ pub fn print(r: &ScenarioResult) {
 pub fn print_on(engine: &str, r: &ScenarioResult, trained: &CommandContract) {
     say::line(format!("{} on {engine}: {}", r.name, episodes(r)));
     if let Some(beyond) = beyond(r.command, trained) {
-        say::line(format!("  beyond what it was trained for: {beyond}"));
+        say::line(format!("  it was not trained for that: {beyond}"));
     }
     body(r);
 }
@@ -35,11 +35,11 @@ fn beyond(command: [f64; 3], trained: &CommandContract) -> Option<String> {
         return None;
     }
     let ranges = [trained.vx_mps, trained.vy_mps, trained.yaw_rate_radps];
-    let names = ["vx, m/s", "vy, m/s", "yaw rate, rad/s"];
+    let names = [("vx", "m/s"), ("vy", "m/s"), ("yaw rate", "rad/s")];
     let mut parts = names.into_iter().zip(command).zip(ranges.map(|range| range.map(f64::from)));
-    let ((name, _), [low, high]) =
+    let (((name, unit), x), [low, high]) =
         parts.find(|((_, x), [low, high])| *x < low - ROUNDING || *x > high + ROUNDING)?;
-    Some(format!("{low:.2} to {high:.2} ({name})"))
+    Some(format!("{name} {x:.2} {unit}, commands were {low:.2} to {high:.2}"))
 }
 
 /// What is said after all scenarios: the second engine, the targets.
@@ -277,9 +277,11 @@ mod tests {
         let trained =
             CommandContract { vx_mps: [-0.1, 0.3], vy_mps: [0.0; 2], yaw_rate_radps: [-0.6, 0.6] };
         assert_eq!(beyond([0.3, 0.0, -0.6], &trained), None);
-        let what = "-0.10 to 0.30 (vx, m/s)";
+        let fast = CommandContract { vx_mps: [0.1, 0.3], ..trained.clone() };
+        assert_eq!(beyond([0.0; 3], &fast), None, "standing has a share of its own");
+        let what = "vx 0.50 m/s, commands were -0.10 to 0.30";
         assert_eq!(beyond([0.5, 0.0, 0.0], &trained).as_deref(), Some(what));
-        let what = "-0.60 to 0.60 (yaw rate, rad/s)";
+        let what = "yaw rate 0.70 rad/s, commands were -0.60 to 0.60";
         assert_eq!(beyond([0.2, 0.0, 0.7], &trained).as_deref(), Some(what));
     }
 }

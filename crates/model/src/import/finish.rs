@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
 
 use crate::geometry::Solid;
+use crate::model::IMU_TILT_MAX_RAD;
 use crate::parts::{Actuator, Body, Joint, Painted, Robot};
 use crate::pose::{self, Pose};
 use crate::tree::{Element, Remarks};
@@ -58,9 +59,6 @@ pub(super) fn finish(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
     }
 }
 
-/// A tilt of the IMU up to this is one of its mounting and shows in what it reads, rad.
-const IMU_OFF_MAX_RAD: f64 = 0.35;
-
 /// Turns the axes of an IMU that is mounted otherwise to forward, left and up, as the robot is drawn: so policies
 /// take gravity and turn rates.
 fn turn_imu(robot: &mut Robot, remarks: &mut Remarks) {
@@ -76,7 +74,7 @@ fn turn_imu(robot: &mut Robot, remarks: &mut Remarks) {
     let Body { sites, element, .. } = &mut robot.bodies[body];
     let Some((_, site)) = sites.iter_mut().find(|(own, _)| *own == name) else { return };
     let half_turn = root_from_body.compose(site).quat_wxyz[0].abs();
-    if half_turn >= (IMU_OFF_MAX_RAD / 2.0).cos() {
+    if half_turn >= (IMU_TILT_MAX_RAD / 2.0).cos() {
         return;
     }
     site.quat_wxyz = root_from_body.inverse().quat_wxyz;
