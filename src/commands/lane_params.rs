@@ -4,6 +4,8 @@
 //! `joints.FL_hip.dead_band_rad`. Names in its middle or at its end may be left out, and stand for all:
 //! `kp_nm_per_rad`, `joints.dead_band_rad`. `VALUE` is a number, or a list of as many as there are.
 
+use std::collections::BTreeSet;
+
 use caudata_config::ConfigArgs;
 use caudata_model::RobotModel;
 use caudata_sim::LaneParams;
@@ -47,7 +49,7 @@ fn apply(params: &mut LaneParams, model: &RobotModel, change: &str) -> Result<()
         true => serde_json::from_str(text).map_err(not_a_value)?,
         false => vec![serde_json::from_str(text).map_err(not_a_value)?],
     };
-    let (mut meant, mut known) = (0, Vec::new());
+    let (mut meant, mut known, mut inside) = (0, Vec::new(), Vec::new());
     params.visit(model, &mut |path, x| {
         if leads_to(key, path) {
             *x = *values.get(meant).or(values.first()).unwrap_or(x);
@@ -57,12 +59,23 @@ fn apply(params: &mut LaneParams, model: &RobotModel, change: &str) -> Result<()
         if known.last().is_none_or(|last| last != head) {
             known.push(head.to_owned());
         }
+        if path.contains('.') && key.split('.').next() == Some(head) {
+            inside.push(path.to_owned());
+        }
     });
     match meant {
-        0 => Err(format!("there is no `{key}`; known: {}", known.join(", "))),
+        0 => Err(format!("there is no `{key}`; {}", instead(&known, &inside))),
         _ if values.len() == 1 || values.len() == meant => Ok(()),
         _ => Err(format!("`{key}` is {meant} values, not {}", values.len())),
     }
+}
+
+/// What there is: first names, or where the first was right the last ones.
+fn instead(first: &[String], inside: &[String]) -> String {
+    let Some(example) = inside.first() else { return format!("known: {}", first.join(", ")) };
+    let last: BTreeSet<&str> = inside.iter().filter_map(|path| path.rsplit('.').next()).collect();
+    let last: Vec<&str> = last.into_iter().collect();
+    format!("it is as in `{example}`, with at its end one of: {}", last.join(", "))
 }
 
 /// Whether `path` is `key` with names put in.
@@ -123,6 +136,9 @@ mod tests {
             ("kp_nm_per_rad.wing=1", "no `kp_nm_per_rad.wing`"),
             ("kp_nm_per_rad=[1,2]", "is 16 values, not 2"),
             ("joints.FL_hip.slack=1", "no `joints.FL_hip.slack`"),
+            ("joints.ki_nm_per_rad_s.FL_hip=1", "it is as in `joints."),
+            ("joints.ki_nm_per_rad_s.FL_hip=1", "one of: back_drive_kp_ratio, "),
+            ("kp_nm_per_rad.wing=1", "one of: FL_hip"),
             ("joints.wing.dead_band_rad=1", "no `joints.wing.dead_band_rad`"),
             ("joints.FL_hip.dead_band_rad=-1", "dead_band_rad"),
         ] {

@@ -10,8 +10,8 @@ pub enum SimCommand {
     /// Open loop: joint commands in, simulated signals out
     ///
     /// `--set lane.KEY=VALUE` changes the robot's physical parameters: lane.foot_friction=0.5,
-    /// lane.kp_nm_per_rad=12 (all joints), lane.kp_nm_per_rad.FL_hip=9 (one), lane.joints.dead_band_rad=0.01.
-    /// docs/reference/simulation.md says more.
+    /// lane.kp_nm_per_rad=12 (all joints), lane.kp_nm_per_rad.FL_hip=9 (one), lane.joints.dead_band_rad=0.01,
+    /// lane.joints.FL_hip.dead_band_rad=0.01 (one). docs/reference/simulation.md says more.
     Rollout(sim_rollout::RolloutArgs),
     /// A picture or a short animation of a model, a scene or a log
     Show(sim_show::ShowArgs),
