@@ -115,7 +115,8 @@ pub fn screen(
     Ok(out)
 }
 
-/// What to simulate: all joints at once, and links of different branches.
+/// What to simulate: all joints at once, links of different branches, and so joints of a held robot where an
+/// effect is none until it is large: a soft gear at the shoulder hides what one at the elbow does.
 fn plan(context: &Context, around: &State) -> Vec<Tried> {
     let model = context.replayer.model();
     let joints = model.actuated().len();
@@ -123,16 +124,26 @@ fn plan(context: &Context, around: &State) -> Vec<Tried> {
     for &effect in &context.effects {
         let all = effect.places(model);
         let wanted = |p: &Place| open(context, around, effect, p);
-        let together: Vec<Vec<Place>> = match effect.domain {
+        let alone = || all.iter().filter(|p| p.items.len() == 1);
+        let each = |sets: Vec<Vec<Place>>| sets.into_iter().map(|at| (at.clone(), at));
+        // what is simulated together, and the places that it is judged by
+        let together: Vec<(Vec<Place>, Vec<Place>)> = match effect.domain {
             // of hinges and slides each has sizes of its own
             Domain::Joints if all.first().is_some_and(|p| p.items.len() < joints) => {
-                vec![all.iter().filter(|p| p.items.len() == 1).cloned().collect()]
+                vec![(alone().cloned().collect(), all.clone())]
             }
-            Domain::Joints => vec![all.iter().take(1).cloned().collect()],
-            Domain::Links => side_by_side(context, all.iter().filter(|p| wanted(p))),
-            _ => all.iter().map(|p| vec![p.clone()]).collect(),
+            Domain::Joints if effect.hinge && joints > 1 && held(context) => {
+                let whole = all.iter().filter(|p| p.items.len() > 1).map(|p| vec![p.clone()]);
+                let apart = side_by_side(context, alone().filter(|p| wanted(p)));
+                each(whole.chain(apart).collect()).collect()
+            }
+            Domain::Joints => vec![(all.iter().take(1).cloned().collect(), all.clone())],
+            Domain::Links => {
+                each(side_by_side(context, all.iter().filter(|p| wanted(p)))).collect()
+            }
+            _ => each(all.iter().map(|p| vec![p.clone()]).collect()).collect(),
         };
-        for at in together.into_iter().filter(|at| at.iter().any(wanted)) {
+        for (at, judged) in together.into_iter().filter(|(at, _)| at.iter().any(wanted)) {
             for k in 0..effect.grid.len() {
                 let terms = at.iter().map(|place| Term {
                     effect,
@@ -142,10 +153,7 @@ fn plan(context: &Context, around: &State) -> Vec<Tried> {
                 plan.push(Tried {
                     effect,
                     variant: around.terms.iter().cloned().chain(terms).collect(),
-                    judged: match effect.domain {
-                        Domain::Joints => all.clone(),
-                        _ => at.clone(),
-                    },
+                    judged: judged.clone(),
                     k,
                 });
             }
@@ -154,47 +162,51 @@ fn plan(context: &Context, around: &State) -> Vec<Tried> {
     plan
 }
 
-/// Links in sets whose members do not move each other: each in another branch of a held robot.
+/// Links or joints in sets whose members do not move each other: each in another branch of a held robot.
 fn side_by_side<'a>(context: &Context, places: impl Iterator<Item = &'a Place>) -> Vec<Vec<Place>> {
-    let mut sets: Vec<Vec<Place>> = Vec::new();
+    let (mut sets, mut alone) = (Vec::<Vec<Place>>::new(), Vec::new());
     let mut of_branch: BTreeMap<usize, usize> = BTreeMap::new();
     for place in places {
-        let set = match branch(context, place) {
-            Some(branch) => {
-                let next = of_branch.entry(branch).or_default();
-                *next += 1;
-                *next - 1
-            }
-            None => sets.len(),
+        let Some(branch) = branch(context, place) else {
+            alone.push(vec![place.clone()]);
+            continue;
         };
-        match sets.get_mut(set) {
+        let next = of_branch.entry(branch).or_default();
+        match sets.get_mut(*next) {
             Some(set) => set.push(place.clone()),
             None => sets.push(vec![place.clone()]),
         }
+        *next += 1;
     }
+    sets.append(&mut alone);
     sets
 }
 
-/// The link with which the branch of a held robot begins that a link is in; none where other joints than those of
-/// the branch, or more than joints, show what the link does.
+/// The link with which the branch of a held robot begins that a link or joint is in; none where other joints than
+/// those of the branch, or more than joints, show what it does.
 fn branch(context: &Context, place: &Place) -> Option<usize> {
-    let data = &context.fit.data;
-    let mut pieces = data.pieces();
-    let held = data.trials.iter().all(|t| t.base == BaseHold::Fixed);
-    let (Domain::Links, [link]) = (place.domain, &place.items[..]) else {
-        return None;
+    let model = context.replayer.model();
+    let link = match (place.domain, &place.items[..]) {
+        (Domain::Links, [link]) => *link,
+        (Domain::Joints, [joint]) => model.joints()[model.actuated()[*joint]].child_link,
+        _ => return None,
     };
-    if !held || !pieces.all(|p| p.kind.of_joint()) {
+    if !held(context) || !context.fit.data.pieces().all(|p| p.kind.of_joint()) {
         return None;
     }
-    begins(context.replayer.model(), *link)
+    begins(model, link)
 }
 
-/// The link of its branch that the base carries; none for the base.
+/// Whether the base is held in all runs.
+fn held(context: &Context) -> bool {
+    context.fit.data.trials.iter().all(|t| t.base == BaseHold::Fixed)
+}
+
+/// The link of its branch that the base carries, or that moves about the world; none for a base that does not move.
 fn begins(model: &RobotModel, link: usize) -> Option<usize> {
-    let up = |l: &usize| model.links()[*l].parent;
-    let carried = std::iter::successors(Some(link), up).filter(|l| up(l).is_some());
-    carried.last()
+    let links = model.links();
+    let moves = |l: &usize| links[*l].parent.is_some() || !links[*l].joints.is_empty();
+    std::iter::successors(Some(link), |l| links[*l].parent).filter(moves).last()
 }
 
 /// Joints whose channels alone show what an effect at a place does; none: all channels.
