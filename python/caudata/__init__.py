@@ -3,6 +3,8 @@
 Arrays are ``float32``, in SI units and radians. ``N`` environments (lanes), ``D`` observation values, ``A`` actions.
 """
 
+from importlib.metadata import version
+
 from ._data import policies, policy_path, presets, robot_path, robots
 from ._diagnosis import Cause, Report, diagnose
 from ._environment import Env, VecEnv, make, make_vec
@@ -11,6 +13,8 @@ from ._log import Log, read_log
 from ._policy import Policy, write_policy
 from ._programs import ProgramError, run
 from ._signals import Signals
+
+__version__ = version("caudata")
 
 __all__ = [
     "Cause",

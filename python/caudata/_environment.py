@@ -110,6 +110,8 @@ class VecEnv(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
             if commands.shape not in ((3,), (self.num_envs, 3)):
                 wanted = "a command is vx, vy (m/s) and yaw rate (rad/s), or [N, 3] of them"
                 raise ValueError("%s; not of shape %s" % (wanted, commands.shape))
+            if not np.isfinite(commands).all():
+                raise ValueError("a command is finite; not %s" % (command,))
             commands = np.broadcast_to(commands, (self.num_envs, 3))
             self._core.hold_commands(np.ascontiguousarray(commands), observations)
         return self._observed(observations), {}
@@ -120,6 +122,8 @@ class VecEnv(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
         """One control step of all lanes. ``actions`` ``[N, A]``; the task clips them to its action space."""
         self._must_be_open()
         actions = np.ascontiguousarray(actions, np.float32)
+        if actions.shape != self.action_space.shape:
+            raise ValueError("actions of shape %s; %s is wanted" % (actions.shape, self.action_space.shape))
         observations, rewards, terminated, truncated = self._arrays()
         ended = self._core.step(actions, observations, rewards, terminated, truncated)
         if self._reward is not None:

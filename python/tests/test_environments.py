@@ -188,9 +188,11 @@ class Environments(unittest.TestCase):
             (lambda: one_step(reward=lambda signals, actions: None), ValueError, "no finite number"),
             (lambda: one_step(observation=lambda task, signals: task[0]), ValueError, "[2, K] is wanted"),
             (lambda: caudata.make_vec(num_envs=1).reset(options={"command": (0.3, 0.0)}), ValueError, "yaw rate"),
+            (lambda: caudata.make_vec(num_envs=1).reset(options={"command": (0, 0, np.nan)}), ValueError, "finite"),
             (lambda: caudata.make_vec(settings={"task.episode_stepz": 3}), ValueError, "episode_steps"),
             (lambda: caudata.make_vec(num_envs=0), ValueError, "lanes"),
-            (lambda: caudata.make_vec(num_envs=1).step(np.zeros((1, 3), np.float32)), ValueError, "actions"),
+            (lambda: caudata.make_vec(num_envs=1).step(np.zeros((1, 3), np.float32)), ValueError, "(1, 16) is wanted"),
+            (lambda: caudata.make_vec(num_envs=1).step(np.zeros(16, np.float32)), ValueError, "(1, 16) is wanted"),
             (lambda: caudata.make_vec(num_envs=1).step(np.full((1, 16), np.nan, np.float32)), ValueError, "lane 0"),
             (lambda: caudata.make_vec(num_envs=1).reset(options={"speed": 1}), ValueError, "speed"),
         ]

@@ -272,7 +272,7 @@ class Package(unittest.TestCase):
             caudata.Policy("amphibious").check(caudata.make_vec("polymander", "flat", 1))
 
     def test_programs_run_and_say_what_was_wrong(self):
-        self.assertIn("caudata", caudata.run("--version"))
+        self.assertEqual("caudata " + caudata.__version__, caudata.run("--version").splitlines()[0].strip())
         with self.assertRaisesRegex(caudata.ProgramError, "unicorn") as raised:
             caudata.run("eval", "unicorn.onnx", quiet=True)
         self.assertEqual(raised.exception.code, 66)
