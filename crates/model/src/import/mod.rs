@@ -59,12 +59,13 @@ fn all(refusals: &[Remark]) -> String {
 /// [`ImportError`]; of what is refused, everything at once.
 pub fn import(file: &Path, options: &ImportOptions) -> Result<Imported, ImportError> {
     let mut remarks = Remarks::default();
-    let root = tree::read(file, &mut remarks)?;
+    let mut root = tree::read(file, &mut remarks)?;
     let robot = match root.tag.as_str() {
         "mujoco" => mjcf::read(&root, file, &mut remarks),
         "robot" => {
             unexpanded(&root, file, &mut remarks)?;
-            urdf::read(&root, file, options, &mut remarks)
+            let free_base = options.free_base.or(floats(&mut root).then_some(true));
+            urdf::read(&root, file, &ImportOptions { free_base, ..options.clone() }, &mut remarks)
         }
         other => {
             remarks.refuse(&root, format!("<{other}> is neither <mujoco> nor <robot>"));
@@ -132,6 +133,24 @@ pub fn import(file: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
         return Err(ImportError::Refused(remarks.refusals));
     }
     Ok(Imported { name, mjcf, robot_toml, notes: remarks.notes })
+}
+
+/// Takes a floating joint out, and the world that it hangs on if that holds nothing else: what it carries is the base
+/// of a URDF. Whether there was one.
+fn floats(root: &mut Element) -> bool {
+    let on = |e: &Element, tag: &str| Some(e.first(tag)?.get("link")?.to_owned());
+    let floating = |e: &Element| e.tag == "joint" && e.get("type") == Some("floating");
+    let Some(at) = root.children.iter().position(floating) else { return false };
+    let world = on(&root.children[at], "parent");
+    let joints = || root.all("joint").map(|j| [on(j, "parent"), on(j, "child")]);
+    let alone = joints().flatten().filter(|link| *link == world).count() == 1;
+    let is_world = |e: &Element| e.tag == "link" && e.get("name") == world.as_deref();
+    let empty = root.children.iter().any(|e| is_world(e) && e.children.is_empty());
+    if alone && empty {
+        root.children.remove(at);
+        root.children.retain(|e| !is_world(e));
+    }
+    alone && empty
 }
 
 /// Macros that nobody expanded are no robot yet.

@@ -82,8 +82,17 @@ pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot)
             e.not_negative(key, context.remarks);
         }
         let (force, control) = (limit(context, "forcerange"), limit(context, "ctrlrange"));
-        let by_control = control.filter(|_| gains.is_none() && e.tag == "motor");
-        let force_limit = force.or(by_control);
+        // what a torque can be asked to be, before the range of forces cuts it
+        let gain = match e.tag.as_str() {
+            "motor" => Some(1.0),
+            "general" if e.get("biastype").is_none_or(|kind| kind == "none") => {
+                let gain = e.numbers("gainprm", context.remarks);
+                Some(gain.and_then(|g| g.first().copied()).unwrap_or(1.0).abs())
+            }
+            _ => None,
+        };
+        let asked = control.zip(gain.filter(|_| gains.is_none())).map(|(most, gain)| most * gain);
+        let force_limit = [force, asked].into_iter().flatten().reduce(f64::min);
         robot.actuators.push(Actuator {
             joint,
             gains,

@@ -143,7 +143,10 @@ impl Context<'_> {
         match robots.as_slice() {
             [one] => Some((*one).clone()),
             [] => {
-                self.remarks.refuse(root, "has no body that moves in its <worldbody>");
+                // what is in a frame is refused for that
+                if worlds.iter().all(|world| world.first("frame").is_none()) {
+                    self.remarks.refuse(root, "has no body that moves in its <worldbody>");
+                }
                 None
             }
             [_, second, ..] => {

@@ -432,6 +432,20 @@ fn gains_of_a_position_actuator_may_stand_in_a_class_of_general_ones_and_the_oth
 }
 
 #[test]
+fn a_torque_ends_at_what_can_be_asked_for_or_at_the_range_of_forces() {
+    for (drive, most_nm) in [
+        ("motor ctrlrange=\"-1 1\" forcerange=\"-12 12\" gear=\"6\"", 6.0),
+        ("motor ctrlrange=\"-9 9\" forcerange=\"-2 2\" gear=\"6\"", 12.0),
+        ("general ctrlrange=\"-1 1\" gainprm=\"7\"", 7.0),
+        ("position kp=\"50\" ctrlrange=\"-1 1\" forcerange=\"-3 3\"", 3.0),
+    ] {
+        let end = format!("<actuator><{drive} joint=\"hip\"/></actuator>");
+        let m = model(&read("torque.xml", &hopper("", "", BALL, &end)).unwrap());
+        assert_eq!(m.servo(0).tau_max_nm, most_nm, "{drive}");
+    }
+}
+
+#[test]
 fn the_rotor_of_a_slide_is_a_mass() {
     let slide = |effort: &str| {
         let text = ARM.replace("\"revolute\"", "\"prismatic\"").replace("effort=\"7\"", effort);

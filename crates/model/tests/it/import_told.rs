@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use caudata_model::import::{ImportError, ImportOptions, Imported, import};
-use caudata_model::{Pose, RobotModel, Shape};
+use caudata_model::{BaseKind, Pose, RobotModel, Shape};
 
 use crate::import::{model, read};
 
@@ -320,6 +320,24 @@ fn units_that_are_hardly_meant_are_told() {
             && said[0].contains("triangle"),
         "{said:?}"
     );
+}
+
+#[test]
+fn what_floats_on_an_empty_world_is_a_free_base() {
+    let floating = |world: &str| {
+        let text = format!(
+            "<robot name=\"hop\">{world}<joint name=\"f\" type=\"floating\"><parent link=\"world\"/><child link=\"b\"/></joint>\
+             <link name=\"b\"><inertial><mass value=\"2\"/><inertia ixx=\"0.01\" iyy=\"0.01\" izz=\"0.01\"/></inertial></link>\
+             <link name=\"l\"><inertial><mass value=\"1\"/><inertia ixx=\"0.01\" iyy=\"0.01\" izz=\"0.01\"/></inertial></link>\
+             <joint name=\"k\" type=\"revolute\"><parent link=\"b\"/><child link=\"l\"/><axis xyz=\"0 1 0\"/>\
+             <limit lower=\"-1\" upper=\"1\" effort=\"3\" velocity=\"5\"/></joint></robot>"
+        );
+        read("hop.urdf", &text)
+    };
+    let made = floating("<link name=\"world\"/>").unwrap();
+    assert_eq!((model(&made).base(), model(&made).links().len()), (BaseKind::Free, 2));
+    // a world that weighs something is a body of the robot
+    assert!(floating("<link name=\"world\"><inertial/></link>").is_err());
 }
 
 #[test]
