@@ -46,6 +46,11 @@ impl ImportArgs {
 pub fn run(args: &ImportArgs) -> Result<(), Failure> {
     let robot = files::robot(&args.robot)?;
     if let (Some(path), Some(first)) = (&args.draft_map, args.recordings.first()) {
+        if path.exists() {
+            let message = format!("{} is there already", path.display());
+            return Err(Failure::message(ExitCode::CannotCreate, message)
+                .hint("what was corrected in it would be lost: give another name, or remove it"));
+        }
         let format = args.format(first)?;
         if format == Format::Bam {
             return Err(Failure::message(ExitCode::BadConfig, "--format bam needs no map"));

@@ -46,8 +46,8 @@ pub fn map(recordings: &[Recording], robot: &RobotModel) -> Result<Drafted, Impo
         None => clock(first)?,
     };
     let base = match robot.base() {
-        BaseKind::Free => "free",
-        _ => "fixed",
+        BaseKind::Free => "\"free\"        # \"fixed\" where it hung, or was held",
+        _ => "\"fixed\"",
     };
     let mut draft = Draft {
         recordings,
@@ -66,7 +66,7 @@ pub fn map(recordings: &[Recording], robot: &RobotModel) -> Result<Drafted, Impo
     draft.angles = draft.angles();
     let _ = write!(
         draft.out,
-        "base = \"{base}\"\n\
+        "base = {base}\n\
          # kp = 0.0            # N·m/rad, the gain that was in force; without it the robot file's\n\
          # supply_v = 0.0      # V\n\n[time]\ncolumn = {}\nunit = \"{}\"\n",
         quoted(&clock.column),
@@ -299,10 +299,11 @@ impl Draft<'_> {
                     return;
                 }
                 let _ = writeln!(self.out, "\n[[signal]]\nsignal = {}", quoted(&name));
-                if hint.is_none()
-                    && joint.is_some()
-                    && Words::of(column).joint(self.robot).is_none()
-                {
+                let by_place = match hint {
+                    Some(hint) => matches!(hint.joint, Some(Joint::Numbered(_, 2..))),
+                    None => Words::of(column).joint(self.robot).is_none(),
+                };
+                if joint.is_some() && by_place {
                     self.out.push_str(
                         "# it names no joint: this one is guessed by its place or number\n",
                     );
@@ -515,20 +516,20 @@ mod tests {
     fn a_draft_reads_the_file_that_it_was_made_from() {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("sine.csv");
-        let text = "Time [ms];Goal Position (deg);Present Position (deg);Present Current (mA);Voltage;Remark\n\
-            0,0;150,0;150,0;0;11,9;x\n5,0;151,5;150,5;31,5;11,9;y\n";
+        let text = "Time [ms];Goal Position (deg);Present Position (deg);Present Current (mA);Voltage;Geschw. [°/s];Remark;Soll [°/s]\n\
+            0,0;150,0;150,0;0;11,9;0;x;0\n5,0;151,5;150,5;31,5;11,9;9;y;0\n";
         std::fs::write(&file, text).unwrap();
         let robot = robot("xl330_pendulum");
         let recordings = open(&file, Format::Csv, None).unwrap();
         let draft = map(&recordings, &robot).unwrap().map;
         assert!(draft.contains("# not read: \"Remark\""), "{draft}");
         let run = apply(&recordings[0], &Map::parse("draft", &draft).unwrap(), &robot).unwrap();
-        assert_eq!(run.unused, ["Remark"]);
+        assert_eq!(run.unused, ["Remark", "Soll [°/s]"]);
         let names: Vec<String> = run.signals.iter().map(ToString::to_string).collect();
-        assert_eq!(names, ["cmd.swing", "pos.swing", "cur.swing", "volt"]);
+        assert_eq!(names, ["cmd.swing", "pos.swing", "cur.swing", "volt", "vel.swing"]);
         let deg = std::f64::consts::PI / 180.0;
         // the joint turns that far, so that nothing is moved
-        let want = [0.005, 151.5 * deg, 150.5 * deg, 0.0315, 11.9];
+        let want = [0.005, 151.5 * deg, 150.5 * deg, 0.0315, 11.9, 9.0 * deg];
         let (t, row) = &run.rows[1];
         let got = [Some(*t)].into_iter().chain(row.iter().copied());
         for (got, want) in got.zip(want) {

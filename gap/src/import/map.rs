@@ -356,7 +356,9 @@ fn unused(recording: &Recording, map: &Map, used: &BTreeSet<(&str, &str)>) -> Ve
         let columns = header.iter().map(|h| h.trim());
         let clocks = ["stamp", "received", map.time.column.trim()];
         let columns: Vec<&str> = columns.filter(|c| !clocks.contains(c)).collect();
-        let part = |c: &str| c.rsplit_once('/').map_or(String::new(), |(part, _)| part.to_owned());
+        // a unit in brackets may have a slash too
+        let path = |c: &str| c.split(['[', '(']).next()?.rsplit_once('/').map(|p| p.0.to_owned());
+        let part = |c: &str| path(c).unwrap_or_default();
         let is_used = |c: &str| used.contains(&(sheet.name(), c));
         if !columns.iter().any(|c| is_used(c)) {
             out.push(sheet.name().to_owned());

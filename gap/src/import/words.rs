@@ -8,7 +8,7 @@ use super::units::unit_word;
 /// Words that tell a kind of signal, the first that fits; a command is one of the words in [`COMMANDS`] with any
 /// of them or none.
 const KIND_WORDS: &[(&str, &str)] = &[
-    ("vel", "vel velocity speed qd dq qvel dot omega drehzahl vitesse velocidad"),
+    ("vel", "vel velocity speed qd dq qvel dot omega drehzahl geschwindigkeit geschw vitesse velocidad"),
     ("cur", "cur current currents amps i strom courant corriente"),
     ("tau", "tau torque torques effort drehmoment"),
     ("volt", "volt volts voltage supply vbat vin spannung"),

@@ -361,11 +361,14 @@ fn a_recording_whose_python_is_not_there_says_so() {
     refused(&read(&bare, &table), 69, &["log.parquet", "pyarrow", "CAUDATA_PYTHON"]);
     refused(&read("/nowhere", &table), 69, &["/nowhere", "CAUDATA_PYTHON"]);
     let robot = "robots/polymander.robot.toml";
-    for (python, code, word) in [("/nowhere", 69, "CAUDATA_PYTHON"), ("python3", 65, "bag.db3")] {
+    let draft = |python: &str, map: &str| {
         let mut run = command("caudata", &["gap", "import", &bag, "--robot", robot]).unwrap();
-        run.args(["--draft-map", &at("map.toml")]).env("CAUDATA_PYTHON", python);
-        refused(&finish(run).unwrap(), code, &[word]);
-    }
+        run.args(["--draft-map", &at(map)]).env("CAUDATA_PYTHON", python);
+        finish(run).unwrap()
+    };
+    refused(&draft("/nowhere", "map.toml"), 69, &["CAUDATA_PYTHON"]);
+    refused(&draft("python3", "map.toml"), 65, &["bag.db3"]);
+    refused(&draft("python3", "log.parquet"), 73, &["log.parquet is there already"]);
 }
 
 #[test]
