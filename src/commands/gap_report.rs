@@ -48,7 +48,7 @@ pub fn word(verdict: &Verdict) -> String {
 
 /// Faults of the data, a line each.
 pub fn faults(faults: &[DataFault]) {
-    // what is the same in several runs is said once
+    // what is the same in several runs is said once, and what is so of several joints in the same runs
     let mut rows: Vec<(&DataFault, &str, Vec<&str>)> = Vec::new();
     for f in faults {
         let (run, what) = f.location.split_once(' ').unwrap_or(("", &f.location));
@@ -60,10 +60,20 @@ pub fn faults(faults: &[DataFault]) {
             None => rows.push((f, what, vec![run])),
         }
     }
+    let mut lines: Vec<(&DataFault, String, Vec<&str>)> = Vec::new();
     for (f, what, runs) in rows {
+        let same = |l: &&mut (&DataFault, String, Vec<&str>)| {
+            (&l.0.kind, &l.0.detail, &l.2, l.0.fatal) == (&f.kind, &f.detail, &runs, f.fatal)
+        };
+        match lines.iter_mut().find(same) {
+            Some(line) => line.1 += &format!(", {what}"),
+            None => lines.push((f, what.to_owned(), runs)),
+        }
+    }
+    for (f, what, runs) in lines {
         let word = if f.fatal { "FAULT" } else { "note " };
         let place = match runs.as_slice() {
-            [_] => f.location.clone(),
+            [run] => format!("{run} {what}").trim_start().to_owned(),
             [first, .., last] => format!("{what} in {} runs ({first} to {last})", runs.len()),
             [] => String::new(),
         };

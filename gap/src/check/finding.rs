@@ -5,6 +5,9 @@ use caudata_runlog::RunLog;
 
 use super::series::Grid;
 
+/// Kind of a note that asks whether a base that counts as free was held.
+pub(crate) const MAYBE_HELD: &str = "base";
+
 /// A fault of one run, before it is given the run's name.
 #[derive(Clone, Debug)]
 pub(super) struct Finding {

@@ -30,6 +30,7 @@ pub use repeats::OddSpan;
 
 use crate::report::DataFault;
 use channels::Channels;
+pub(crate) use finding::MAYBE_HELD;
 use finding::{Finding, Run};
 
 /// What was found in one run.
@@ -153,12 +154,14 @@ pub fn check(logs: &[(&str, &RunLog)], robot: &RobotModel) -> Checked {
             late::faults(run, &joints, &mut found);
             parity::faults(run, &joints, &mut found);
         }
+        let excites = excites::of(run, &joints);
+        found.extend(parity::held(run, &excites));
         faults.extend(found.into_iter().map(|f| fault(&run.name, f)));
         checks.push(RunCheck {
             name: run.name.clone(),
             rows: run.log.table.len(),
             rate_hz: 1.0 / series::median_step_s(&series::busiest(&run.log.table)).max(1e-9),
-            excites: excites::of(run, &joints),
+            excites,
         });
         channels.push(joints);
     }
@@ -206,7 +209,7 @@ pub(crate) const ASSUMED: &str = "assumed";
 /// Nearly as fast (speeds are means over 60 ms) as an assumed figure, as a share of it.
 const NEARLY: f64 = 0.75;
 
-/// Joints that turn about as fast as an assumed figure lets them have their torque, or faster, and currents whose
+/// The joint that turns about as fast as an assumed figure lets it have its torque, or faster, and currents whose
 /// torque is assumed, once for each type of servo.
 fn assumed(robot: &RobotModel, runs: &[RunExcitation]) -> Vec<DataFault> {
     let note = |location: String, detail: String| DataFault {
@@ -215,19 +218,26 @@ fn assumed(robot: &RobotModel, runs: &[RunExcitation]) -> Vec<DataFault> {
         detail,
         fatal: false,
     };
-    let of = |(a, name): (usize, &&str)| {
-        let own = runs.iter().flat_map(|r| r.joints.iter().filter(|j| j.joint == **name));
-        let fastest = own.map(|j| j.speed_max_radps).fold(0.0, f64::max);
-        let full = robot.servo(a).qd_tau_max_radps;
-        let path = robot.assumed_of_servo(a, "qd_tau_max_radps")?;
-        let detail = format!(
-            "turns at {fastest:.0} rad/s, and that its torque falls from {full:.0} rad/s on is assumed: look up {path} and what follows it in the data sheet first"
-        );
-        (fastest > NEARLY * full).then(|| note((*name).to_owned(), detail))
-    };
     let names = robot.actuated_names();
-    let mut notes: Vec<DataFault> = names.iter().enumerate().filter_map(of).collect();
-    let mut told = BTreeSet::new();
+    let speed = |(a, name): (usize, &&str)| {
+        let own = runs.iter().flat_map(|r| r.joints.iter().filter(|j| j.joint == **name));
+        (a, own.map(|j| j.speed_max_radps).fold(0.0, f64::max))
+    };
+    let mut fastest: Vec<(usize, f64)> = names.iter().enumerate().map(speed).collect();
+    fastest.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let (mut notes, mut told) = (Vec::new(), BTreeSet::new());
+    for (a, speed) in fastest {
+        let full = robot.servo(a).qd_tau_max_radps;
+        if let Some(path) = robot.assumed_of_servo(a, "qd_tau_max_radps")
+            && speed > NEARLY * full
+            && told.insert(path)
+        {
+            let detail = format!(
+                "turns at {speed:.0} rad/s, and that its torque falls from {full:.0} rad/s on is assumed: look up {path} and what follows it in the data sheet first"
+            );
+            notes.push(note(names[a].to_owned(), detail));
+        }
+    }
     for a in (0..names.len()).filter(|_| runs.iter().any(|r| r.channels.contains_key("cur"))) {
         if let Some(path) = robot.assumed_of_servo(a, "torque_per_current_nm_per_a")
             && told.insert(path)

@@ -1,10 +1,11 @@
 //! Relations that hold whatever the robot does: speed is the change of position, gravity is 9.81 m/s² down,
 //! turning turns gravity.
 
-use caudata_runlog::{Axis, QuatPart, Signal};
+use caudata_runlog::{Axis, BaseHold, QuatPart, Signal};
 
 use super::channels::{Channels, sound};
-use super::finding::{Finding, Run};
+use super::excites::RunExcitation;
+use super::finding::{Finding, MAYBE_HELD, Run};
 use super::series::{AGAINST, Together, best_lag, median, slope, smooth, together};
 
 /// Speeds are compared as means over so long, s: encoder steps vanish.
@@ -175,6 +176,29 @@ fn imu(run: &Run<'_>, out: &mut Vec<Finding>) {
             out.push(Finding::fatal("unit", "imu.gyro", detail));
         }
     }
+}
+
+/// Below this share of the fastest joint's speed the trunk stands still.
+const TRUNK_STILL: f64 = 0.02;
+/// What says how a free base moved.
+const SEES_BASE: [&str; 6] = ["imu.gyro", "imu.acc", "imu.grav", "base.pos", "mocap", "foot"];
+
+/// A base that counts as free while joints move: of which nothing says how it moved, or that stood still.
+pub(super) fn held(run: &Run<'_>, excites: &RunExcitation) -> Option<Finding> {
+    let fastest = excites.joints.iter().map(|j| j.speed_rms_radps).fold(0.0, f64::max);
+    if excites.base != BaseHold::Free || fastest < 0.3 {
+        return None;
+    }
+    let seen = SEES_BASE.iter().any(|kind| excites.channels.contains_key(*kind));
+    let squares = |gyro| norms(&gyro).iter().map(|w| w * w).collect::<Vec<f64>>();
+    let turns = vector(run, Signal::Gyro).and_then(|gyro| mean(&squares(gyro)));
+    let why = match turns.map(f64::sqrt) {
+        None if !seen => "nothing that was logged says how it moved",
+        Some(rms) if rms < TRUNK_STILL * fastest => "the gyroscope stands still while joints move",
+        _ => return None,
+    };
+    let todo = "if the robot hung, or was held, it is \"fixed\" (in the map, or in log.toml)";
+    Some(Finding::note(MAYBE_HELD, "base", format!("counts as free, and {why}: {todo}")))
 }
 
 /// Mean component of `a` along the unit vector `g`.

@@ -7,7 +7,7 @@ use super::naming::{Named, Rival};
 use super::request::Split;
 use super::search::Found;
 use super::state::{Context, State};
-use crate::check::ASSUMED;
+use crate::check::{ASSUMED, MAYBE_HELD};
 use crate::extension::ExtensionEffect;
 use crate::replay::Term;
 use crate::report::{
@@ -179,7 +179,8 @@ pub fn first(
 /// Notes on assumed figures that are told; of more, how many there are.
 const ASSUMED_TOLD: usize = 2;
 
-/// What the check says stands on an assumed figure of the robot file; nothing where there is no gap.
+/// What the check says stands on an assumed figure of the robot file, where there is a gap, and of a base that may have
+/// been held.
 pub fn assumed(verdict: Verdict, faults: &[DataFault]) -> String {
     let of = |f: &&DataFault| f.kind == ASSUMED && verdict != Verdict::NoGap;
     let mut told: Vec<String> =
@@ -187,8 +188,10 @@ pub fn assumed(verdict: Verdict, faults: &[DataFault]) -> String {
     let more = told.len().saturating_sub(ASSUMED_TOLD);
     told.truncate(ASSUMED_TOLD);
     if more > 0 {
-        told.push(format!(" So it is at {more} more joint(s)."));
+        told.push(format!(" So it is with {more} more figure(s)."));
     }
+    let base = faults.iter().find(|f| f.kind == MAYBE_HELD);
+    told.extend(base.map(|f| format!(" {} {}.", f.location, f.detail)));
     told.concat()
 }
 

@@ -4,7 +4,7 @@ use crate::common::{Touch, changed, rebuilt, record, robot, simulate};
 use caudata_gap::check::{CheckVerdict, Checked, check};
 use caudata_gap::excite;
 use caudata_model::RobotModel;
-use caudata_runlog::{Axis, RunLog, Setting, Signal, Table, TableWriter};
+use caudata_runlog::{Axis, BaseHold, RunLog, Setting, Signal, Table, TableWriter};
 use proptest::prelude::*;
 
 /// Logs of a trial, one per seed.
@@ -431,6 +431,19 @@ fn readings_that_are_late_are_found() {
     found(&one(&robot, &late(20)), "stamps", "pos.swing");
     // 60 ms is a delay that a robot may have
     assert!(one(&robot, &late(6)).faults.is_empty());
+}
+
+#[test]
+fn a_trunk_that_stands_still_while_joints_move_is_asked_about() {
+    let robot = robot("polymander");
+    let mut log = changed(&logs(&robot, "gait", &[9])[0], |s, _, _, v| match s {
+        Signal::Gyro(_) => v.map(|_| 0.001),
+        _ => v,
+    });
+    let asked = |log: &RunLog| one(&robot, log).faults.iter().any(|f| f.kind == "base");
+    assert!(asked(&log));
+    log.meta.base = BaseHold::Fixed;
+    assert!(!asked(&log));
 }
 
 /// A swing that repeats itself fits with a lag of a period as well, and beyond its resonance a servo goes
