@@ -56,6 +56,9 @@ impl ActorError {
             Self::Ledger { source, .. } => ExitCode::of_io(source, true),
             Self::Snapshot(_) => ExitCode::CheckpointDamaged,
             Self::Env(EnvError::Sim(SimError::Mujoco(_))) => ExitCode::Unavailable,
+            Self::Env(EnvError::Sim(SimError::NoWater { .. } | SimError::Map { .. })) => {
+                ExitCode::BadConfig
+            }
             Self::Env(_) | Self::NotFinite { .. } => ExitCode::Internal,
         }
     }

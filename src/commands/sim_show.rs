@@ -293,7 +293,7 @@ fn moments_of_log(
         let at = args.at.unwrap_or(first);
         if !(first..=last).contains(&at) {
             let message =
-                format!("--at {at} is outside the log, which runs from {first} to {last} s");
+                format!("--at {at} is outside the log, which runs from {first:.2} to {last:.2} s");
             return Err(Failure::message(ExitCode::BadConfig, message));
         }
         return Ok(vec![reader.moment(at)]);

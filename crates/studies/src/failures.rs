@@ -8,7 +8,7 @@ pub fn refused(error: EvaluationError, stop: &StopFlag) -> Failure {
     match error {
         EvaluationError::Build(error) => error.into_failure(),
         EvaluationError::Refused(error) => Failure::new(ExitCode::PolicyRefused, error).hint(
-            "evaluate with the robot file and the [task] section that the policy was trained with",
+            "give the config.toml of the run that made it (--config), or its robot file (--robot) and preset",
         ),
         EvaluationError::Inference(error) => Failure::new(ExitCode::BadInput, error),
         EvaluationError::Env(error) => Failure::new(ExitCode::Internal, error),
