@@ -97,6 +97,7 @@ impl Config {
         rule!(self, evaluation.gates.slip_mps in 0.0, 100.0);
         rule!(self, evaluation.gates.clearance_m in 0.0, 10.0);
         rule!(self, evaluation.gates.vibration_share in 0.0, 1.0);
+        rule!(self, evaluation.gates.yaw_off_radps in 0.0, 100.0);
         rule!(self, evaluation.gates.vibration_hz to 1_000.0);
         let [least, most] = self.evaluation.gates.duty_factor;
         match 0.0 <= least && least <= most && most <= 1.0 {

@@ -17,6 +17,8 @@ const OFF_RAD: f64 = 10.0_f64.to_radians();
 const AT_STOP_SHARE: f64 = 0.02;
 /// Largest |mean yaw rate − commanded|, rad/s; not looked at on rough ground, which turns a robot aside.
 const YAW_OFF_RADPS: f64 = 0.02;
+/// The gate of that.
+const YAW_OFF: &str = "yaw off the command, rad/s";
 /// Largest |velocity to the left − commanded|, m/s; likewise.
 const SIDE_OFF_MPS: f64 = 0.01;
 /// Largest difference between the swings of a leg's joint and its counterpart's, rad.
@@ -120,6 +122,13 @@ impl Means<'_> {
             let (share, most) = (self.of(|g| g.trunk_contact_share), limits.trunk_contact_share);
             gates.push(at_most("trunk on the ground", share, most));
         }
+        if flat && !limits.posture {
+            gates.push(at_most(
+                YAW_OFF,
+                self.of(|g| g.posture.yaw_off_radps),
+                limits.yaw_off_radps,
+            ));
+        }
         gates
     }
 
@@ -164,7 +173,7 @@ impl Means<'_> {
         ];
         if flat {
             let (yaw, side) = (of(|p| p.yaw_off_radps), of(|p| p.side_off_mps));
-            gates.push(at_most("yaw off the command, rad/s", yaw, YAW_OFF_RADPS));
+            gates.push(at_most(YAW_OFF, yaw, YAW_OFF_RADPS));
             gates.push(at_most("sideways off the command, m/s", side, SIDE_OFF_MPS));
         }
         gates
@@ -241,6 +250,19 @@ mod tests {
             change(&mut gait);
             assert_eq!(GateReport::of(&[gait], &GatesConfig::default(), true).missed(), [name]);
         }
+    }
+
+    /// Also where posture is not judged a robot that is told to go straight must not go in circles; rough ground may
+    /// turn it.
+    #[test]
+    fn a_robot_in_circles_does_not_walk() {
+        let limits = GatesConfig { posture: false, ..GatesConfig::default() };
+        let mut gait = Gait::of(&trot(1.4, 0.0), &measure()).unwrap();
+        gait.posture.yaw_off_radps = 0.09;
+        assert!(GateReport::of(&[gait.clone()], &limits, true).walks);
+        gait.posture.yaw_off_radps = 0.11;
+        assert_eq!(GateReport::of(&[gait.clone()], &limits, true).missed(), [YAW_OFF]);
+        assert!(GateReport::of(&[gait], &limits, false).walks);
     }
 
     #[test]

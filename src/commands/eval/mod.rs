@@ -112,6 +112,10 @@ impl Engines {
 }
 
 pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
+    if let Some(set) = args.config.overrides.iter().find(|set| set.trim().starts_with("terrain.")) {
+        let message = format!("--set {set}: the scenarios of a suite have grounds of their own");
+        return Err(Failure::message(ExitCode::BadConfig, message).hint("choose with --suite"));
+    }
     let policy = files::policy(args.policy())?;
     let (mut config, model) = task_of(args.policy(), &policy, &args.config)?;
     if args.engine.is_some() {

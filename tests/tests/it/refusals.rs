@@ -290,6 +290,14 @@ fn a_folder_in_the_place_of_what_is_in_it_is_refused_with_where_that_is() {
 }
 
 #[test]
+fn an_evaluation_takes_no_ground_but_a_suites() {
+    let args = ["eval", "policies/flat.onnx", "--set", "terrain.kind=rough"];
+    let done = finish(command("caudata", &args).unwrap()).unwrap();
+    refused(&done, 64, &["terrain.kind=rough", "grounds of their own"]);
+    assert!(done.stderr.contains("--suite"), "{}", done.stderr);
+}
+
+#[test]
 fn an_evaluation_that_could_not_write_its_page_does_not_begin() {
     let args = ["eval", "--policy", "policies/flat.onnx", "--report", "/proc/none/page.html"];
     let done = finish(command("caudata", &args).unwrap()).unwrap();

@@ -73,6 +73,9 @@ settings! {
         pub vibration_share: f64 = 0.05,
         /// Joint power above this is vibration, not walking, Hz. Default 6, four strides and a half.
         pub vibration_hz: f64 = 6.0,
+        /// Largest |yaw rate − commanded| on flat ground, rad/s; with `posture` it is 0.02. Default 0.1: who is
+        /// told to go straight turns by less than a quarter in 15 s.
+        pub yaw_off_radps: f64 = 0.1,
         /// Whether posture and going straight are judged too: joints off nominal, end stops, left against
         /// right, the tail's share, drift. Default true; their limits are the salamander's.
         pub posture: bool = true,
