@@ -46,7 +46,7 @@ impl ImportArgs {
 pub fn run(args: &ImportArgs) -> Result<(), Failure> {
     let robot = files::robot(&args.robot)?;
     if let (Some(path), Some(first)) = (&args.draft_map, args.recordings.first()) {
-        if path.exists() {
+        if path.is_file() {
             let message = format!("{} is there already", path.display());
             return Err(Failure::message(ExitCode::CannotCreate, message)
                 .hint("what was corrected in it would be lost: give another name, or remove it"));

@@ -64,18 +64,25 @@ fn apply(params: &mut LaneParams, model: &RobotModel, change: &str) -> Result<()
         }
     });
     match meant {
-        0 => Err(format!("there is no `{key}`; {}", instead(&known, &inside))),
+        0 => Err(format!("there is no `{key}`; {}", instead(key, &known, &inside))),
         _ if values.len() == 1 || values.len() == meant => Ok(()),
         _ => Err(format!("`{key}` is {meant} values, not {}", values.len())),
     }
 }
 
-/// What there is: first names, or where the first was right the last ones.
-fn instead(first: &[String], inside: &[String]) -> String {
+/// What there is: first names, or where the first was right what `key` may look like.
+fn instead(key: &str, first: &[String], inside: &[String]) -> String {
     let Some(example) = inside.first() else { return format!("known: {}", first.join(", ")) };
-    let last: BTreeSet<&str> = inside.iter().filter_map(|path| path.rsplit('.').next()).collect();
-    let last: Vec<&str> = last.into_iter().collect();
-    format!("it is as in `{example}`, with at its end one of: {}", last.join(", "))
+    let parts: Vec<Vec<&str>> = inside.iter().map(|path| path.split('.').collect()).collect();
+    // the place of the first name that is at no path's
+    let wrong = (1..parts[0].len())
+        .find(|&at| {
+            key.split('.').nth(at).is_none_or(|name| parts.iter().all(|p| p.get(at) != Some(&name)))
+        })
+        .unwrap_or(parts[0].len() - 1);
+    let there: BTreeSet<&str> = parts.iter().filter_map(|p| p.get(wrong).copied()).collect();
+    let there: Vec<&str> = there.into_iter().collect();
+    format!("write it as `{example}`; name {} is one of: {}", wrong + 1, there.join(", "))
 }
 
 /// Whether `path` is `key` with names put in.
@@ -136,9 +143,10 @@ mod tests {
             ("kp_nm_per_rad.wing=1", "no `kp_nm_per_rad.wing`"),
             ("kp_nm_per_rad=[1,2]", "is 16 values, not 2"),
             ("joints.FL_hip.slack=1", "no `joints.FL_hip.slack`"),
-            ("joints.ki_nm_per_rad_s.FL_hip=1", "it is as in `joints."),
-            ("joints.ki_nm_per_rad_s.FL_hip=1", "one of: back_drive_kp_ratio, "),
-            ("kp_nm_per_rad.wing=1", "one of: FL_hip"),
+            ("joints.ki_nm_per_rad_s.FL_hip=1", "write it as `joints."),
+            ("joints.ki_nm_per_rad_s.FL_hip=1", "; name 2 is one of: FL_hip, "),
+            ("joints.FL_hip.slack=1", "; name 3 is one of: back_drive_kp_ratio, "),
+            ("kp_nm_per_rad.wing=1", "; name 2 is one of: FL_hip"),
             ("joints.wing.dead_band_rad=1", "no `joints.wing.dead_band_rad`"),
             ("joints.FL_hip.dead_band_rad=-1", "dead_band_rad"),
         ] {

@@ -1,10 +1,12 @@
 //! Relations that hold whatever the robot does: speed is the change of position, gravity is 9.81 m/s² down,
 //! turning turns gravity.
 
+use std::f64::consts::TAU;
+
 use caudata_runlog::{Axis, BaseHold, QuatPart, Signal};
 
 use super::channels::{Channels, sound};
-use super::excites::RunExcitation;
+use super::excites::{JointExcitation, RunExcitation};
 use super::finding::{Finding, MAYBE_HELD, Run};
 use super::series::{AGAINST, Together, best_lag, median, slope, smooth, together};
 
@@ -178,23 +180,35 @@ fn imu(run: &Run<'_>, out: &mut Vec<Finding>) {
     }
 }
 
-/// Below this share of the fastest joint's speed the trunk stands still.
-const TRUNK_STILL: f64 = 0.02;
+/// A trunk whose gyroscope varies by less stands still, as a share of the fastest joint's speed and in rad/s: ten times
+/// the noise of a small chip.
+const TRUNK_STILL: (f64, f64) = (0.02, 0.02);
+/// Joints that move by less, root mean square, move no trunk, rad/s.
+const JOINTS_MOVE_RADPS: f64 = 0.3;
 /// What says how a free base moved.
-const SEES_BASE: [&str; 6] = ["imu.gyro", "imu.acc", "imu.grav", "base.pos", "mocap", "foot"];
+const SEES_BASE: [&str; 8] =
+    ["imu.gyro", "imu.acc", "imu.grav", "base.pos", "base.quat", "base.vel", "mocap", "foot"];
 
-/// A base that counts as free while joints move: of which nothing says how it moved, or that stood still.
+/// A base that counts as free while joints move: of which nothing says how it moved, or that stood still. What turns
+/// by more than a turn is a wheel, and drives straight ahead.
 pub(super) fn held(run: &Run<'_>, excites: &RunExcitation) -> Option<Finding> {
-    let fastest = excites.joints.iter().map(|j| j.speed_rms_radps).fold(0.0, f64::max);
-    if excites.base != BaseHold::Free || fastest < 0.3 {
+    let wheel = |j: &&JointExcitation| j.range_rad[1] - j.range_rad[0] > TAU;
+    let joints = || excites.joints.iter().filter(|j| !wheel(j));
+    let fastest = joints().map(|j| j.speed_rms_radps).fold(0.0, f64::max);
+    if excites.base != BaseHold::Free || fastest < JOINTS_MOVE_RADPS {
         return None;
     }
     let seen = SEES_BASE.iter().any(|kind| excites.channels.contains_key(*kind));
-    let squares = |gyro| norms(&gyro).iter().map(|w| w * w).collect::<Vec<f64>>();
-    let turns = vector(run, Signal::Gyro).and_then(|gyro| mean(&squares(gyro)));
+    let variance = |values: &Vec<f64>| {
+        let squares = mean(&values.iter().map(|w| w * w).collect::<Vec<f64>>())?;
+        Some((squares - mean(values)?.powi(2)).max(0.0))
+    };
+    let turns = vector(run, Signal::Gyro).map(|gyro| gyro.iter().filter_map(variance).sum::<f64>());
     let why = match turns.map(f64::sqrt) {
         None if !seen => "nothing that was logged says how it moved",
-        Some(rms) if rms < TRUNK_STILL * fastest => "the gyroscope stands still while joints move",
+        Some(rms) if rms < (TRUNK_STILL.0 * fastest).min(TRUNK_STILL.1) => {
+            "the gyroscope stands still while joints move"
+        }
         _ => return None,
     };
     let todo = "if the robot hung, or was held, it is \"fixed\" (in the map, or in log.toml)";

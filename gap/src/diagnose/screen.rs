@@ -2,8 +2,9 @@
 //!
 //! One trace per size serves for all places of a joint effect at once: all joints get it together, and each
 //! joint's channels are judged on their own. (Joints of a held robot hardly move each other; whoever passes
-//! is fitted in earnest afterwards.) So do links of different branches of a held robot, and it serves for all
-//! models that are compared.
+//! is fitted in earnest afterwards.) Gears do: behind a soft shoulder an arm falls about, and nothing is seen of its
+//! elbow. So of a held robot's joints every few along a branch have one together. So do links of different branches
+//! of a held robot, and a trace serves for all models that are compared.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -115,35 +116,47 @@ pub fn screen(
     Ok(out)
 }
 
-/// What to simulate: all joints at once, links of different branches, and so joints of a held robot where an
-/// effect is none until it is large: a soft gear at the shoulder hides what one at the elbow does.
+/// Most sets of joints of one branch that are simulated apart.
+const SETS: usize = 6;
+
+/// What is simulated together, and the places that it is judged by.
+type Together = (Vec<Place>, Vec<Place>);
+
+/// Of `places` of an effect: all joints at once, and links of different branches, or gears, apart.
+fn together(context: &Context, around: &State, effect: &Effect, all: &[Place]) -> Vec<Together> {
+    let joints = context.replayer.model().actuated().len();
+    let wanted = |p: &&Place| open(context, around, effect, p);
+    let apart = |places: Vec<Place>, most: usize| {
+        let sets = side_by_side(context, places.iter().filter(wanted), most);
+        sets.into_iter().map(|set| (set.clone(), set)).collect::<Vec<_>>()
+    };
+    let (one, more): (Vec<Place>, Vec<Place>) =
+        all.iter().cloned().partition(|p| p.items.len() == 1);
+    match effect.domain {
+        Domain::Joints => {
+            // of hinges and slides each has sizes of its own, and they have no place together
+            let widest = all.first().filter(|p| p.items.len() == joints);
+            let at_once = widest.map_or_else(|| one.clone(), |widest| vec![widest.clone()]);
+            if effect.apart && joints > 1 && held(context) {
+                std::iter::once((at_once, more)).chain(apart(one, SETS)).collect()
+            } else {
+                vec![(at_once, all.to_vec())]
+            }
+        }
+        Domain::Links => apart(all.to_vec(), usize::MAX),
+        _ => all.iter().map(|p| (vec![p.clone()], vec![p.clone()])).collect(),
+    }
+}
+
+/// What to simulate.
 fn plan(context: &Context, around: &State) -> Vec<Tried> {
     let model = context.replayer.model();
-    let joints = model.actuated().len();
     let mut plan = Vec::new();
     for &effect in &context.effects {
-        let all = effect.places(model);
         let wanted = |p: &Place| open(context, around, effect, p);
-        let alone = || all.iter().filter(|p| p.items.len() == 1);
-        let each = |sets: Vec<Vec<Place>>| sets.into_iter().map(|at| (at.clone(), at));
-        // what is simulated together, and the places that it is judged by
-        let together: Vec<(Vec<Place>, Vec<Place>)> = match effect.domain {
-            // of hinges and slides each has sizes of its own
-            Domain::Joints if all.first().is_some_and(|p| p.items.len() < joints) => {
-                vec![(alone().cloned().collect(), all.clone())]
-            }
-            Domain::Joints if effect.hinge && joints > 1 && held(context) => {
-                let whole = all.iter().filter(|p| p.items.len() > 1).map(|p| vec![p.clone()]);
-                let apart = side_by_side(context, alone().filter(|p| wanted(p)));
-                each(whole.chain(apart).collect()).collect()
-            }
-            Domain::Joints => vec![(all.iter().take(1).cloned().collect(), all.clone())],
-            Domain::Links => {
-                each(side_by_side(context, all.iter().filter(|p| wanted(p)))).collect()
-            }
-            _ => each(all.iter().map(|p| vec![p.clone()]).collect()).collect(),
-        };
-        for (at, judged) in together.into_iter().filter(|(at, _)| at.iter().any(wanted)) {
+        let together = together(context, around, effect, &effect.places(model));
+        let some = |(at, judged): &Together| at.iter().any(wanted) && !judged.is_empty();
+        for (at, judged) in together.into_iter().filter(some) {
             for k in 0..effect.grid.len() {
                 let terms = at.iter().map(|place| Term {
                     effect,
@@ -162,8 +175,13 @@ fn plan(context: &Context, around: &State) -> Vec<Tried> {
     plan
 }
 
-/// Links or joints in sets whose members do not move each other: each in another branch of a held robot.
-fn side_by_side<'a>(context: &Context, places: impl Iterator<Item = &'a Place>) -> Vec<Vec<Place>> {
+/// Links or joints in sets whose members do not move each other, or little: each in another branch of a held robot, or
+/// `most` places further along the same.
+fn side_by_side<'a>(
+    context: &Context,
+    places: impl Iterator<Item = &'a Place>,
+    most: usize,
+) -> Vec<Vec<Place>> {
     let (mut sets, mut alone) = (Vec::<Vec<Place>>::new(), Vec::new());
     let mut of_branch: BTreeMap<usize, usize> = BTreeMap::new();
     for place in places {
@@ -176,22 +194,23 @@ fn side_by_side<'a>(context: &Context, places: impl Iterator<Item = &'a Place>) 
             Some(set) => set.push(place.clone()),
             None => sets.push(vec![place.clone()]),
         }
-        *next += 1;
+        *next = (*next + 1) % most;
     }
     sets.append(&mut alone);
     sets
 }
 
-/// The link with which the branch of a held robot begins that a link or joint is in; none where other joints than
-/// those of the branch, or more than joints, show what it does.
+/// The link with which the branch of a held robot begins that a link or joint is in; none of a link where more than
+/// joints show what it does.
 fn branch(context: &Context, place: &Place) -> Option<usize> {
     let model = context.replayer.model();
     let link = match (place.domain, &place.items[..]) {
-        (Domain::Links, [link]) => *link,
+        (Domain::Links, [link]) if context.fit.data.pieces().all(|p| p.kind.of_joint()) => *link,
+        // its own channels show it
         (Domain::Joints, [joint]) => model.joints()[model.actuated()[*joint]].child_link,
         _ => return None,
     };
-    if !held(context) || !context.fit.data.pieces().all(|p| p.kind.of_joint()) {
+    if !held(context) {
         return None;
     }
     begins(model, link)

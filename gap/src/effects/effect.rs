@@ -92,6 +92,8 @@ pub struct Effect {
     /// Whether its trace starts with a threshold (gap, stop, limit), so that a derivative at nothing says
     /// nothing.
     pub hinge: bool,
+    /// Whether at one joint of a held robot it moves the others so much that it is looked for there with few others.
+    pub apart: bool,
     /// Whether a joint with this servo may have it.
     pub of_servo: fn(&ServoParams) -> bool,
     /// Puts it into a plant. `values` in SI, one per parameter.
@@ -284,6 +286,7 @@ pub(super) const PLAIN: Effect = Effect {
     parameters: &[],
     grid: &[],
     hinge: false,
+    apart: false,
     of_servo: |_| true,
     apply: |_, _, _| {},
     look_alikes: "",

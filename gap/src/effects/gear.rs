@@ -12,6 +12,7 @@ pub static GEAR_BACKLASH: Effect = Effect {
     parameters: &[parameter("gap_rad", "rad", 0.0, (0.0, 0.3), 0.002, Angle)],
     grid: &one(&[0.003, 0.006, 0.01, 0.015, 0.022, 0.032, 0.045, 0.065, 0.1]),
     hinge: true,
+    apart: true,
     apply: |plant, place, v| {
         for &a in &place.items {
             plant.lane.joints[a].gear_half_gap_rad += 0.5 * v[0] as f32;
@@ -59,6 +60,7 @@ pub static GEAR_COMPLIANCE: Effect = Effect {
         &[0.15, 0.3],
     ],
     hinge: true,
+    apart: true,
     apply: |plant, place, v| {
         for &a in &place.items {
             let joint = &mut plant.lane.joints[a];

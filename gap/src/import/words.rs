@@ -8,7 +8,10 @@ use super::units::unit_word;
 /// Words that tell a kind of signal, the first that fits; a command is one of the words in [`COMMANDS`] with any
 /// of them or none.
 const KIND_WORDS: &[(&str, &str)] = &[
-    ("vel", "vel velocity speed qd dq qvel dot omega drehzahl geschwindigkeit geschw vitesse velocidad"),
+    (
+        "vel",
+        "vel velocity speed qd dq qvel dot omega drehzahl geschwindigkeit geschw vitesse velocidad",
+    ),
     ("cur", "cur current currents amps i strom courant corriente"),
     ("tau", "tau torque torques effort drehmoment"),
     ("volt", "volt volts voltage supply vbat vin spannung"),
@@ -47,12 +50,22 @@ pub(super) struct Words {
     pub(super) strange_unit: Option<String>,
 }
 
+/// `Sollwinkel` and `Istwert` as two words, a word as it is.
+fn parted(word: &str) -> Vec<&str> {
+    let kind = |rest: &str| KIND_WORDS.iter().any(|(_, words)| words.split(' ').any(|w| w == rest));
+    let two = ["soll", "ist"].into_iter().find_map(|start| {
+        let rest = word.strip_prefix(start)?;
+        (rest == "wert" || kind(rest)).then(|| vec![start, rest])
+    });
+    two.unwrap_or_else(|| vec![word])
+}
+
 impl Words {
     pub(super) fn of(header: &str) -> Self {
         let whole = header.trim().to_lowercase();
-        let parted = |text: &str| -> Vec<String> {
+        let words_of = |text: &str| -> Vec<String> {
             let words = text.split(|c: char| !c.is_alphanumeric());
-            words.filter(|w| !w.is_empty()).map(str::to_owned).collect()
+            words.filter(|w| !w.is_empty()).flat_map(parted).map(str::to_owned).collect()
         };
         let in_brackets = whole
             .rsplit_once(['[', '('])
@@ -61,7 +74,7 @@ impl Words {
             Some((before, unit)) if unit_word(unit).is_some() => (before, unit_word(unit)),
             _ => (whole.as_str(), None),
         };
-        let mut words = parted(text);
+        let mut words = words_of(text);
         // `pos_deg`, `vel_deg_s`, `vel_deg_per_s`, `time_ms`; all that there is is no unit
         let ends = |n: usize| {
             let said = words.len().checked_sub(n).filter(|&from| from > 0)?;
@@ -201,6 +214,13 @@ mod tests {
         let called = |text| joint_called(&robot, text).map(|joint| robot.actuated_names()[joint]);
         assert_eq!(called("forearm_cmd"), Some("forearm"));
         assert_eq!(called("arm_cmd"), Some("arm_joint"));
+    }
+
+    #[test]
+    fn german_says_what_is_asked_for_and_what_is_in_one_word() {
+        assert_eq!(Words::of("Knie Sollwinkel [deg]").words, ["knie", "soll", "winkel"]);
+        assert_eq!(Words::of("Istgeschwindigkeit").words, ["ist", "geschwindigkeit"]);
+        assert_eq!(Words::of("distance").words, ["distance"]);
     }
 
     #[test]

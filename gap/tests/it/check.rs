@@ -436,14 +436,22 @@ fn readings_that_are_late_are_found() {
 #[test]
 fn a_trunk_that_stands_still_while_joints_move_is_asked_about() {
     let robot = robot("polymander");
-    let mut log = changed(&logs(&robot, "gait", &[9])[0], |s, _, _, v| match s {
-        Signal::Gyro(_) => v.map(|_| 0.001),
+    let walk = &logs(&robot, "gait", &[9])[0];
+    let asked = |log: &RunLog| one(&robot, log).faults.iter().any(|f| f.kind == "base");
+    assert!(!asked(walk));
+    // an offset does not turn
+    let mut log = changed(walk, |s, _, _, v| match s {
+        Signal::Gyro(_) => v.map(|_| 0.03),
         _ => v,
     });
-    let asked = |log: &RunLog| one(&robot, log).faults.iter().any(|f| f.kind == "base");
     assert!(asked(&log));
     log.meta.base = BaseHold::Fixed;
     assert!(!asked(&log));
+    let joints_alone = changed(walk, |s, _, _, v| match s {
+        Signal::Command(_) | Signal::Position(_) => v,
+        _ => None,
+    });
+    assert!(asked(&joints_alone));
 }
 
 /// A swing that repeats itself fits with a lag of a period as well, and beyond its resonance a servo goes

@@ -69,9 +69,11 @@ pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot)
             }
             continue;
         }
-        let limit = |context: &mut Context<'_>, key: &str| {
+        // a range that is switched off limits nothing
+        let limit = |context: &mut Context<'_>, key: &str, limited: &str| {
             let range = e.array::<2>(key, context.remarks)?;
-            Some(range[0].abs().max(range[1].abs()) * gear).filter(|x| *x > 0.0)
+            let most = range[0].abs().max(range[1].abs()) * gear;
+            Some(most).filter(|x| *x > 0.0 && e.get(limited) != Some("false"))
         };
         let gains = gains(context, &e).map(|(kp, kd, ratio)| {
             let kp = kp * gear * gear;
@@ -81,25 +83,26 @@ pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot)
         for key in ["kp", "kv"] {
             e.not_negative(key, context.remarks);
         }
-        let (force, control) = (limit(context, "forcerange"), limit(context, "ctrlrange"));
+        let force = limit(context, "forcerange", "forcelimited");
+        let control = limit(context, "ctrlrange", "ctrllimited");
         // what a torque can be asked to be, before the range of forces cuts it
+        let plain = |key: &str, word: &str| e.get(key).is_none_or(|kind| kind == word);
         let gain = match e.tag.as_str() {
             "motor" => Some(1.0),
-            "general" if e.get("biastype").is_none_or(|kind| kind == "none") => {
+            "general"
+                if plain("biastype", "none")
+                    && plain("dyntype", "none")
+                    && plain("gaintype", "fixed") =>
+            {
                 let gain = e.numbers("gainprm", context.remarks);
                 Some(gain.and_then(|g| g.first().copied()).unwrap_or(1.0).abs())
             }
             _ => None,
         };
         let asked = control.zip(gain.filter(|_| gains.is_none())).map(|(most, gain)| most * gain);
-        let force_limit = [force, asked].into_iter().flatten().reduce(f64::min);
-        robot.actuators.push(Actuator {
-            joint,
-            gains,
-            force_limit: own_limit.or(force_limit),
-            speed_limit: None,
-            element: e,
-        });
+        let asked = asked.filter(|x| *x > 0.0);
+        let force_limit = [own_limit.or(force), asked].into_iter().flatten().reduce(f64::min);
+        robot.actuators.push(Actuator { joint, gains, force_limit, speed_limit: None, element: e });
     }
 }
 

@@ -437,6 +437,8 @@ fn a_torque_ends_at_what_can_be_asked_for_or_at_the_range_of_forces() {
         ("motor ctrlrange=\"-1 1\" forcerange=\"-12 12\" gear=\"6\"", 6.0),
         ("motor ctrlrange=\"-9 9\" forcerange=\"-2 2\" gear=\"6\"", 12.0),
         ("general ctrlrange=\"-1 1\" gainprm=\"7\"", 7.0),
+        ("general ctrlrange=\"-1 1\" dyntype=\"integrator\" forcerange=\"-4 4\"", 4.0),
+        ("motor ctrllimited=\"false\" ctrlrange=\"-1 1\" forcerange=\"-5 5\"", 5.0),
         ("position kp=\"50\" ctrlrange=\"-1 1\" forcerange=\"-3 3\"", 3.0),
     ] {
         let end = format!("<actuator><{drive} joint=\"hip\"/></actuator>");
