@@ -51,7 +51,7 @@ pub(super) struct Words {
 }
 
 /// `Sollwinkel` and `Istwert` as two words, a word as it is.
-fn parted(word: &str) -> Vec<&str> {
+fn in_two(word: &str) -> Vec<&str> {
     let kind = |rest: &str| KIND_WORDS.iter().any(|(_, words)| words.split(' ').any(|w| w == rest));
     let two = ["soll", "ist"].into_iter().find_map(|start| {
         let rest = word.strip_prefix(start)?;
@@ -65,7 +65,7 @@ impl Words {
         let whole = header.trim().to_lowercase();
         let words_of = |text: &str| -> Vec<String> {
             let words = text.split(|c: char| !c.is_alphanumeric());
-            words.filter(|w| !w.is_empty()).flat_map(parted).map(str::to_owned).collect()
+            words.filter(|w| !w.is_empty()).flat_map(in_two).map(str::to_owned).collect()
         };
         let in_brackets = whole
             .rsplit_once(['[', '('])
