@@ -127,7 +127,8 @@ fn together(context: &Context, around: &State, effect: &Effect, all: &[Place]) -
     let joints = context.replayer.model().actuated().len();
     let wanted = |p: &&Place| open(context, around, effect, p);
     let apart = |places: Vec<Place>, most: usize| {
-        let sets = side_by_side(context, places.iter().filter(wanted), most);
+        let branches = places.iter().filter(wanted).map(|p| (p, branch(context, p)));
+        let sets = side_by_side(branches, most);
         sets.into_iter().map(|set| (set.clone(), set)).collect::<Vec<_>>()
     };
     let (one, more): (Vec<Place>, Vec<Place>) =
@@ -175,17 +176,16 @@ fn plan(context: &Context, around: &State) -> Vec<Tried> {
     plan
 }
 
-/// Links or joints in sets whose members do not move each other, or little: each in another branch of a held robot, or
+/// Places with their branches in sets whose members do not move each other, or little: each in another branch of a held robot, or
 /// `most` places further along the same.
 fn side_by_side<'a>(
-    context: &Context,
-    places: impl Iterator<Item = &'a Place>,
+    places: impl Iterator<Item = (&'a Place, Option<usize>)>,
     most: usize,
 ) -> Vec<Vec<Place>> {
     let (mut sets, mut alone) = (Vec::<Vec<Place>>::new(), Vec::new());
     let mut of_branch: BTreeMap<usize, usize> = BTreeMap::new();
-    for place in places {
-        let Some(branch) = branch(context, place) else {
+    for (place, branch) in places {
+        let Some(branch) = branch else {
             alone.push(vec![place.clone()]);
             continue;
         };
@@ -358,4 +358,38 @@ fn weigh(
     });
     out[known].traces.push((sizes, look.dilution * dd / n));
     out[known].take(gain, start.values);
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+
+    #[test]
+    fn a_branch_begins_with_what_the_base_carries_or_what_moves_about_the_world() {
+        let model = |name: &str| {
+            let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots");
+            RobotModel::load(format!("{folder}/{name}.robot.toml").as_ref()).unwrap()
+        };
+        assert_eq!(begins(&model("xl330_pendulum"), 0), Some(0));
+        let quadruped = model("quadruped");
+        assert_eq!(begins(&quadruped, 0), None);
+        for foot in quadruped.feet() {
+            let first = begins(&quadruped, foot.link).unwrap();
+            assert_eq!(quadruped.links()[first].parent, Some(0));
+        }
+    }
+
+    /// Of three of a branch that has two sets the third is in the first again; what has no branch is alone.
+    #[test]
+    fn sets_have_one_of_each_branch() {
+        let place = |i: usize| Place { domain: Domain::Joints, items: vec![i], names: vec![] };
+        let places: Vec<Place> = (0..5).map(place).collect();
+        let branches = [Some(1), Some(1), None, Some(2), Some(1)];
+        let sets = side_by_side(places.iter().zip(branches), 2);
+        let items = |set: &Vec<Place>| set.iter().map(|p| p.items[0]).collect::<Vec<_>>();
+        let items: Vec<Vec<usize>> = sets.iter().map(items).collect();
+        assert_eq!(items, [vec![0, 3, 4], vec![1], vec![2]]);
+    }
 }
