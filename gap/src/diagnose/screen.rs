@@ -122,7 +122,8 @@ const SETS: usize = 6;
 /// What is simulated together, and the places that it is judged by.
 type Together = (Vec<Place>, Vec<Place>);
 
-/// Of `places` of an effect: all joints at once, and links of different branches, or gears, apart.
+/// What to simulate of the places `all` of an effect: all joints at once, and links of different branches, or gears,
+/// apart.
 fn together(context: &Context, around: &State, effect: &Effect, all: &[Place]) -> Vec<Together> {
     let joints = context.replayer.model().actuated().len();
     let wanted = |p: &&Place| open(context, around, effect, p);
@@ -381,7 +382,7 @@ mod tests {
         }
     }
 
-    /// Of three of a branch that has two sets the third is in the first again; what has no branch is alone.
+    /// Three of a branch that has two sets: the third is in the first again. What has no branch is alone.
     #[test]
     fn sets_have_one_of_each_branch() {
         let place = |i: usize| Place { domain: Domain::Joints, items: vec![i], names: vec![] };
