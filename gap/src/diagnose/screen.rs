@@ -116,7 +116,8 @@ pub fn screen(
     Ok(out)
 }
 
-/// Most sets of joints of one branch that are simulated apart.
+/// Most sets of joints of one branch that are simulated apart: each joint of an arm of six, and a fifth more work for
+/// sixteen in a row.
 const SETS: usize = 6;
 
 /// What is simulated together, and the places that it is judged by.
