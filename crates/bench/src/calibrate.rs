@@ -21,7 +21,7 @@ pub struct Plan {
     /// Seed of the cases
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Leave judged cases in this folder, and go on from those that lie there; default: a temporary one
+    /// Leave judged cases in this folder, as SEED.jsonl, and go on from those that stand there; default: a temporary one
     #[arg(long, value_name = "DIR")]
     keep: Option<PathBuf>,
     /// Fit the map to them and write it here; without it they judge the map that the program has
@@ -61,10 +61,12 @@ pub fn run(plan: &Plan, program: &Path, tell: &mut dyn FnMut(&Case)) -> Result<F
         .map_err(crate::gap::failure)?;
     let shipped = Calibration::shipped().or_exit(ExitCode::Internal)?;
     let map = plan.out.as_ref().map(|out| {
+        let keep = plan.keep.iter().map(|keep| format!(" --keep {}", keep.display()));
         let command = format!(
-            "caudata bench calibrate --seed {} --cases {} --out {}",
+            "caudata bench calibrate --seed {} --cases {}{} --out {}",
             plan.seed,
             plan.cases,
+            keep.collect::<String>(),
             out.display()
         );
         fit::fit(&cases, shipped.by_hand, command, plan.seed)

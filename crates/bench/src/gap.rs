@@ -160,6 +160,7 @@ fn secret() -> Vec<u8> {
 pub(crate) fn failure(e: BenchError) -> Failure {
     let code = match &e {
         BenchError::File(file) => ExitCode::of_io(&file.source, true),
+        BenchError::Kept(..) => ExitCode::BadInput,
         _ => ExitCode::Internal,
     };
     Failure::new(code, e)

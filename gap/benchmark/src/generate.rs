@@ -14,6 +14,7 @@ use crate::hidden::{Hidden, OUTSIDE, Scope, World};
 use crate::lab::{FIRST_HELD_OUT, HELD_OUT, LAWS, SIGNS, run, stream};
 use crate::sets::{Plan, below, between};
 use crate::sizing::{detectability, size_for};
+use crate::truth::drive::IMPACT_LOSS_S_PER_RAD;
 use crate::truth::sensors::Row;
 
 pub use crate::lab::{GenerateError, Rig, lab};
@@ -80,8 +81,9 @@ pub fn make(name: &str, request: &Plan, parent: &Path) -> Result<Answer, Generat
     })
 }
 
-/// What a robot of another maker has: bristles, windings, a bridge and a loop of its own, and up to two laws that
-/// no catalogue has, from what nobody sees to a little more than a careful lab's differences.
+/// What a robot of another maker has: bristles, windings, a bridge and a loop of its own, teeth that give back
+/// 0.15 to 0.85 of a blow, a gear that bends by less than anybody sees, friction that grows with another load, and
+/// up to two laws that no catalogue has, from what nobody sees to a little more than a careful lab's differences.
 fn other_laws(
     (seed, rig): (u64, &Rig),
     world: &mut World,
@@ -95,6 +97,13 @@ fn other_laws(
         p.inductance_s = between(&mut s, 0.0003, 0.0006);
         p.duty_steps = [255.0, 885.0, 1023.0, 2047.0][below(&mut s, 4)];
         p.loop_delay_s += between(&mut s, 0.0, 0.0004);
+        p.impact_loss_s_per_rad = 2.0 * IMPACT_LOSS_S_PER_RAD * between(&mut s, 0.15, 0.85);
+        if s.chance(0.5) {
+            p.gear_nm_per_rad = 1000.0 * between(&mut s, 0.0, 1.6).exp();
+        }
+        if s.chance(0.5) {
+            p.load_of_motor = 1.0;
+        }
     }
     for _ in 0..below(&mut s, 3) {
         let law = &OUTSIDE[below(&mut s, OUTSIDE.len())];

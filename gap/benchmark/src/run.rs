@@ -31,6 +31,9 @@ pub enum BenchError {
     /// The answers are not what they were.
     #[error("sealed answers are damaged: {0}")]
     Answers(#[from] serde_json::Error),
+    /// A kept case is not one.
+    #[error("{0}, line {1}: {2}; move the file away, and its cases are made again")]
+    Kept(String, usize, serde_json::Error),
 }
 
 /// Name of the sealed file.

@@ -3,6 +3,8 @@
 
 pub mod fit;
 
+use std::fs::{self, OpenOptions};
+use std::io::Write;
 use std::path::Path;
 
 use caudata_gap::report::{Grounds, Verdict};
@@ -97,7 +99,8 @@ fn plan(seed: u64, number: usize) -> Plan {
     plan
 }
 
-/// The first `count` cases of `seed`. What lies in `folder` is not made again.
+/// The first `count` cases of `seed`. They are kept in `folder`, a line each in `SEED.jsonl`; what stands there is
+/// not made again.
 ///
 /// # Errors
 /// Where a folder cannot be written or a case is damaged; a diagnosis that fails is a case.
@@ -108,32 +111,44 @@ pub fn cases(
     diagnoser: &Diagnoser,
     mut each: impl FnMut(&Case),
 ) -> Result<Vec<Case>, BenchError> {
-    let mut out = Vec::new();
-    for number in 0..count {
-        let path = folder.join(format!("{seed}-{number:05}.json"));
-        let case = match path.exists() {
-            true => serde_json::from_slice(&std::fs::read(&path).map_err(at(&path))?)?,
-            false => {
-                let root = folder.join(format!("{seed}-{number:05}"));
-                // what was stopped under way leaves half a case
-                let clear = || match root.exists() {
-                    true => std::fs::remove_dir_all(&root).map_err(at(&root)),
-                    false => Ok(()),
-                };
-                clear()?;
-                let case = made(number, &plan(seed, number), &root, diagnoser)?;
-                clear()?;
-                // whole or not at all
-                let part = path.with_extension("part");
-                std::fs::write(&part, serde_json::to_vec(&case)?).map_err(at(&part))?;
-                std::fs::rename(&part, &path).map_err(at(&path))?;
-                case
-            }
+    let path = folder.join(format!("{seed}.jsonl"));
+    let mut out = kept(&path)?;
+    out.truncate(count);
+    out.iter().for_each(&mut each);
+    let mut file = OpenOptions::new().create(true).append(true).open(&path).map_err(at(&path))?;
+    for number in out.len()..count {
+        let root = folder.join(format!("{seed}-{number:05}"));
+        // what was stopped under way leaves half a case
+        let clear = || match root.exists() {
+            true => fs::remove_dir_all(&root).map_err(at(&root)),
+            false => Ok(()),
         };
+        clear()?;
+        let case = made(number, &plan(seed, number), &root, diagnoser)?;
+        clear()?;
+        let line = format!("{}\n", serde_json::to_string(&case)?);
+        file.write_all(line.as_bytes()).map_err(at(&path))?;
         each(&case);
         out.push(case);
     }
     Ok(out)
+}
+
+/// The cases of a file, without a last line that was stopped under way.
+fn kept(path: &Path) -> Result<Vec<Case>, BenchError> {
+    if !path.exists() {
+        return Ok(Vec::new());
+    }
+    let text = fs::read_to_string(path).map_err(at(path))?;
+    let whole = &text[..text.rfind('\n').map_or(0, |end| end + 1)];
+    if whole.len() < text.len() {
+        fs::write(path, whole).map_err(at(path))?;
+    }
+    let read = |(k, line)| {
+        let damaged = |e| BenchError::Kept(path.display().to_string(), k + 1, e);
+        serde_json::from_str(line).map_err(damaged)
+    };
+    whole.lines().enumerate().map(read).collect()
 }
 
 fn made(
@@ -142,17 +157,7 @@ fn made(
     root: &Path,
     diagnoser: &Diagnoser,
 ) -> Result<Case, BenchError> {
-    let told = |(h, _, d): &(&Hidden, usize, f64)| format!("{} {d}", h.id);
-    let mut case = Case {
-        number,
-        block: plan.block,
-        rig: plan.rig.to_owned(),
-        hidden: plan.effects.iter().map(told).collect(),
-        verdict: None,
-        names: Vec::new(),
-        seconds: 0.0,
-        failure: String::new(),
-    };
+    let mut case = empty(number, plan);
     match run::one_case(number, plan, root, diagnoser) {
         Ok((answer, given)) => case.judge(&answer, &given),
         Err(e @ (GenerateError::TooSmall { .. } | GenerateError::Diverged(_))) => {
@@ -161,6 +166,21 @@ fn made(
         Err(e) => return Err(e.into()),
     }
     Ok(case)
+}
+
+/// A case without a report.
+fn empty(number: usize, plan: &Plan) -> Case {
+    let told = |(h, _, d): &(&Hidden, usize, f64)| format!("{} {d}", h.id);
+    Case {
+        number,
+        block: plan.block,
+        rig: plan.rig.to_owned(),
+        hidden: plan.effects.iter().map(told).collect(),
+        verdict: None,
+        names: Vec::new(),
+        seconds: 0.0,
+        failure: String::new(),
+    }
 }
 
 impl Case {
@@ -206,5 +226,19 @@ mod tests {
         let p = plan(3, 9);
         assert!(p.without.iter().any(|w| w == p.effects[0].0.id));
         assert!(CATALOGUE.iter().any(|h| h.id == p.effects[0].0.id));
+    }
+
+    #[test]
+    fn a_line_that_was_stopped_under_way_is_made_again_and_a_damaged_one_is_an_error() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("3.jsonl");
+        let line = |n| format!("{}\n", serde_json::to_string(&empty(n, &plan(3, n))).unwrap());
+        fs::write(&path, format!("{}{}{}", line(0), line(1), &line(2)[..40])).unwrap();
+        let told = kept(&path).unwrap();
+        assert_eq!(told.iter().map(|c| c.number).collect::<Vec<_>>(), [0, 1]);
+        assert_eq!(fs::read_to_string(&path).unwrap(), format!("{}{}", line(0), line(1)));
+        fs::write(&path, format!("{}{}", &line(0)[..40], line(1))).unwrap();
+        let told = kept(&path).unwrap_err().to_string();
+        assert!(told.contains("3.jsonl, line 1: "), "{told}");
     }
 }

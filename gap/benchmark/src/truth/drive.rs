@@ -9,7 +9,7 @@ use super::spec::JointSpec;
 /// Stiffness of gear teeth, N·m/rad.
 const TEETH_NM_PER_RAD: f64 = 1500.0;
 /// Loss of an impact, s/rad: 1.5·(1 − e)/v for a restitution of 0.5 at 0.3 rad/s.
-const IMPACT_LOSS_S_PER_RAD: f64 = 2.5;
+pub const IMPACT_LOSS_S_PER_RAD: f64 = 2.5;
 /// Stiffness of end stops, N·m/rad.
 const STOP_NM_PER_RAD: f64 = 800.0;
 /// Damping of the bristle near rest, as a time on its stiffness, s, and the speed at which it has faded,
@@ -209,11 +209,11 @@ pub fn lugre(p: &JointSpec, bound_nm: f64, v_radps: f64, z_rad: f64, step_s: f64
 }
 
 /// Force of something that is touched: `k·p·(1 + λ·ṗ)`, never pulling.
-fn touch(k: f64, depth: f64, rate: f64) -> f64 {
+fn touch((k, loss_s_per_rad): (f64, f64), depth: f64, rate: f64) -> f64 {
     if depth <= 0.0 {
         return 0.0;
     }
-    (k * depth * (1.0 + IMPACT_LOSS_S_PER_RAD * rate)).max(0.0)
+    (k * depth * (1.0 + loss_s_per_rad * rate)).max(0.0)
 }
 
 /// Torque between rotor and link, positive on the link, N·m.
@@ -224,7 +224,8 @@ pub fn gear_nm(p: &JointSpec, lead_rad: f64, lead_radps: f64) -> f64 {
         // Compliance without a gap: a spring with a little loss.
         return k * lead_rad + 0.2 * (k * p.rotor_kgm2).sqrt() * lead_radps;
     }
-    touch(k, lead_rad - h, lead_radps) - touch(k, -lead_rad - h, -lead_radps)
+    let teeth = (k, p.impact_loss_s_per_rad);
+    touch(teeth, lead_rad - h, lead_radps) - touch(teeth, -lead_rad - h, -lead_radps)
 }
 
 /// Everything on joint and servo at one instant. `load_nm`: estimate of the torque that the gear passes on.
@@ -252,6 +253,7 @@ pub fn flow(
     if p.thermal_rise_k_per_a2 > 0.0 {
         out.rate[HEAT] = (p.thermal_rise_k_per_a2 * current * current - x[HEAT]) / p.thermal_time_s;
     }
+    let load_nm = load_nm + p.load_of_motor * (p.kt_nm_per_a * current - load_nm);
     let bound = friction_bound_nm(p, w, load_nm, q, x[STILL], t_s);
     let (friction, bristle_rate) = lugre(p, bound, w, x[BRISTLE], step_s);
     out.rate[BRISTLE] = bristle_rate;
@@ -286,7 +288,8 @@ fn link_side(p: &JointSpec, q: f64, v: f64, x: &[f64], t_s: f64, rate: &mut [f64
     let off = p.spring_rest_rad - q;
     let mut torque = p.spring_nm_per_rad * off + p.spring_cubic_nm_per_rad3 * off * off * off;
     let (low, high) = p.stops_rad;
-    torque += touch(STOP_NM_PER_RAD, low - q, -v) - touch(STOP_NM_PER_RAD, q - high, v);
+    let stop = (STOP_NM_PER_RAD, IMPACT_LOSS_S_PER_RAD);
+    torque += touch(stop, low - q, -v) - touch(stop, q - high, v);
     torque -= p.air_nms2_per_rad2 * v * v.abs();
     if p.shaker.0 != 0.0 {
         torque += p.shaker.0 * (std::f64::consts::TAU * p.shaker.1 * t_s).sin();

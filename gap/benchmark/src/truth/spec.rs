@@ -4,6 +4,7 @@
 
 use caudata_model::RobotModel;
 
+use super::drive::IMPACT_LOSS_S_PER_RAD;
 use super::tree::MassChange;
 
 /// One servo with its joint. By default nothing of it is there.
@@ -68,6 +69,8 @@ pub struct JointSpec {
     pub stribeck_speed_radps: f64,
     /// Bristle deflection at the Coulomb bound, rad.
     pub presliding_rad: f64,
+    /// What the load is that friction grows with: the torque that the gear passes on (0), the motor's (1).
+    pub load_of_motor: f64,
     /// Friction per load torque, motor drives.
     pub load_driving: f64,
     /// Friction per load torque, load drives.
@@ -84,6 +87,8 @@ pub struct JointSpec {
     pub half_gap_rad: f64,
     /// Stiffness between rotor and link, N·m/rad; 0: rigid unless there is a gap.
     pub gear_nm_per_rad: f64,
+    /// Loss of teeth that meet, s/rad.
+    pub impact_loss_s_per_rad: f64,
     /// Spring at the joint, N·m/rad.
     pub spring_nm_per_rad: f64,
     /// Where it is relaxed, rad.
@@ -183,6 +188,7 @@ impl JointSpec {
             load_driving: servo.load_friction_driving,
             load_driven: servo.load_friction_driven,
             ripple_per_turn: 1.0,
+            impact_loss_s_per_rad: IMPACT_LOSS_S_PER_RAD,
             spring_nm_per_rad: joint.stiffness_nm_per_rad,
             spring_rest_rad: joint.spring_ref_rad,
             stops_rad: joint.range_rad.unwrap_or((-1e6, 1e6)),
