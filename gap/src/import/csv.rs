@@ -212,7 +212,11 @@ impl Sheet for Table {
 
     /// An empty field was not sampled.
     fn values(&self, column: &str, item: Option<usize>) -> Result<Vec<Option<f64>>, ImportError> {
-        let at = self.header.iter().position(|h| h.trim() == column.trim());
+        let column = column.trim();
+        let of = |called: &dyn Fn(&str) -> bool| self.header.iter().position(|h| called(h.trim()));
+        // without the unit that its own row says
+        let bare = |h: &str| h.strip_prefix(column).is_some_and(|unit| unit.starts_with(" ["));
+        let at = of(&|h| h == column).or_else(|| of(&bare));
         let at = at.ok_or_else(|| {
             self.wrong(format!("has no column `{column}`; it has {}", self.header.join(", ")))
         })?;
@@ -422,8 +426,9 @@ mod tests {
             |joint| ["actual [deg]", "volts [v]", "load [bits]"].map(|c| format!("{joint} {c}"));
         assert_eq!(sheet.header()[1..], [of("hip"), of("knee")].concat());
         assert_eq!(sheet.values("time [s]", None).unwrap(), [0.0, 0.1].map(Some));
-        let knee = sheet.values("knee actual [deg]", None).unwrap();
-        assert_eq!(knee, [2.0, 4.0].map(Some));
+        for column in ["knee actual [deg]", "knee actual"] {
+            assert_eq!(sheet.values(column, None).unwrap(), [2.0, 4.0].map(Some));
+        }
         // a signal that is called so is none of a joint
         std::fs::write(&file, "time,servo,angle\n0,0,1\n1,0,2\n2,30,3\n3,30,4\n").unwrap();
         let recording = open(&file, &BTreeSet::new()).unwrap();

@@ -10,7 +10,7 @@ use caudata_runlog::ros::bag::{files, is_recording};
 use super::map::{Map, apply};
 use super::run::{ImportError, Imported, files_below};
 use super::sheet::Recording;
-use super::{bag, bam, csv, lerobot};
+use super::{bag, bam, csv, lerobot, npz};
 
 /// Form of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -23,6 +23,8 @@ pub enum Format {
     Rosbag,
     /// The folder of a LeRobot dataset (v2, v3); each episode is a run
     Lerobot,
+    /// Arrays of NumPy, as numpy.savez writes them
+    Npz,
 }
 
 impl Format {
@@ -43,6 +45,10 @@ impl Format {
                 _ if is_recording(path) => Ok(Self::Rosbag),
                 Some("json") => Ok(Self::Bam),
                 Some("csv" | "tsv" | "txt") => Ok(Self::Csv),
+                Some("npz") => Ok(Self::Npz),
+                Some("npy") => Err(wrong(
+                    "is one array without names: write time, commands and angles into one file with numpy.savez",
+                )),
                 Some("parquet") => {
                     Err(wrong("give the folder of the dataset, which has meta/info.json"))
                 }
@@ -77,6 +83,7 @@ pub fn open(path: &Path, format: Format, map: Option<&Map>) -> Result<Vec<Record
     match format {
         Format::Lerobot => lerobot::open(path),
         Format::Rosbag => Ok(vec![bag::open(path)?]),
+        Format::Npz => Ok(vec![npz::open(path)?]),
         _ => {
             let named = map.map_or_else(BTreeSet::new, Map::files);
             Ok(vec![csv::open(path, &named)?])
