@@ -22,6 +22,7 @@ ObservationFunction = Callable[[Array, Signals], Array]
 """The task's observations ``[N, D]`` and signals to other observations ``[N, K]``."""
 
 _SEED_MAX = 2**63 - 1
+_COUNT_MAX = 2**32 - 1
 
 
 class VecEnv(gymnasium.vector.VectorEnv[Array, Array, NDArray[Any]]):
@@ -222,6 +223,9 @@ def make_vec(
     :param signals: whether to fill :attr:`VecEnv.signals` after every step.
     :param copy: with ``False`` every step writes into the same arrays instead of new ones.
     """
+    for name, count in (("num_envs", num_envs), ("threads", threads)):
+        if not 1 <= count <= _COUNT_MAX:
+            raise ValueError("%s is a number from 1 on, not %s" % (name, count))
     signals = signals or reward is not None or observation is not None
     named = task is not None and str(task) in presets()
     if task is not None and not named and not os.path.isfile(task):
@@ -268,7 +272,10 @@ class Env(gymnasium.Env[Array, Array]):
 
     def step(self, action: Array) -> Tuple[Array, float, bool, bool, Dict[str, Any]]:
         """One control step; the observation of an episode that ends is its last."""
-        out = self.lanes.step(np.asarray(action, np.float32)[None])
+        action = np.asarray(action, np.float32)
+        if action.shape != self.action_space.shape:
+            raise ValueError("an action of shape %s; %s is wanted" % (action.shape, self.action_space.shape))
+        out = self.lanes.step(action[None])
         observations, rewards, terminated, truncated, infos = out
         ended = bool(terminated[0] or truncated[0])
         observation = infos["final_obs"][0] if ended else observations[0]

@@ -190,9 +190,12 @@ class Environments(unittest.TestCase):
             (lambda: caudata.make_vec(num_envs=1).reset(options={"command": (0.3, 0.0)}), ValueError, "yaw rate"),
             (lambda: caudata.make_vec(num_envs=1).reset(options={"command": (0, 0, np.nan)}), ValueError, "finite"),
             (lambda: caudata.make_vec(settings={"task.episode_stepz": 3}), ValueError, "episode_steps"),
-            (lambda: caudata.make_vec(num_envs=0), ValueError, "lanes"),
+            (lambda: caudata.make_vec(num_envs=0), ValueError, "num_envs"),
             (lambda: caudata.make_vec(num_envs=1).step(np.zeros((1, 3), np.float32)), ValueError, "(1, 16) is wanted"),
             (lambda: caudata.make_vec(num_envs=1).step(np.zeros(16, np.float32)), ValueError, "(1, 16) is wanted"),
+            (lambda: caudata.make().step(np.zeros((1, 16), np.float32)), ValueError, "(16,) is wanted"),
+            (lambda: caudata.make_vec(num_envs=-1), ValueError, "num_envs is a number from 1 on, not -1"),
+            (lambda: caudata.make_vec(threads=0), ValueError, "threads is a number from 1 on, not 0"),
             (lambda: caudata.make_vec(num_envs=1).step(np.full((1, 16), np.nan, np.float32)), ValueError, "lane 0"),
             (lambda: caudata.make_vec(num_envs=1).reset(options={"speed": 1}), ValueError, "speed"),
         ]

@@ -20,7 +20,7 @@ pub struct ImportArgs {
     /// Which column is which signal, in which unit (TOML); all forms but bam need one
     #[arg(long, value_name = "MAP.toml")]
     map: Option<PathBuf>,
-    /// Guess a map from the first recording, write it here, and stop; to be checked, then given as --map
+    /// Guess a map from the first recording, write it here (never over a file), and stop; to be checked, then given as --map
     #[arg(long, value_name = "MAP.toml", conflicts_with = "map")]
     draft_map: Option<PathBuf>,
     /// Robot file of what was recorded
