@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use caudata_actor::build_env;
+use caudata_actor::{ActorError, build_env};
 use caudata_config::{Config, GatesConfig};
 use caudata_declare::settings;
 use caudata_env::StartShift;
@@ -79,7 +79,7 @@ pub fn run_scenario(
     let commands = scenario.commands.len().max(1);
     let episodes = (settings.episodes as usize).next_multiple_of(commands);
     let terrain = Terrain::generate(&scenario.terrain, settings.seed)
-        .map_err(|error| EvaluationError::Env(error.into()))?;
+        .map_err(|error| ActorError::Env(error.into()))?;
     let config = conditions(config, scenario, settings, terrain.water_level_m);
     let shore = scenario.goal.and_then(|goal| Shore::of(&terrain, goal));
     let measure = Measure {
