@@ -13,7 +13,7 @@ use crate::trial::{Kind, Trial};
 pub struct JointExcitation {
     /// 99th percentile of its speed, rad/s, of a slide what counts as a radian.
     pub fastest_radps: f64,
-    /// Lowest and highest position, rad.
+    /// Lowest and highest position, rad or m; nothing in between where it was not measured.
     pub range_rad: (f64, f64),
     /// Largest product of gain and error over the servo's largest torque.
     pub most_torque_share: f64,
@@ -42,7 +42,13 @@ impl Excitation {
     /// What `trials` excite.
     pub fn of(model: &RobotModel, trials: &[&Trial]) -> Self {
         let mut all = Self {
-            joints: vec![JointExcitation::default(); model.actuated().len()],
+            joints: vec![
+                JointExcitation {
+                    range_rad: (f64::INFINITY, f64::NEG_INFINITY),
+                    ..JointExcitation::default()
+                };
+                model.actuated().len()
+            ],
             runs: trials.len(),
             ..Self::default()
         };

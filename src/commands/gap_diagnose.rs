@@ -66,10 +66,13 @@ fn verdict(report: &Report) -> Result<(), Failure> {
     }
     let failure = Failure::outcome(code, &report.summary);
     Err(match &report.next_experiment {
-        Some(next) => failure.hint(format!(
-            "record the trial {} (`caudata gap excite --trial {}`)",
-            next.trial, next.trial
-        )),
+        Some(next) => failure.hint(match excite::names_in(&next.trial) {
+            Some(trial) => {
+                format!("record the trial {trial} (`caudata gap excite --trial {trial}`)")
+            }
+            // a run of the user's own
+            None => format!("record {} once more", next.trial),
+        }),
         None if report.unfinished => failure.hint("give it more time: --budget 10min"),
         None => failure,
     })

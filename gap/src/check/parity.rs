@@ -334,5 +334,15 @@ fn plain_ranges(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
                 format!("reaches {most:.0} where the servo stalls at {stall_a:.1} A; is it in mA?");
             out.push(joint.fatal("unit", "cur", detail));
         }
+        let torque = run.grid.linear(&run.log.table, &Signal::Torque(joint.name.clone()));
+        let most = torque.iter().flatten().filter(|t| t.is_finite());
+        let most = most.fold(0.0, |m: f64, t| m.max(t.abs()));
+        if most > 20.0 * servo.tau_max_nm {
+            let detail = format!(
+                "reaches {most:.0} where the servo can do {:.1} N·m; is it a current, or in another unit?",
+                servo.tau_max_nm
+            );
+            out.push(joint.fatal("unit", "tau", detail));
+        }
     }
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 
 use super::alike::{indistinguishable, trades, wider};
 use super::doubt::{one_place, outgrown};
-use super::fits::{Before, fitted, penalised, with_each};
+use super::fits::{Before, fitted, penalised, polished, with_each};
 use super::gates::{self, Worth};
 use super::levels::RIGHT_LEAVES;
 use super::pairs::{Pair, misfit_with, pairs, parameters};
@@ -20,6 +20,8 @@ use crate::report::Cause;
 
 /// Rivals that are fitted per cause, besides the declared look-alikes.
 const RIVALS: usize = 8;
+/// Of these, the best that are fitted to everything until nothing moves, where a scout was looked at.
+const REFITTED: usize = 2;
 /// A misfit is a mean of so many squares that a law of nature, which no model has, makes independent of each
 /// other: of two models the likelihoods differ by the ratio of their misfits to the power of half of that. (The
 /// samples are far more, and their errors are not independent: by their number the better of two wrong laws is
@@ -354,7 +356,14 @@ fn rivals_of(
         terms[index] = t;
         terms
     };
-    let states = with_each(context, &chosen, Before::of(&without), instead)?;
+    let mut states = with_each(context, &chosen, Before::of(&without), instead)?;
+    if context.scout.is_some() {
+        // fitted to a scout, they are not yet as good as what they are compared with
+        states.sort_by(|a, b| penalised(context, a).total_cmp(&penalised(context, b)));
+        for state in states.iter_mut().take(REFITTED) {
+            *state = polished(context, state.clone())?;
+        }
+    }
     let gain = penalised(context, &without) - penalised(context, best);
     let mut rivals: Vec<Rival> = states
         .into_iter()

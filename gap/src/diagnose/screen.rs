@@ -99,7 +99,7 @@ pub fn screen(
                 let change = judge.change(prediction, &on(around).prediction);
                 let judged = tried.judged.iter().filter(|p| open(context, around, tried.effect, p));
                 for place in judged {
-                    let sizes = tried.effect.sizes(context.replayer.model(), place, tried.k);
+                    let sizes = sizes(context, tried.effect, place, tried.k);
                     for (look, out) in looks.iter().zip(&mut out) {
                         weigh(context, look, tried.effect, sizes.clone(), place, &change, out);
                     }
@@ -174,8 +174,40 @@ fn plan(context: &Context, around: &State) -> Vec<Tried> {
                 });
             }
         }
+        let came_to = |p: &Place| matches!(p.items[..], [a] if range(context, a).is_some());
+        let places = effect.places(model).into_iter();
+        let own: Vec<Place> = places.filter(|p| effect.ends && came_to(p) && wanted(p)).collect();
+        for k in (effect.grid.len()..effect.grid.len() + 2).filter(|_| !own.is_empty()) {
+            let terms = own.iter().map(|place| Term {
+                effect,
+                place: place.clone(),
+                values: sizes(context, effect, place, k),
+            });
+            let variant = around.terms.iter().cloned().chain(terms).collect();
+            plan.push(Tried { effect, variant, judged: own.clone(), k });
+        }
     }
     plan
+}
+
+/// Grid point `k` of an effect at a place; beyond them the lowest and the highest position that the joint came to: a
+/// stop is where it went no farther.
+fn sizes(context: &Context, effect: &Effect, place: &Place, k: usize) -> Vec<f64> {
+    let model = context.replayer.model();
+    let Some(end) = k.checked_sub(effect.grid.len()) else {
+        return effect.sizes(model, place, k);
+    };
+    let mut values = effect.neutral(model, place);
+    if let Some(range) = place.items.first().and_then(|a| range(context, *a)) {
+        values[end] = range[end];
+    }
+    values
+}
+
+/// Lowest and highest position that a joint came to.
+fn range(context: &Context, joint: usize) -> Option<[f64; 2]> {
+    let (low, high) = context.excitation.joints.get(joint)?.range_rad;
+    (low < high).then_some([low, high])
 }
 
 /// Places with their branches in sets whose members do not move each other, or little: each in another branch of a held robot, or

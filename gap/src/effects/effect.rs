@@ -94,6 +94,8 @@ pub struct Effect {
     pub hinge: bool,
     /// Whether at one joint of a held robot it moves the others so much that it is looked for there with few others.
     pub apart: bool,
+    /// Whether its parameters are the lowest and the highest position of a joint: where the joint came to is tried too.
+    pub ends: bool,
     /// Whether a joint with this servo may have it.
     pub of_servo: fn(&ServoParams) -> bool,
     /// Puts it into a plant. `values` in SI, one per parameter.
@@ -287,6 +289,7 @@ pub(super) const PLAIN: Effect = Effect {
     grid: &[],
     hinge: false,
     apart: false,
+    ends: false,
     of_servo: |_| true,
     apply: |_, _, _| {},
     look_alikes: "",

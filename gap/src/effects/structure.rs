@@ -105,6 +105,7 @@ pub static HARD_STOP: Effect = Effect {
         &[-2.15, 4.0],
     ],
     hinge: true,
+    ends: true,
     apply: |plant, place, v| {
         for &a in &place.items {
             let joint = &mut plant.lane.joints[a];

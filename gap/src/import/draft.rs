@@ -292,6 +292,12 @@ impl Draft<'_> {
         let file = recordings.find_map(|recording| recording.file_of(sheet));
         match self.said(column, hint, file, &values) {
             Ok((name, joint, unit_name)) => {
+                let slides = joint.is_some_and(|joint| self.robot.per_radian(joint) != 1.0);
+                let unit_name = match unit_name {
+                    "rad" if slides => "m",
+                    "rad/s" if slides => "m/s",
+                    other => other,
+                };
                 if self.read.contains(&name) {
                     let header = quoted(column);
                     let _ =

@@ -111,6 +111,8 @@ const UNITS: &[(&str, f64, &str)] = &[
     ("m", 1.0, "length"),
     ("mm", 1e-3, "length"),
     ("m/s", 1.0, "velocity"),
+    ("mm/s", 1e-3, "velocity"),
+    ("N", 1.0, "force"),
     ("m/s²", 1.0, "acceleration"),
     ("m/s2", 1.0, "acceleration"),
     ("g", 9.80665, "acceleration"),
@@ -152,6 +154,11 @@ pub(super) fn fits(of: &str, want: &str) -> bool {
     of == want || of == "any"
 }
 
+/// Whether a unit of something is one of a slide's, in whose place hinges have `want`.
+fn of_slide(of: &str, want: &str) -> bool {
+    [("length", "angle"), ("velocity", "speed"), ("force", "torque")].contains(&(of, want))
+}
+
 /// Size of a unit, and what it measures; `counts/4096` is a turn of 4096 counts, `counts/4096/s` a speed.
 pub(super) fn unit(text: &str) -> Result<(f64, &'static str), String> {
     if let Some(n) = text.strip_prefix("counts/") {
@@ -185,7 +192,9 @@ impl SignalColumn {
         let (factor, shift) = match (share, self.range) {
             (None, None) => {
                 let (size, of) = unit(&self.unit)?;
-                if let Some(want) = measured(&signal).filter(|want| !fits(of, want)) {
+                if let Some(want) =
+                    measured(&signal).filter(|want| !fits(of, want) && !of_slide(of, want))
+                {
                     let unit = &self.unit;
                     return Err(format!("unit `{unit}` is one of {of}, and not of {want}"));
                 }
@@ -207,6 +216,21 @@ impl SignalColumn {
             }
         };
         Ok((self.scale * factor, self.scale * shift + self.offset))
+    }
+
+    /// Hinges have no lengths.
+    fn goes_with(&self, signal: &Signal, robot: &RobotModel) -> Result<(), String> {
+        let (Some(want), Ok((_, of))) = (measured(signal), unit(&self.unit)) else { return Ok(()) };
+        let named = |name: &&str| self.signal.split('.').any(|part| part == *name);
+        let joint = robot.actuated_names().iter().position(|name| named(&name));
+        let hinge = joint.is_some_and(|joint| robot.per_radian(joint) == 1.0);
+        match hinge && of_slide(of, want) {
+            true => Err(format!(
+                "{}: unit `{}` is one of {of}, and not of {want}",
+                self.signal, self.unit
+            )),
+            false => Ok(()),
+        }
     }
 }
 
@@ -285,7 +309,9 @@ pub fn apply(
             most = (time_s.len(), rate_hz(&time_s));
         }
         let signal = column.signal.parse();
-        signals.push(signal.map_err(|e| wrong(format!("{}: {e}", column.signal)))?);
+        let signal: Signal = signal.map_err(|e| wrong(format!("{}: {e}", column.signal)))?;
+        column.goes_with(&signal, robot).map_err(wrong)?;
+        signals.push(signal);
     }
     let mut notes = recording.notes.clone();
     notes.extend(not_later(&samples));
@@ -325,7 +351,10 @@ fn letters(c: char) -> char {
 
 /// Where a signal's column is.
 fn sheet_of<'a>(recording: &'a Recording, column: &SignalColumn) -> Result<&'a dyn Sheet, String> {
-    let has = |s: &dyn Sheet| s.header().iter().any(|h| h.trim() == column.column.trim());
+    let name = column.column.trim();
+    // a header may have got its unit from a row of units
+    let called = |h: &str| h == name || h.strip_prefix(name).is_some_and(|u| u.starts_with(" ["));
+    let has = |s: &dyn Sheet| s.header().iter().any(|h| called(h.trim()));
     let mut sheets = recording.sheets.iter().map(AsRef::as_ref);
     if let Some(file) = &column.file {
         let ends = |s: &&dyn Sheet| std::path::Path::new(s.name()).ends_with(file);

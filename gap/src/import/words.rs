@@ -23,6 +23,8 @@ const KIND_WORDS: &[(&str, &str)] = &[
     ),
 ];
 pub(super) const COMMANDS: &str = "goal goals action actions qcmd cmd command commands commanded target targets desired des setpoint sp reference ref soll consigne consigna";
+/// What is on or off is no signal that a log has, whatever it switches.
+const SWITCHES: &str = "on off enable enabled enabling flag status freigabe";
 pub(super) const CLOCKS: &str =
     "t time timestamp stamp clock seconds datetime zeit zeitstempel temps tiempo";
 
@@ -138,6 +140,9 @@ impl Words {
     }
 
     pub(super) fn kind(&self) -> Option<&'static str> {
+        if self.has(SWITCHES) {
+            return None;
+        }
         let kind = KIND_WORDS.iter().find(|(_, words)| self.says(words)).map(|k| k.0);
         match (self.says(COMMANDS), kind) {
             (true, None | Some("pos")) => Some("cmd"),

@@ -282,6 +282,15 @@ mod tests {
     }
 
     #[test]
+    fn the_map_that_ships_is_what_the_kept_cases_give() {
+        let shipped = Calibration::shipped().unwrap();
+        let kept = include_str!("../../calibration/71011.jsonl").lines();
+        let cases: Vec<Case> = kept.map(|line| serde_json::from_str(line).unwrap()).collect();
+        let again = fit(&cases, shipped.by_hand, shipped.command.clone(), shipped.seed);
+        assert_eq!(again, shipped);
+    }
+
+    #[test]
     fn a_probability_is_scored_by_what_was_true() {
         let sure_and_wrong = score(&[(0.9, false), (0.9, true)]);
         assert_eq!(sure_and_wrong.confident, (1, 2));
