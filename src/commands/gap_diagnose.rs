@@ -4,6 +4,7 @@ use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
 use caudata_gap::Progress;
+use caudata_gap::excite;
 use caudata_gap::report::{Report, Verdict};
 use caudata_studies::{News, Steps, diagnosis};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};

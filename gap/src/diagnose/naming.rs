@@ -3,6 +3,8 @@
 
 use std::collections::BTreeSet;
 
+use caudata_model::RobotModel;
+
 use super::alike::{indistinguishable, trades, wider};
 use super::doubt::{one_place, outgrown};
 use super::fits::{Before, fitted, penalised, polished, with_each};
@@ -13,7 +15,7 @@ use super::refine::refine;
 use super::screen::{Screened, look_alikes, screen};
 use super::search::{Found, MOST_TERMS};
 use super::state::{Context, State};
-use crate::effects::Domain;
+use crate::effects::{Domain, Effect};
 use crate::error::GapError;
 use crate::replay::{Term, Variant};
 use crate::report::Cause;
@@ -350,7 +352,10 @@ fn rivals_of(
     screened: &[Screened],
 ) -> Result<Named, GapError> {
     let term = &best.terms[index];
-    let chosen = rivals(term, screened);
+    let mut chosen: Vec<Screened> = rivals(term, screened).into_iter().cloned().collect();
+    let model = context.replayer.model();
+    chosen.iter_mut().for_each(|rival| begin_alike(model, term, rival));
+    let chosen: Vec<&Screened> = chosen.iter().collect();
     let instead = |t| {
         let mut terms = best.terms.clone();
         terms[index] = t;
@@ -429,6 +434,20 @@ fn rivals_of(
 fn likelihood(own: f64, rival: f64, concerned: f64) -> f64 {
     let ratio = (own + RIGHT_LEAVES) / (rival + RIGHT_LEAVES);
     ratio.powf(0.5 * ERRORS_OF_LAW / concerned).min(1.0 / AS_LIKELY)
+}
+
+/// Begins a rival of `term` that is measured in the same units with the values of `term` too: what a delay of one kind
+/// comes to, one of another kind does as well.
+fn begin_alike(model: &RobotModel, term: &Term, rival: &mut Screened) {
+    let units = |e: &Effect| e.parameters.iter().map(|p| p.unit).collect::<Vec<_>>();
+    if rival.effect == term.effect || units(rival.effect) != units(term.effect) {
+        return;
+    }
+    let within = |(p, value): (usize, &f64)| {
+        let (low, high) = rival.effect.bounds(model, &rival.place, p);
+        value.clamp(low, high)
+    };
+    rival.starts.push(term.values.iter().enumerate().map(within).collect());
 }
 
 /// Declared look-alikes at their best place, and whatever screening likes.
