@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import os
+import warnings
 from pathlib import Path
 from typing import Any, Dict, Optional, Sequence, Tuple
 
@@ -113,6 +115,11 @@ def write_policy(
         raise ValueError(str(wrong.__cause__ or wrong)) from None
     out = Path(path)
     out.parent.mkdir(parents=True, exist_ok=True)
+    config = out.with_name("config.toml")
+    if config.exists() and config.read_text(encoding="utf-8") != envs.configuration:
+        kept = next(p for n in itertools.count(1) if not (p := config.with_name("config.%d.toml" % n)).exists())
+        config.rename(kept)
+        warnings.warn("%s had other settings; they are in %s now" % (config, kept.name), stacklevel=2)
     out.write_bytes(data)
-    out.with_name("config.toml").write_text(envs.configuration, encoding="utf-8")
+    config.write_text(envs.configuration, encoding="utf-8")
     return out

@@ -108,6 +108,13 @@ class Package(unittest.TestCase):
                 caudata.write_policy(path, envs, layers, activation="gelu")
             with self.assertRaisesRegex(ValueError, "layer inputs"):
                 caudata.write_policy(path, envs, layers[1:], activation="elu")
+            # Settings that lie there stay.
+            config = path.with_name("config.toml")
+            config.write_text("[run]\nseed = 3\n")
+            with self.assertWarnsRegex(UserWarning, "they are in config.1.toml now"):
+                caudata.write_policy(path, envs, layers, activation="tanh")
+            self.assertEqual(path.with_name("config.1.toml").read_text(), "[run]\nseed = 3\n")
+            self.assertEqual(config.read_text(encoding="utf-8"), envs.configuration)
 
     def test_the_benchmark_measures(self):
         from caudata import bench

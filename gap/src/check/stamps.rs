@@ -9,6 +9,8 @@ use super::series::{busiest, median_step_s};
 /// The median rate may be off the one that the log claims by this share; a loop never keeps its rate
 /// exactly.
 const RATE_TOLERANCE: f64 = 0.2;
+/// Rows farther apart than this tell nothing of a servo: their stamps are in another unit, s.
+const SLOWEST_S: f64 = 1.0;
 /// A step longer than so many median steps, and than [`GAP_S`], is a gap.
 const GAP_STEPS: f64 = 10.0;
 /// See [`GAP_STEPS`], s.
@@ -37,6 +39,11 @@ pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
     let time_s = &busiest(&run.log.table)[..];
     let median = median_step_s(time_s);
     if median <= 0.0 {
+        return;
+    }
+    if median > SLOWEST_S {
+        let detail = format!("rows come {median:.1} s apart; is `t` in milliseconds?");
+        out.push(Finding::fatal("unit", "t", detail));
         return;
     }
     let claimed = run.log.meta.rate_hz;

@@ -298,7 +298,7 @@ fn headline(
                 .map(|d| format!(" {}", d.detail))
                 .collect();
             format!(
-                "{} explain{} a part: {fall}; {:.0} % of it is left{left}.{others}",
+                "{} explain{} a part: {fall}; {:.0} % is left of that of the runs that were fitted{left}.{others}",
                 names(causes),
                 if causes.len() == 1 { "s" } else { "" },
                 100.0 * best.misfit() / base.misfit().max(1e-9),

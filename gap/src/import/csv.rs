@@ -412,6 +412,15 @@ mod tests {
         let map = Map::parse("map.toml", MAP).unwrap();
         let error = read(dir.path(), &map, &robot()).unwrap_err().to_string();
         assert!(error.contains("has no column `goals`; it has stamp, goal"), "{error}");
+        // a slide has metres, and a hinge has not
+        std::fs::write(dir.path().join("goal.csv"), "stamp,goals\n0,\"[1, 90]\"\n").unwrap();
+        let metres = MAP.replace("unit = \"deg\"", "unit = \"mm\"");
+        let map = Map::parse("map.toml", &metres).unwrap();
+        let error = read(dir.path(), &map, &robot()).unwrap_err().to_string();
+        assert!(
+            error.contains("cmd.swing: unit `mm` is one of length, and not of angle"),
+            "{error}"
+        );
     }
 
     #[test]

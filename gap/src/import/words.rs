@@ -13,7 +13,7 @@ const KIND_WORDS: &[(&str, &str)] = &[
         "vel velocity speed qd dq qvel dot omega drehzahl geschwindigkeit geschw vitesse velocidad",
     ),
     ("cur", "cur current currents amps i strom courant corriente"),
-    ("tau", "tau torque torques effort drehmoment"),
+    ("tau", "tau torque torques effort drehmoment moment"),
     ("volt", "volt volts voltage supply vbat vin spannung"),
     ("temp", "temp temperature"),
     ("pwm", "pwm duty"),

@@ -287,9 +287,19 @@ fn stopped_early(
         "stopped ({}) after iteration {}; go on with: caudata train --resume --out {}",
         finished.reason,
         finished.iteration,
-        folder.root().display()
+        quoted(folder.root())
     ));
     Ok(())
+}
+
+/// A path as a shell takes it.
+fn quoted(path: &Path) -> String {
+    let path = path.display().to_string();
+    let plain = |c: char| c.is_alphanumeric() || "/._-+@:".contains(c);
+    match path.chars().all(plain) {
+        true => path,
+        false => format!("'{}'", path.replace('\'', r"'\''")),
+    }
 }
 
 #[cfg(test)]

@@ -10,6 +10,8 @@ use crate::types::JointMotion;
 
 /// Two turns: farther off a limit is in degrees, or of a joint that turns without end.
 const FAR_RAD: f64 = 4.0 * std::f64::consts::PI;
+/// Three degrees: limits all nearer to each other were written in radians and read as degrees.
+const NARROW_RAD: f64 = 0.052;
 /// How far past a limit an angle of the key frame is more than rounding.
 const PAST_RAD: f64 = 0.01;
 /// The strongest drive's share of weight times reach, beyond which either is in another unit. Legged robots and
@@ -39,6 +41,16 @@ pub(super) fn say(robot: &Robot, root: &Element, remarks: &mut Remarks) {
                 beyond.push(joint.name.as_str());
             }
         }
+    }
+    let limits = || {
+        let joints = robot.joints().filter(|j| j.motion == JointMotion::Hinge);
+        joints.filter_map(|j| j.range).filter(|(low, high)| low < high)
+    };
+    if limits().count() > 0 && limits().all(|(low, high)| high - low < NARROW_RAD) {
+        let message = format!(
+            "every hinge has limits less than {NARROW_RAD} rad apart: are they radians that count as degrees? {RADIANS}"
+        );
+        remarks.note(root, message);
     }
     if !beyond.is_empty() {
         let message = format!(
