@@ -22,6 +22,8 @@ const FINEST: f64 = 0.35;
 /// … and this part of the effect: the law that is fitted is not quite nature's (on the benchmark, whose laws
 /// are others, one error in two is larger than 4 %), more where the model leaves more than a right one does.
 const LAW: f64 = 0.1;
+/// Mean square of what a parameter does over all of its range that no run shows, floors.
+const NO_TRACE: f64 = 1e-4;
 /// Sizes at which an effect with a threshold may begin: each is so much nearer to the fitted one, and all fill one
 /// engine.
 const NEARER: f64 = 0.75;
@@ -125,6 +127,16 @@ pub fn spread(context: &Context, best: &State, derivatives: &Derivatives) -> Spr
         let by_run = scaled(&by_run);
         for (i, v) in variance.iter_mut().enumerate() {
             *v = v.max(few * by_run[(i, i)]);
+        }
+    }
+    // what no run shows can be anything
+    let model = context.replayer.model();
+    let bounds = best.terms.iter().flat_map(|t| (0..t.values.len()).map(|p| t.bounds(model, p)));
+    for (i, (low, high)) in bounds.enumerate().take(n) {
+        let whole = (high - low) / steps[i].abs().max(f64::MIN_POSITIVE);
+        let trace = dot(&columns[i], &columns[i]) / residual.len().max(1) as f64;
+        if trace * whole * whole < NO_TRACE {
+            variance[i] = (high - low).powi(2);
         }
     }
     Spread { covariance, variance }

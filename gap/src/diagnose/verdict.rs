@@ -153,7 +153,8 @@ pub fn conclude(
     let first = words::first(verdict, &carried.state, &errors, evidence.unfinished);
     let assumed = words::assumed(verdict, &request.data_faults);
     let last = words::last(verdict, &causes, &extension.effect, &listed, &local);
-    let summary = [first, told, assumed, last].concat();
+    let gain = gain(context, base, model);
+    let summary = [first, told, assumed, words::farther(&gain), last].concat();
     let in_part = matches!(verdict, Verdict::PartlyExplained | Verdict::Unexplained);
     unexplained.retain(|_| in_part);
     let mut plots = pictures::plots(context, found, model, named);
@@ -171,7 +172,7 @@ pub fn conclude(
                 true => Vec::new(),
                 false => doubts.listed(),
             },
-            gain: gain(context, base, model),
+            gain,
             position_errors: errors,
             model: listed,
             unfinished: evidence.unfinished,

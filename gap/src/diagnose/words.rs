@@ -1,5 +1,7 @@
 //! A verdict in words.
 
+use std::collections::BTreeMap;
+
 use super::carried::NO_NEARER;
 use super::doubt::Doubts;
 use super::levels::{BUILT, CAREFUL_LAB, NOTHING_LEFT};
@@ -11,8 +13,8 @@ use crate::check::{ASSUMED, MAYBE_HELD};
 use crate::extension::ExtensionEffect;
 use crate::replay::Term;
 use crate::report::{
-    Carried, Cause, DataFault, DoubtKind, LocalGap, NextExperiment, PositionError, Unexplained,
-    Verdict,
+    Carried, Cause, DataFault, DoubtKind, Gain, LocalGap, NextExperiment, PositionError,
+    Unexplained, Verdict,
 };
 
 /// What speaks for a cause.
@@ -195,6 +197,23 @@ pub fn assumed(verdict: Verdict, faults: &[DataFault]) -> String {
     told.concat()
 }
 
+/// Times as far off that are told.
+const FARTHER: f64 = 1.1;
+
+/// Which channels of held-out runs are farther from the extended model than from the robot as given, beyond doubt.
+pub fn farther(gain: &BTreeMap<String, Gain>) -> String {
+    let worse = gain.iter().filter(|(_, g)| g.ci_low > 1.0 && g.ratio > FARTHER);
+    let told: Vec<String> =
+        worse.map(|(kind, g)| format!("{kind} ({:.1} times)", g.ratio)).collect();
+    match told.is_empty() {
+        true => String::new(),
+        false => format!(
+            " On held-out runs the extended model is farther off than the robot as given in {}: it is chosen for its angles.",
+            told.join(" and ")
+        ),
+    }
+}
+
 /// What comes last: `causes` that are not in the model, which is of these `effects`, or that there are none without
 /// a gap; effects that are in it without a name, and stretches that are far off.
 pub fn last(
@@ -319,5 +338,22 @@ fn headline(
             format!("These runs cannot decide it.{close}")
         }
         Verdict::DataFault => String::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_channel_that_is_farther_off_beyond_doubt_is_told() {
+        let of = |ratio, ci_low| Gain { before: 1.0, after: ratio, ratio, ci_low, ci_high: 9.0 };
+        let gain = [("cur", of(5.9, 4.7)), ("pos", of(0.5, 0.4)), ("vel", of(1.3, 0.9))];
+        let told = farther(&gain.map(|(kind, g)| (kind.to_owned(), g)).into());
+        assert!(
+            told.ends_with("as given in cur (5.9 times): it is chosen for its angles."),
+            "{told}"
+        );
+        assert_eq!(farther(&BTreeMap::new()), "");
     }
 }
