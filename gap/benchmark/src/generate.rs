@@ -14,8 +14,8 @@ use crate::hidden::{Hidden, OUTSIDE, Scope, World};
 use crate::lab::{FIRST_HELD_OUT, HELD_OUT, LAWS, SIGNS, run, stream};
 use crate::sets::{Plan, below, between};
 use crate::sizing::{detectability, size_for};
-use crate::truth::drive::IMPACT_LOSS_S_PER_RAD;
 use crate::truth::sensors::Row;
+use crate::truth::spec::IMPACT_LOSS_S_PER_RAD;
 
 pub use crate::lab::{GenerateError, Rig, lab};
 pub use crate::sizing::{NullView, null_view};

@@ -22,7 +22,7 @@ use crate::report::Cause;
 
 /// Rivals that are fitted per cause, besides the declared look-alikes.
 const RIVALS: usize = 8;
-/// Of these, the best that are fitted to everything until nothing moves, where a scout was looked at.
+/// How many of the best rivals are fitted to everything until nothing moves, where a scout was looked at.
 const REFITTED: usize = 2;
 /// A misfit is a mean of so many squares that a law of nature, which no model has, makes independent of each
 /// other: of two models the likelihoods differ by the ratio of their misfits to the power of half of that. (The
@@ -352,23 +352,7 @@ fn rivals_of(
     screened: &[Screened],
 ) -> Result<Named, GapError> {
     let term = &best.terms[index];
-    let mut chosen: Vec<Screened> = rivals(term, screened).into_iter().cloned().collect();
-    let model = context.replayer.model();
-    chosen.iter_mut().for_each(|rival| begin_alike(model, term, rival));
-    let chosen: Vec<&Screened> = chosen.iter().collect();
-    let instead = |t| {
-        let mut terms = best.terms.clone();
-        terms[index] = t;
-        terms
-    };
-    let mut states = with_each(context, &chosen, Before::of(&without), instead)?;
-    if context.scout.is_some() {
-        // fitted to a scout, they are not yet as good as what they are compared with
-        states.sort_by(|a, b| penalised(context, a).total_cmp(&penalised(context, b)));
-        for state in states.iter_mut().take(REFITTED) {
-            *state = polished(context, state.clone())?;
-        }
-    }
+    let states = instead_of(context, best, index, &without, screened)?;
     let gain = penalised(context, &without) - penalised(context, best);
     let mut rivals: Vec<Rival> = states
         .into_iter()
@@ -434,6 +418,35 @@ fn rivals_of(
 fn likelihood(own: f64, rival: f64, concerned: f64) -> f64 {
     let ratio = (own + RIGHT_LEAVES) / (rival + RIGHT_LEAVES);
     ratio.powf(0.5 * ERRORS_OF_LAW / concerned).min(1.0 / AS_LIKELY)
+}
+
+/// The best model with each rival of term `index` in its place, fitted. `without`: the model without the term.
+fn instead_of(
+    context: &Context,
+    best: &State,
+    index: usize,
+    without: &State,
+    screened: &[Screened],
+) -> Result<Vec<State>, GapError> {
+    let term = &best.terms[index];
+    let mut chosen: Vec<Screened> = rivals(term, screened).into_iter().cloned().collect();
+    let model = context.replayer.model();
+    chosen.iter_mut().for_each(|rival| begin_alike(model, term, rival));
+    let chosen: Vec<&Screened> = chosen.iter().collect();
+    let instead = |t| {
+        let mut terms = best.terms.clone();
+        terms[index] = t;
+        terms
+    };
+    let mut states = with_each(context, &chosen, Before::of(without), instead)?;
+    if context.scout.is_some() {
+        // fitted to a scout, they are not yet as good as what they are compared with
+        states.sort_by(|a, b| penalised(context, a).total_cmp(&penalised(context, b)));
+        for state in states.iter_mut().take(REFITTED) {
+            *state = polished(context, state.clone())?;
+        }
+    }
+    Ok(states)
 }
 
 /// Begins a rival of `term` that is measured in the same units with the values of `term` too: what a delay of one kind

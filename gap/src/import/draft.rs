@@ -14,7 +14,7 @@ use super::map::{UNKNOWN, unit};
 use super::order::Order;
 use super::run::ImportError;
 use super::sheet::{Clock, Hint, Joint, Recording, Sheet};
-use super::units::unit_word;
+use super::units::{unit_at, unit_word};
 use super::words::{CLOCKS, COMMANDS, Words, joint_called};
 
 /// Words in the names of grippers, which some give as a share of their range when all else is an angle.
@@ -292,12 +292,7 @@ impl Draft<'_> {
         let file = recordings.find_map(|recording| recording.file_of(sheet));
         match self.said(column, hint, file, &values) {
             Ok((name, joint, unit_name)) => {
-                let slides = joint.is_some_and(|joint| self.robot.per_radian(joint) != 1.0);
-                let unit_name = match unit_name {
-                    "rad" if slides => "m",
-                    "rad/s" if slides => "m/s",
-                    other => other,
-                };
+                let unit_name = unit_at(self.robot, joint, unit_name);
                 if self.read.contains(&name) {
                     let header = quoted(column);
                     let _ =

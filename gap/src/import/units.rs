@@ -1,5 +1,7 @@
 //! What units are called in headers and in maps.
 
+use caudata_model::RobotModel;
+
 /// What a map calls a unit, and last words of a header that are it, with spaces between.
 const UNIT_WORDS: &[(&str, &str)] = &[
     ("rad", "rad rads radians"),
@@ -36,4 +38,17 @@ const UNIT_WORDS: &[(&str, &str)] = &[
 pub(super) fn unit_word(word: &str) -> Option<&'static str> {
     let found = UNIT_WORDS.iter().find(|(_, words)| words.split(' ').any(|w| w == word));
     found.map(|(unit, _)| *unit)
+}
+
+/// A unit of hinges as a slide has it, at the `joint` of a signal.
+pub(super) fn unit_at(
+    robot: &RobotModel,
+    joint: Option<usize>,
+    unit: &'static str,
+) -> &'static str {
+    match unit {
+        "rad" if joint.is_some_and(|joint| robot.per_radian(joint) != 1.0) => "m",
+        "rad/s" if joint.is_some_and(|joint| robot.per_radian(joint) != 1.0) => "m/s",
+        _ => unit,
+    }
 }

@@ -4,12 +4,10 @@
 //! control of systems with friction" (IEEE Trans. Automatic Control 40, 1995). Impacts: Hunt and Crossley (J.
 //! Applied Mechanics 42, 1975).
 
-use super::spec::JointSpec;
+use super::spec::{IMPACT_LOSS_S_PER_RAD, JointSpec};
 
 /// Stiffness of gear teeth, N·m/rad.
 const TEETH_NM_PER_RAD: f64 = 1500.0;
-/// Loss of an impact, s/rad: 1.5·(1 − e)/v for a restitution of 0.5 at 0.3 rad/s.
-pub const IMPACT_LOSS_S_PER_RAD: f64 = 2.5;
 /// Stiffness of end stops, N·m/rad.
 const STOP_NM_PER_RAD: f64 = 800.0;
 /// Damping of the bristle near rest, as a time on its stiffness, s, and the speed at which it has faded,

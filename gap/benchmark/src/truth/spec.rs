@@ -4,8 +4,10 @@
 
 use caudata_model::RobotModel;
 
-use super::drive::IMPACT_LOSS_S_PER_RAD;
 use super::tree::MassChange;
+
+/// Loss of an impact, s/rad: 1.5·(1 − e)/v for a restitution of 0.5 at 0.3 rad/s.
+pub const IMPACT_LOSS_S_PER_RAD: f64 = 2.5;
 
 /// One servo with its joint. By default nothing of it is there.
 #[derive(Clone, Debug, Default)]
