@@ -198,11 +198,11 @@ pub fn assumed(verdict: Verdict, faults: &[DataFault]) -> String {
 }
 
 /// Times as far off that are told.
-const FARTHER: f64 = 1.1;
+const TIMES_AS_FAR: f64 = 1.1;
 
 /// Which channels of held-out runs are farther from the extended model than from the robot as given, beyond doubt.
 pub fn farther(gain: &BTreeMap<String, Gain>) -> String {
-    let worse = gain.iter().filter(|(_, g)| g.ci_low > 1.0 && g.ratio > FARTHER);
+    let worse = gain.iter().filter(|(_, g)| g.ci_low > 1.0 && g.ratio > TIMES_AS_FAR);
     let told: Vec<String> =
         worse.map(|(kind, g)| format!("{kind} ({:.1} times)", g.ratio)).collect();
     match told.is_empty() {
