@@ -222,7 +222,7 @@ impl SignalColumn {
     fn goes_with(&self, signal: &Signal, robot: &RobotModel) -> Result<(), String> {
         let (Some(want), Ok((_, of))) = (measured(signal), unit(&self.unit)) else { return Ok(()) };
         let named = |name: &&str| self.signal.split('.').any(|part| part == *name);
-        let joint = robot.actuated_names().iter().position(|name| named(name));
+        let joint = robot.actuated_names().iter().position(named);
         let hinge = joint.is_some_and(|joint| robot.per_radian(joint) == 1.0);
         match hinge && of_slide(of, want) {
             true => Err(format!(
