@@ -306,6 +306,11 @@ fn base(run: &Run<'_>, out: &mut Vec<Finding>) {
     }
 }
 
+/// The largest of finite values, either way.
+fn largest<'a>(values: impl Iterator<Item = &'a f64>) -> f64 {
+    values.filter(|x| x.is_finite()).fold(0.0, |most, x| most.max(x.abs()))
+}
+
 /// Readings in the wrong order of magnitude.
 fn plain_ranges(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
     let middle = |signal: &Signal| median(run.grid.linear(&run.log.table, signal)?);
@@ -327,16 +332,14 @@ fn plain_ranges(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
         let servo = run.robot.servo(joint.index);
         let stall_a =
             servo.tau_max_nm / servo.torque_per_current_nm_per_a + servo.current_dead_band_a;
-        let most = joint.cur.iter().flatten().filter(|i| i.is_finite());
-        let most = most.fold(0.0, |m: f64, i| m.max(i.abs()));
+        let most = largest(joint.cur.iter().flatten());
         if most > 20.0 * stall_a {
             let detail =
                 format!("reaches {most:.0} where the servo stalls at {stall_a:.1} A; is it in mA?");
             out.push(joint.fatal("unit", "cur", detail));
         }
         let torque = run.grid.linear(&run.log.table, &Signal::Torque(joint.name.clone()));
-        let most = torque.iter().flatten().filter(|t| t.is_finite());
-        let most = most.fold(0.0, |m: f64, t| m.max(t.abs()));
+        let most = largest(torque.iter().flatten());
         if most > 20.0 * servo.tau_max_nm {
             let detail = format!(
                 "reaches {most:.0} where the servo can do {:.1} N·m; is it a current, or in another unit?",

@@ -290,11 +290,12 @@ pub fn apply(
     let mut most = (0, 1.0);
     for column in &map.signal {
         let sheet = sheet_of(recording, column).map_err(wrong)?;
-        let time_s = sheet.values(&map.time.column, None)?;
+        let name = called(sheet, &column.column);
+        let time_s = sheet.values(called(sheet, &map.time.column), None)?;
         let (size_s, _) = unit(&map.time.unit).map_err(wrong)?;
         let (factor, shift) = column.factors().map_err(wrong)?;
-        let values = sheet.values(&column.column, column.item)?;
-        used.insert((sheet.name(), column.column.trim()));
+        let values = sheet.values(name, column.item)?;
+        used.insert((sheet.name(), name));
         let before = samples.len();
         for (t, v) in time_s.iter().zip(values) {
             if let (Some(t), Some(v)) = (t, v) {
@@ -349,12 +350,20 @@ fn letters(c: char) -> char {
     if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' }
 }
 
+/// What a sheet calls a column: its header may have got its unit from a row of units.
+fn called<'a>(sheet: &'a dyn Sheet, name: &'a str) -> &'a str {
+    let name = name.trim();
+    let of = |is: &dyn Fn(&str) -> bool| sheet.header().into_iter().map(str::trim).find(|h| is(h));
+    let bare = |h: &str| h.strip_prefix(name).is_some_and(|unit| unit.starts_with(" ["));
+    of(&|h| h == name).or_else(|| of(&bare)).unwrap_or(name)
+}
+
 /// Where a signal's column is.
 fn sheet_of<'a>(recording: &'a Recording, column: &SignalColumn) -> Result<&'a dyn Sheet, String> {
-    let name = column.column.trim();
-    // a header may have got its unit from a row of units
-    let called = |h: &str| h == name || h.strip_prefix(name).is_some_and(|u| u.starts_with(" ["));
-    let has = |s: &dyn Sheet| s.header().iter().any(|h| called(h.trim()));
+    let has = |s: &dyn Sheet| {
+        let name = called(s, &column.column);
+        s.header().iter().any(|h| h.trim() == name)
+    };
     let mut sheets = recording.sheets.iter().map(AsRef::as_ref);
     if let Some(file) = &column.file {
         let ends = |s: &&dyn Sheet| std::path::Path::new(s.name()).ends_with(file);
@@ -383,7 +392,7 @@ fn unused(recording: &Recording, map: &Map, used: &BTreeSet<(&str, &str)>) -> Ve
     for sheet in &recording.sheets {
         let header = sheet.header();
         let columns = header.iter().map(|h| h.trim());
-        let clocks = ["stamp", "received", map.time.column.trim()];
+        let clocks = ["stamp", "received", called(sheet.as_ref(), &map.time.column)];
         let columns: Vec<&str> = columns.filter(|c| !clocks.contains(c)).collect();
         // a unit in brackets may have a slash too
         let path = |c: &str| c.split(['[', '(']).next()?.rsplit_once('/').map(|p| p.0.to_owned());

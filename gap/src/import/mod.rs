@@ -1,9 +1,9 @@
 //! Recordings of other projects, turned into log folders.
 //!
 //! A form of recording is one module that reads it into sheets of named columns over time ([`sheet`]): CSV files,
-//! bags of ROS 2, datasets of LeRobot, arrays of NumPy. A map says which column is which signal ([`map`]), and can be guessed
-//! ([`draft`]). What a form leaves to the servo (a gain as a register value, [`bam`]) is worked out with the robot
-//! file, so that a rig is an ordinary robot. From there on nothing knows where a log came from.
+//! bags of ROS 2, datasets of LeRobot, arrays of NumPy. A map says which column is which signal ([`map`]), and can
+//! be guessed ([`draft`]). What a form leaves to the servo (a gain as a register value, [`bam`]) is worked out with
+//! the robot file, so that a rig is an ordinary robot. From there on nothing knows where a log came from.
 
 pub mod bag;
 pub mod bam;

@@ -17,7 +17,7 @@ use super::words::{CLOCKS, Words};
 const MAGIC: &[u8] = b"\x93NUMPY";
 /// Longest description of an array that is read, bytes.
 const MAX_HEADER: usize = 65_536;
-/// Largest item: a complex number of two halves is none.
+/// Largest number that is read, bytes.
 const MAX_ITEM_BYTES: u64 = 8;
 
 /// The recording in the file `path`.
@@ -42,7 +42,10 @@ pub fn open(path: &Path) -> Result<Recording, ImportError> {
                 left -= values.len();
                 arrays.push((name, shape, values));
             }
-            Array::Strings(words) => labels.push(words),
+            Array::Strings(words) => {
+                left = left.saturating_sub(words.iter().map(|word| 1 + word.len()).sum());
+                labels.push(words);
+            }
             Array::Other(kind) => unread.push(format!("{name} ({kind})")),
         }
     }
@@ -56,11 +59,13 @@ pub fn open(path: &Path) -> Result<Recording, ImportError> {
     let mut sheet = Arrays { file: named.clone(), rows, columns: Vec::new() };
     for (name, shape, values) in arrays {
         if !sheet.take(&name, &shape, values, &labels) {
-            unread.push(format!("{name} (shape {shape:?}, where there are {rows} rows)"));
+            unread.push(format!(
+                "{name} (shape {shape:?}, where {rows} rows and {MAX_COLUMNS} columns are read)"
+            ));
         }
     }
-    if rows == 0 || sheet.columns.len() > MAX_COLUMNS {
-        return Err(wrong(format!("has no row, or more than {MAX_COLUMNS} columns")));
+    if rows == 0 {
+        return Err(wrong("has no row".to_owned()));
     }
     Ok(Recording {
         file: named,
@@ -110,7 +115,7 @@ fn array(from: &mut impl Read, most: usize) -> Result<Array, String> {
         return Ok(Array::Other(said.kind));
     };
     let bytes = (count as u64).saturating_mul(item_bytes);
-    if bytes > 8 * MAX_VALUES as u64 {
+    if bytes > MAX_ITEM_BYTES * most as u64 {
         return Err(format!("takes {bytes} bytes"));
     }
     let mut data = Vec::new();
@@ -230,6 +235,10 @@ impl Arrays {
             }
             _ => return false,
         };
+        // an array without a row may have any number of columns
+        if columns > MAX_COLUMNS - self.columns.len() {
+            return false;
+        }
         let words = labels.iter().find(|words| words.len() == columns);
         for at in 0..columns {
             let called = match (columns, words) {
@@ -313,7 +322,10 @@ mod tests {
         ])
         .unwrap();
         assert_eq!(recording.name, "walk");
-        assert_eq!(recording.unread, ["what (|O)", "kp (shape [], where there are 3 rows)"]);
+        assert_eq!(
+            recording.unread,
+            ["what (|O)", "kp (shape [], where 3 rows and 4096 columns are read)"]
+        );
         let sheet = &recording.sheets[0];
         let gyro = [0, 1, 2, 3].map(|k| format!("gyro[{k}]"));
         let named = ["time", "q hip", "q knee", "cmd hip", "cmd knee", "moved"];
@@ -343,6 +355,7 @@ mod tests {
         says(npy("<U999999999", false, "(9999,)", &[]), "`q`: takes 39995999960004 bytes");
         says(npy("<f8", false, "(3, -2)", &[]), "`q`: is described as \"{'descr'");
         says(npy("<f8", false, "(0, 2)", &[]), "has no row");
+        says(npy("<f8", false, "(0, 9999999999999)", &[]), "has no row");
         says(npy("<f8", false, "()", &f8(&[1.0])), "has no row");
     }
 }

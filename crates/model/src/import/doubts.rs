@@ -10,8 +10,8 @@ use crate::types::JointMotion;
 
 /// Two turns: farther off a limit is in degrees, or of a joint that turns without end.
 const FAR_RAD: f64 = 4.0 * std::f64::consts::PI;
-/// Three degrees: limits all nearer to each other were written in radians and read as degrees.
-const NARROW_RAD: f64 = 0.052;
+/// Two turns, written in radians and read as degrees: limits all nearer to each other are hardly meant.
+const NARROW_RAD: f64 = 0.22;
 /// How far past a limit an angle of the key frame is more than rounding.
 const PAST_RAD: f64 = 0.01;
 /// The strongest drive's share of weight times reach, beyond which either is in another unit. Legged robots and

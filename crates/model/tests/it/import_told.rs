@@ -305,6 +305,14 @@ fn units_that_are_hardly_meant_are_told() {
         let made = read("units.urdf", &plain.replace(old, new)).unwrap();
         assert!(told(&made, word), "{word}: {:?}", made.notes);
     }
+    // in degrees, as a file in radians is read that says degrees
+    let limits = [("1.57", "0.027"), ("2.5", "0.044"), ("0.2", "0.003")];
+    let narrow = limits.iter().fold(plain.clone(), |text, (rad, deg)| {
+        text.replace(&format!("=\"{rad}\""), &format!("=\"{deg}\""))
+            .replace(&format!("=\"-{rad}\""), &format!("=\"-{deg}\""))
+    });
+    let made = read("units.urdf", &narrow).unwrap();
+    assert!(told(&made, "radians that count as degrees"), "{:?}", made.notes);
     // no body of this size has either
     for moments in ["ixx=\"30000\" iyy=\"30000\" izz=\"30000\"", "ixx=\"3\" iyy=\"3\" izz=\"7000\""]
     {
