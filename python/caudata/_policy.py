@@ -114,12 +114,14 @@ def write_policy(
     except TypeError as wrong:  # pyo3 says which field; the cause says why
         raise ValueError(str(wrong.__cause__ or wrong)) from None
     out = Path(path)
+    if out.with_name("run_id.txt").exists():
+        raise ValueError("%s is the folder of a training, and config.toml is its own: take another one" % out.parent)
     out.parent.mkdir(parents=True, exist_ok=True)
     config = out.with_name("config.toml")
+    out.write_bytes(data)
     if config.exists() and config.read_text(encoding="utf-8") != envs.configuration:
         kept = next(p for n in itertools.count(1) if not (p := config.with_name("config.%d.toml" % n)).exists())
         config.rename(kept)
         warnings.warn("%s had other settings; they are in %s now" % (config, kept.name), stacklevel=2)
-    out.write_bytes(data)
     config.write_text(envs.configuration, encoding="utf-8")
     return out

@@ -115,6 +115,10 @@ class Package(unittest.TestCase):
                 caudata.write_policy(path, envs, layers, activation="tanh")
             self.assertEqual(path.with_name("config.1.toml").read_text(), "[run]\nseed = 3\n")
             self.assertEqual(config.read_text(encoding="utf-8"), envs.configuration)
+            # Those of a training are its own.
+            path.with_name("run_id.txt").write_text("walk")
+            with self.assertRaisesRegex(ValueError, "folder of a training"):
+                caudata.write_policy(path, envs, layers, activation="tanh")
 
     def test_the_benchmark_measures(self):
         from caudata import bench

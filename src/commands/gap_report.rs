@@ -1,5 +1,6 @@
 //! `caudata gap report`: a diagnosis again, in words or as its page.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use caudata_gap::page;
@@ -159,17 +160,18 @@ pub fn print(report: &Report) {
     ));
 }
 
-/// What the model carries without a name that anybody vouches for.
+/// What the model carries without a name that anybody vouches for, a line for each place.
 fn unnamed(report: &Report) {
+    let mut places: BTreeMap<String, Vec<String>> = BTreeMap::new();
     for c in report.model.iter().filter(|c| !c.named) {
         let values = c.parameters.iter();
-        let values = values.map(|(name, value)| format!("{name} = {}", short(*value)));
-        say::line(format!(
-            "in the model, its name no finding: {} at {}, {}",
-            c.effect,
-            place(&c.location),
-            values.collect::<Vec<_>>().join(", ")
-        ));
+        let values: Vec<String> =
+            values.map(|(name, value)| format!("{name} = {}", short(*value))).collect();
+        let of_place = places.entry(place(&c.location)).or_default();
+        of_place.push(format!("{} ({})", c.effect, values.join(", ")));
+    }
+    for (place, effects) in places {
+        say::line(format!("in the model at {place}, its names no finding: {}", effects.join(", ")));
     }
 }
 

@@ -33,7 +33,7 @@ pub enum BenchError {
     Answers(#[from] serde_json::Error),
     /// A kept case is not one.
     #[error("{0}, line {1}: {2}; move the file away, and its cases are made again")]
-    Kept(String, usize, serde_json::Error),
+    Kept(String, usize, String),
 }
 
 /// Name of the sealed file.

@@ -98,6 +98,20 @@ pub fn median_step_s(time_s: &[f64]) -> f64 {
     median(time_s.windows(2).map(|w| w[1] - w[0]).collect()).unwrap_or(0.0)
 }
 
+/// Rows farther apart than this tell nothing of a servo, s.
+const SLOWEST_S: f64 = 0.4;
+
+/// What the stamps of rows are in that are so far apart: nobody samples a servo slower than once in
+/// [`SLOWEST_S`], or faster than 20,000 times a second with a clock of a coarser unit.
+pub fn unit_of_steps(step: f64) -> &'static str {
+    match step / SLOWEST_S {
+        s if s <= 1.0 => "s",
+        s if s <= 1e3 => "ms",
+        s if s <= 1e6 => "us",
+        _ => "ns",
+    }
+}
+
 /// Median of what is finite.
 pub fn median(mut values: Vec<f64>) -> Option<f64> {
     values.retain(|x| x.is_finite());

@@ -4,13 +4,11 @@ use caudata_runlog::Signal;
 
 use super::channels::Channels;
 use super::finding::{Finding, Run};
-use super::series::{busiest, median_step_s};
+use super::series::{busiest, median_step_s, unit_of_steps};
 
 /// The median rate may be off the one that the log claims by this share; a loop never keeps its rate
 /// exactly.
 const RATE_TOLERANCE: f64 = 0.2;
-/// Rows farther apart than this tell nothing of a servo: their stamps are in another unit, s.
-const SLOWEST_S: f64 = 1.0;
 /// A step longer than so many median steps, and than [`GAP_S`], is a gap.
 const GAP_STEPS: f64 = 10.0;
 /// See [`GAP_STEPS`], s.
@@ -41,8 +39,9 @@ pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
     if median <= 0.0 {
         return;
     }
-    if median > SLOWEST_S {
-        let detail = format!("rows come {median:.1} s apart; is `t` in milliseconds?");
+    let unit = unit_of_steps(median);
+    if unit != "s" {
+        let detail = format!("rows come {median:.1} s apart; is `t` in {unit}?");
         out.push(Finding::fatal("unit", "t", detail));
         return;
     }

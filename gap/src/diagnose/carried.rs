@@ -14,9 +14,12 @@ use super::tracking::Tracking;
 use crate::effects::Layer;
 use crate::error::GapError;
 use crate::extension::ExtensionEffect;
-use crate::replay::Term;
+use crate::replay::{Term, Variant};
 use crate::report::{Carried, Cause};
 
+/// What the angles' error must at least be of that without small terms for these to be left out: a tenth of what
+/// another model must be nearer by to be carried in its place.
+const HARDLY: f64 = 1.0 - 0.1 * (1.0 - BUILT);
 /// Why a model is refused at last.
 pub const NO_NEARER: &str = "held-out runs are no nearer with it than as given";
 
@@ -49,15 +52,29 @@ pub fn choose(
     Ok(carried)
 }
 
-/// Leaves out of `model` what has no name in `named` and is so small that it does not matter.
+/// Leaves out of `model` what has no name in `named` and is so small that it does not matter, smallest first, as
+/// long as the angles are hardly further off without: small sizes at many joints can make much together.
+///
+/// # Errors
+/// As [`crate::replay::Replayer::predict`].
 fn keep_what_matters(context: &Context, named: &State, model: &mut Model) -> Result<(), GapError> {
     let terms = &model.state.terms;
-    let matters = |t: &Term| is_among(t, &named.terms) || gates::matters(context, t);
-    let kept: Vec<usize> = (0..terms.len()).filter(|&k| matters(&terms[k])).collect();
-    if kept.len() < terms.len() {
-        let of = |k: &usize| model.deviations.get(*k).cloned();
-        model.deviations = kept.iter().filter_map(of).collect();
-        model.state = single(context, kept.iter().map(|&k| terms[k].clone()).collect())?;
+    let size = |k: usize| gates::size(context, &terms[k]);
+    let is_small = |&k: &usize| !is_among(&terms[k], &named.terms) && size(k) < 1.0;
+    let mut small: Vec<usize> = (0..terms.len()).filter(is_small).collect();
+    small.sort_by(|&a, &b| size(a).total_cmp(&size(b)));
+    let without =
+        |n: usize| -> Vec<usize> { (0..terms.len()).filter(|k| !small[..n].contains(k)).collect() };
+    let of = |kept: Vec<usize>| -> Variant { kept.iter().map(|&k| terms[k].clone()).collect() };
+    let fewer: Vec<Variant> = (0..=small.len()).map(|n| of(without(n))).collect();
+    let angles = Angles::of(context, &context.fit.data);
+    let off = angles.residuals(&fewer)?;
+    let errors: Vec<f64> = off.iter().map(|off| angles.mean(|a| mean_abs(&off[a]))).collect();
+    let left_out = (0..errors.len()).rev().find(|&n| HARDLY * errors[n] <= errors[0]).unwrap_or(0);
+    if left_out > 0 {
+        let deviations = |k: &usize| model.deviations.get(*k).cloned();
+        model.deviations = without(left_out).iter().filter_map(deviations).collect();
+        model.state = single(context, fewer[left_out].clone())?;
     }
     Ok(())
 }

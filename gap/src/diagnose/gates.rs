@@ -276,10 +276,15 @@ fn mask(judge: &Judge, place: Option<&Place>) -> Vec<bool> {
 
 /// Whether a term is far enough from nothing to matter.
 pub fn matters(context: &Context, term: &Term) -> bool {
+    size(context, term) >= 1.0
+}
+
+/// How far a term is from nothing, in the least that matters.
+pub fn size(context: &Context, term: &Term) -> f64 {
     let model = context.replayer.model();
     let neutral = term.neutral(model);
-    (0..term.values.len())
-        .any(|p| (term.values[p] - neutral[p]).abs() >= term.scale(model, p).abs())
+    let of = |p: usize| (term.values[p] - neutral[p]).abs() / term.scale(model, p).abs();
+    (0..term.values.len()).map(of).fold(0.0, f64::max)
 }
 
 /// A statistic of `n` blocks that are drawn with replacement, over and over, sorted.

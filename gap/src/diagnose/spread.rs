@@ -52,16 +52,31 @@ pub fn intervals(
     // what the model still gets wrong pulls at its parameters as well; and no interval is finer than a part of
     // what matters
     let poor = (best.fit.misfit / RIGHT_LEAVES).max(1.0).sqrt();
-    parameters(model, term, |p| {
+    let mut out = parameters(model, term, |p| {
         let variance = spread.variance.get(offset + p).copied().unwrap_or(0.0);
         let sd = variance.max(wider.get(p).copied().unwrap_or(0.0)).max(0.0).sqrt();
         (1.96 * sd * poor).hypot(FINEST * term.scale(model, p).abs()).hypot(LAW * poor * amounts[p])
-    })
+    });
+    if let ([joint], true) = (&term.place.items[..], term.effect.ends) {
+        // an end that the joint did not come to may be anywhere but where it was
+        let (low, high) = context.excitation.joints[*joint].range_rad;
+        for (p, spec) in term.effect.parameters.iter().enumerate() {
+            let (Some(end), near) = (out.get_mut(spec.name), term.scale(model, p)) else {
+                continue;
+            };
+            match p {
+                0 if end.value < low - near => end.ci_high = end.ci_high.min(low),
+                1 if end.value > high + near => end.ci_low = end.ci_low.max(high),
+                _ => {}
+            }
+        }
+    }
+    out
 }
 
 /// How much of an effect each parameter of term `index` is, SI: how far it is from where the effect begins. That is its
 /// neutral value; but where there is a threshold nothing may happen for most of the way, and a stop that is nowhere at
-/// 4 rad begins where the joint would get.
+/// 20 rad begins where the joint would get.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].

@@ -208,8 +208,13 @@ pub fn farther(gain: &BTreeMap<String, Gain>) -> String {
     match told.is_empty() {
         true => String::new(),
         false => format!(
-            " On held-out runs the extended model is farther off than the robot as given in {}: it is chosen for its angles.",
-            told.join(" and ")
+            " On held-out runs the extended model is farther off than the robot as given in {}{}.",
+            told.join(" and "),
+            if told.iter().any(|t| t.starts_with("pos ")) {
+                ""
+            } else {
+                ": it is chosen for its angles"
+            }
         ),
     }
 }

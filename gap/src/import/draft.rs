@@ -14,15 +14,14 @@ use super::map::{UNKNOWN, unit};
 use super::order::Order;
 use super::run::ImportError;
 use super::sheet::{Clock, Hint, Joint, Recording, Sheet};
-use super::units::{unit_at, unit_word};
+use super::units::{MOST_RAD, is_slide, unit_at, unit_by_size, unit_of_slide, unit_word};
 use super::words::{CLOCKS, COMMANDS, Words, joint_called};
+use crate::check::series::unit_of_steps;
 
 /// Words in the names of grippers, which some give as a share of their range when all else is an angle.
 const GRIPPERS: [&str; 3] = ["gripper", "jaw", "claw"];
 /// Numbers beyond this are no shares of 100, but degrees.
 const MOST_PERCENT: f64 = 100.5;
-/// Numbers up to this are radians.
-const MOST_RAD: f64 = 7.0;
 
 /// A map, and how far it goes.
 #[derive(Debug, Clone, Default)]
@@ -133,10 +132,12 @@ fn by_numbers(
             (None, Some("A" | "mA")) => {
                 out.insert(column.to_owned(), "cur");
             }
-            (None, Some(name)) if unit(name).is_ok_and(|(_, of)| of == "speed") => {
+            (None, Some(name))
+                if unit(name).is_ok_and(|(_, of)| ["speed", "velocity"].contains(&of)) =>
+            {
                 out.insert(column.to_owned(), "vel");
             }
-            (None, None | Some("rad" | "deg" | "turn")) => {
+            (None, None | Some("rad" | "deg" | "turn" | "m" | "mm")) => {
                 angles.entry(joint).or_default().push(column);
             }
             _ => {}
@@ -318,10 +319,13 @@ impl Draft<'_> {
                     let _ = writeln!(self.out, "file = {}", quoted(file));
                 }
                 let _ = writeln!(self.out, "column = {}\nunit = \"{unit_name}\"", quoted(column));
-                if let Some(word) = Words::of(column).strange_unit {
+                let words = Words::of(column);
+                let of_slide =
+                    words.unit.filter(|_| words.unit_of(is_slide(self.robot, joint)).is_none());
+                if let Some(word) = words.strange_unit.or(of_slide.map(str::to_owned)) {
                     let _ = writeln!(
                         self.out,
-                        "# its unit, `{word}`, is not known here: this one is guessed by the size of its numbers"
+                        "# its unit, `{word}`, is none of these here: this one is guessed by the size of its numbers"
                     );
                 }
                 if let (Some(joint), true) =
@@ -398,8 +402,10 @@ impl Draft<'_> {
             Some(None) => return Err(", as none of the robot's joints is named in it".to_owned()),
             None => (kind.to_owned(), None),
         };
-        let unit_name = match hint.and_then(|hint| hint.unit).or(words.unit) {
+        let slide = is_slide(self.robot, joint);
+        let unit_name = match hint.and_then(|hint| hint.unit).or(words.unit_of(slide)) {
             Some(UNKNOWN) if ["cmd", "pos"].contains(&kind) => self.open_unit(column, values),
+            Some(UNKNOWN) | None if slide => unit_of_slide(kind, values),
             Some(UNKNOWN) | None => unit_by_size(kind, values),
             Some(unit) => unit,
         };
@@ -463,35 +469,10 @@ fn zero(
     )
 }
 
-/// Nobody samples a servo slower than once in 0.4 s, or faster than 20,000 times a second.
+/// What the stamps of rows are in.
 fn clock_unit(stamps: &[f64]) -> &'static str {
     let span = stamps.last().unwrap_or(&0.0) - stamps.first().unwrap_or(&0.0);
-    let step = span / (stamps.len().max(2) - 1) as f64;
-    match step {
-        s if s < 0.4 => "s",
-        s if s < 400.0 => "ms",
-        s if s < 400_000.0 => "us",
-        _ => "ns",
-    }
-}
-
-fn unit_by_size(kind: &str, values: &[f64]) -> &'static str {
-    let most = values.iter().fold(0.0f64, |most, v| most.max(v.abs()));
-    match kind {
-        "cmd" | "pos" if most > 720.0 => "counts/4096",
-        "cmd" | "pos" if most > MOST_RAD => "deg",
-        "cmd" | "pos" => "rad",
-        "vel" if most > 100.0 => "deg/s",
-        "vel" => "rad/s",
-        "cur" if most > 30.0 => "mA",
-        "cur" => "A",
-        "tau" => "Nm",
-        "volt" if most > 1000.0 => "mV",
-        "volt" => "V",
-        "temp" => "degC",
-        _ if most > 1.0 => "%",
-        _ => "1",
-    }
+    unit_of_steps(span / (stamps.len().max(2) - 1) as f64)
 }
 
 fn quoted(text: &str) -> String {

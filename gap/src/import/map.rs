@@ -155,7 +155,7 @@ pub(super) fn fits(of: &str, want: &str) -> bool {
 }
 
 /// Whether a unit of something is one of a slide's, in whose place hinges have `want`.
-fn of_slide(of: &str, want: &str) -> bool {
+pub(super) fn of_slide(of: &str, want: &str) -> bool {
     [("length", "angle"), ("velocity", "speed"), ("force", "torque")].contains(&(of, want))
 }
 
@@ -192,9 +192,9 @@ impl SignalColumn {
         let (factor, shift) = match (share, self.range) {
             (None, None) => {
                 let (size, of) = unit(&self.unit)?;
-                if let Some(want) =
-                    measured(&signal).filter(|want| !fits(of, want) && !of_slide(of, want))
-                {
+                let of_joint = signal.joint().is_some();
+                let goes = |want: &&str| fits(of, want) || of_joint && of_slide(of, want);
+                if let Some(want) = measured(&signal).filter(|want| !goes(want)) {
                     let unit = &self.unit;
                     return Err(format!("unit `{unit}` is one of {of}, and not of {want}"));
                 }
@@ -218,13 +218,13 @@ impl SignalColumn {
         Ok((self.scale * factor, self.scale * shift + self.offset))
     }
 
-    /// Hinges have no lengths.
+    /// Only slides have lengths.
     fn goes_with(&self, signal: &Signal, robot: &RobotModel) -> Result<(), String> {
         let (Some(want), Ok((_, of))) = (measured(signal), unit(&self.unit)) else { return Ok(()) };
-        let named = |name: &&str| self.signal.split('.').any(|part| part == *name);
+        let named = |name: &&str| signal.joint() == Some(*name);
         let joint = robot.actuated_names().iter().position(named);
-        let hinge = joint.is_some_and(|joint| robot.per_radian(joint) == 1.0);
-        match hinge && of_slide(of, want) {
+        let slide = joint.is_some_and(|joint| robot.per_radian(joint) != 1.0);
+        match !slide && of_slide(of, want) {
             true => Err(format!(
                 "{}: unit `{}` is one of {of}, and not of {want}",
                 self.signal, self.unit

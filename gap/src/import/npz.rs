@@ -11,12 +11,16 @@ use zip::ZipArchive;
 
 use super::run::{ImportError, file_stem};
 use super::sheet::{MAX_COLUMNS, MAX_VALUES, Recording, Sheet};
+use super::units::unit_word;
 use super::words::{CLOCKS, Words};
 
 /// What an array begins with.
 const MAGIC: &[u8] = b"\x93NUMPY";
 /// Longest description of an array that is read, bytes.
 const MAX_HEADER: usize = 65_536;
+/// Words in the names of what is no joint's.
+const OF_BODY: &str =
+    "gyro gyroscope acc accel acceleration imu quat quaternion gravity base mocap body com contact";
 /// Largest number that is read, bytes.
 const MAX_ITEM_BYTES: u64 = 8;
 
@@ -197,6 +201,13 @@ impl Description {
     }
 }
 
+/// Whether no two of these words are the same, and none is a unit.
+fn are_names(words: &[String]) -> bool {
+    let unit = |word: &str| unit_word(word.trim().to_lowercase().as_str()).is_some();
+    let again = |k: usize| words[..k].contains(&words[k]);
+    (0..words.len()).all(|k| !again(k) && !unit(&words[k]))
+}
+
 /// Rows and columns of `values`, `[rows][columns]`, the other way round.
 fn transposed(values: &[f64], rows: usize, columns: usize) -> Vec<f64> {
     let column = |c: usize| (0..rows).map(move |r| values[r * columns + c]);
@@ -239,7 +250,9 @@ impl Arrays {
         if columns > MAX_COLUMNS - self.columns.len() {
             return false;
         }
-        let words = labels.iter().find(|words| words.len() == columns);
+        // names of joints, and none of what has axes of its own
+        let words = labels.iter().filter(|_| !Words::of(name).has(OF_BODY));
+        let words = words.into_iter().find(|words| words.len() == columns && are_names(words));
         for at in 0..columns {
             let called = match (columns, words) {
                 (1, _) => name.to_owned(),
@@ -319,6 +332,7 @@ mod tests {
             ("joints", npy("<U4", false, "(2,)", &letters)),
             ("kp", npy("<f8", false, "()", &f8(&[16.0]))),
             ("what", npy("|O", false, "(3,)", b"")),
+            ("imu", npy("<f8", false, "(3, 2)", &[0; 48])),
         ])
         .unwrap();
         assert_eq!(recording.name, "walk");
@@ -330,7 +344,11 @@ mod tests {
         let gyro = [0, 1, 2, 3].map(|k| format!("gyro[{k}]"));
         let named = ["time", "q hip", "q knee", "cmd hip", "cmd knee", "moved"];
         assert_eq!(sheet.header()[..6], named);
-        assert_eq!(sheet.header()[6..], gyro);
+        assert_eq!(sheet.header()[6..10], gyro);
+        // names of joints are none of its axes, and units are no names
+        assert_eq!(sheet.header()[10..], ["imu[0]", "imu[1]"]);
+        let words = |words: [&str; 2]| are_names(&words.map(str::to_owned));
+        assert!(words(["hip", "knee"]) && !words(["hip", "hip"]) && !words(["rad", "m/s"]));
         let values = |column: &str| sheet.values(column, None).unwrap();
         assert_eq!(values("q hip"), [Some(1.0), Some(3.0), None]);
         assert_eq!(values("cmd knee"), [4.0, 5.0, 6.0].map(Some));

@@ -2,7 +2,7 @@
 
 use caudata_model::RobotModel;
 
-use super::map::{fits, unit};
+use super::map::{fits, of_slide, unit};
 use super::units::unit_word;
 
 /// Words that tell a kind of signal, the first that fits; a command is one of the words in [`COMMANDS`] with any
@@ -23,8 +23,10 @@ const KIND_WORDS: &[(&str, &str)] = &[
     ),
 ];
 pub(super) const COMMANDS: &str = "goal goals action actions qcmd cmd command commands commanded target targets desired des setpoint sp reference ref soll consigne consigna";
-/// What is on or off is no signal that a log has, whatever it switches.
-const SWITCHES: &str = "on off enable enabled enabling flag status freigabe";
+/// What switches a torque or holds a position is neither.
+const SWITCHES: &str = "on off enable enabled enabling flag freigabe";
+/// Units that are such in brackets only: `theta_m` is an angle of the motor.
+const LETTERS: [&str; 2] = ["m", "n"];
 pub(super) const CLOCKS: &str =
     "t time timestamp stamp clock seconds datetime zeit zeitstempel temps tiempo";
 
@@ -82,7 +84,8 @@ impl Words {
             let said = words.len().checked_sub(n).filter(|&from| from > 0)?;
             let said = words[said..].iter().filter(|w| n == 1 || *w != "per");
             let said: Vec<&str> = said.map(String::as_str).collect();
-            Some((n, unit_word(&said.join("/"))?))
+            let said = Some(said.join("/")).filter(|said| !LETTERS.contains(&said.as_str()))?;
+            Some((n, unit_word(&said)?))
         };
         let last = [3, 2, 1].into_iter().find_map(ends);
         let unit = said.or(last.map(|l| l.1));
@@ -103,9 +106,15 @@ impl Words {
 
     /// Whether a unit goes with what the column is, as far as its name says so.
     fn may_be_in(&self, name: &str) -> bool {
-        let fit = |(_, of)| self.want().is_none_or(|want| fits(of, want));
+        let fit = |(_, of)| self.want().is_none_or(|want| fits(of, want) || of_slide(of, want));
         // shares of a range have no size of their own
         unit(name).map_or(true, fit)
+    }
+
+    /// Its unit, if it is one of a slide or of a hinge, as the joint is.
+    pub(super) fn unit_of(&self, slide: bool) -> Option<&'static str> {
+        let of = |of| self.want().is_some_and(|want| of_slide(of, want));
+        self.unit.filter(|name| slide || !unit(name).is_ok_and(|(_, kind)| of(kind)))
     }
 
     fn want(&self) -> Option<&'static str> {
@@ -140,10 +149,10 @@ impl Words {
     }
 
     pub(super) fn kind(&self) -> Option<&'static str> {
-        if self.has(SWITCHES) {
+        let kind = KIND_WORDS.iter().find(|(_, words)| self.says(words)).map(|k| k.0);
+        if matches!(kind, None | Some("tau" | "pos")) && self.has(SWITCHES) {
             return None;
         }
-        let kind = KIND_WORDS.iter().find(|(_, words)| self.says(words)).map(|k| k.0);
         match (self.says(COMMANDS), kind) {
             (true, None | Some("pos")) => Some("cmd"),
             // a commanded speed or torque is nothing that a log has
@@ -247,6 +256,9 @@ mod tests {
             ("vel(steps/s)", None, Some("steps/s")),
             ("torque [N mm]", None, Some("n mm")),
             ("pos_knee", None, None),
+            ("lift_pos [mm]", Some("mm"), None),
+            ("lift_vel_mm_s", Some("mm/s"), None),
+            ("theta_m", None, None),
         ];
         for (header, unit, strange) in cases {
             let words = Words::of(header);
@@ -265,6 +277,10 @@ mod tests {
         assert_eq!(kind("elbow", "motor_currents.csv"), Some("cur"));
         assert_eq!(kind("elbow", "states.csv"), None);
         assert_eq!(Words::of("elbow").kind_in(None), None);
+        let said = |header: &str| Words::of(header).kind();
+        assert_eq!([said("torque_enable"), said("position_flag")], [None, None]);
+        assert_eq!(said("motor_status_velocity"), Some("vel"));
+        assert_eq!(said("drive_on_current_a"), Some("cur"));
         let dot = Words::of("q1_dot");
         assert_eq!(
             (dot.kind(), dot.label().as_deref(), dot.number()),

@@ -206,11 +206,35 @@ fn a_stop_that_angles_pass_is_told_and_simulated_nowhere() {
     assert_eq!(names(&d), ["hard_stop"], "{}", d.report.summary);
     let found = d.extension.lane["joints.swing.high_rad"];
     assert!((found - stop).abs() < 0.005, "{found} {stop}");
-    // and its interval goes by how far the joint would get, not by the 4 rad at which no stop is
+    // and its interval goes by how far the joint would get, not by the 20 rad at which no stop is
     let high = &d.report.causes[0].parameters["high_rad"];
     assert!((high.ci_low..=high.ci_high).contains(&stop), "{high:?} {stop}");
     assert!(high.ci_high - high.ci_low < 0.4 * (farthest - stop), "{high:?} {farthest}");
     assert!(d.report.summary.contains("past the end stop"), "{}", d.report.summary);
+}
+
+/// A joint that works far from zero, as a calf does: only where it came to tells of the stop.
+#[test]
+fn a_stop_is_found_wherever_it_is() {
+    const ZERO_RAD: f64 = -2.0;
+    let stop = ZERO_RAD + 0.37;
+    let mut asked = request(0, &|p| p.joints[0].high_rad = (stop - ZERO_RAD) as f32);
+    let text = String::from_utf8(asked.mjcf.clone()).unwrap();
+    let turned = format!("pos=\"0 0 0.5\" euler=\"0 {} 0\"", -ZERO_RAD);
+    asked.mjcf = text.replacen("pos=\"0 0 0.5\"", &turned, 1).into_bytes();
+    for run in &mut asked.runs {
+        run.log = common::changed(&run.log, |s, _, _, value| match s {
+            Signal::Command(_) | Signal::Position(_) => value.map(|q| q + ZERO_RAD),
+            _ => value,
+        });
+    }
+    let d = diagnose(&asked, &mut |_| {}).unwrap();
+    assert_eq!(names(&d), ["hard_stop"], "{}", d.report.summary);
+    let [low, high] = ["low_rad", "high_rad"].map(|end| &d.report.causes[0].parameters[end]);
+    assert!((high.value - stop).abs() < 0.005 && !high.at_bound, "{high:?}");
+    assert!((high.ci_low..=high.ci_high).contains(&stop), "{high:?}");
+    // the other end may be anywhere that the joint did not come to
+    assert!(low.ci_high < ZERO_RAD - 0.7 && low.ci_low < low.ci_high, "{low:?}");
 }
 
 #[test]

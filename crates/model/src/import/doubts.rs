@@ -46,9 +46,10 @@ pub(super) fn say(robot: &Robot, root: &Element, remarks: &mut Remarks) {
         let joints = robot.joints().filter(|j| j.motion == JointMotion::Hinge);
         joints.filter_map(|j| j.range).filter(|(low, high)| low < high)
     };
-    if limits().count() > 0 && limits().all(|(low, high)| high - low < NARROW_RAD) {
+    let narrow = limits().filter(|(low, high)| high - low < NARROW_RAD).count();
+    if root.tag == "mujoco" && 2 * narrow > limits().count() {
         let message = format!(
-            "every hinge has limits less than {NARROW_RAD} rad apart: are they radians that count as degrees? {RADIANS}"
+            "{narrow} hinges have limits less than {NARROW_RAD} rad apart: are they radians that count as degrees? {RADIANS}"
         );
         remarks.note(root, message);
     }

@@ -305,14 +305,17 @@ fn units_that_are_hardly_meant_are_told() {
         let made = read("units.urdf", &plain.replace(old, new)).unwrap();
         assert!(told(&made, word), "{word}: {:?}", made.notes);
     }
-    // in degrees, as a file in radians is read that says degrees
-    let limits = [("1.57", "0.027"), ("2.5", "0.044"), ("0.2", "0.003")];
-    let narrow = limits.iter().fold(plain.clone(), |text, (rad, deg)| {
-        text.replace(&format!("=\"{rad}\""), &format!("=\"{deg}\""))
-            .replace(&format!("=\"-{rad}\""), &format!("=\"-{deg}\""))
-    });
-    let made = read("units.urdf", &narrow).unwrap();
-    assert!(told(&made, "radians that count as degrees"), "{:?}", made.notes);
+    // a file in radians that does not say so; a URDF always has radians
+    let arm = |compiler: &str| {
+        format!(
+            "<mujoco>{compiler}<worldbody><body name=\"arm\"><joint name=\"turn\" range=\"-1.57 1.57\"/>\
+             <geom size=\"0.05\" mass=\"1\"/></body></worldbody><actuator><motor joint=\"turn\"/></actuator></mujoco>"
+        )
+    };
+    for (compiler, asked) in [("", true), ("<compiler angle=\"radian\"/>", false)] {
+        let made = read("arm.xml", &arm(compiler)).unwrap();
+        assert_eq!(told(&made, "radians that count as degrees"), asked, "{:?}", made.notes);
+    }
     // no body of this size has either
     for moments in ["ixx=\"30000\" iyy=\"30000\" izz=\"30000\"", "ixx=\"3\" iyy=\"3\" izz=\"7000\""]
     {

@@ -145,8 +145,11 @@ fn kept(path: &Path) -> Result<Vec<Case>, BenchError> {
         fs::write(path, whole).map_err(at(path))?;
     }
     let read = |(k, line)| {
-        let damaged = |e| BenchError::Kept(path.display().to_string(), k + 1, e);
-        serde_json::from_str(line).map_err(damaged)
+        let damaged = |why: String| BenchError::Kept(path.display().to_string(), k + 1, why);
+        let case: Case = serde_json::from_str(line).map_err(|e| damaged(e.to_string()))?;
+        // what comes next is made by its number
+        let own = format!("is case {} where case {k} belongs", case.number);
+        if case.number == k { Ok(case) } else { Err(damaged(own)) }
     };
     whole.lines().enumerate().map(read).collect()
 }
