@@ -118,8 +118,9 @@ def write_policy(
         raise ValueError("%s is the folder of a training, and config.toml is its own: take another one" % out.parent)
     out.parent.mkdir(parents=True, exist_ok=True)
     config = out.with_name("config.toml")
+    other = config.exists() and config.read_text(encoding="utf-8") != envs.configuration
     out.write_bytes(data)
-    if config.exists() and config.read_text(encoding="utf-8") != envs.configuration:
+    if other:
         kept = next(p for n in itertools.count(1) if not (p := config.with_name("config.%d.toml" % n)).exists())
         config.rename(kept)
         warnings.warn("%s had other settings; they are in %s now" % (config, kept.name), stacklevel=2)

@@ -102,7 +102,7 @@ pub fn median_step_s(time_s: &[f64]) -> f64 {
 const SLOWEST_S: f64 = 0.4;
 
 /// What the stamps of rows are in that are so far apart: nobody samples a servo slower than once in
-/// [`SLOWEST_S`], or faster than 20,000 times a second with a clock of a coarser unit.
+/// [`SLOWEST_S`], or, with a clock of a finer unit, faster than 2,500 times a second.
 pub fn unit_of_steps(step: f64) -> &'static str {
     match step / SLOWEST_S {
         s if s <= 1.0 => "s",

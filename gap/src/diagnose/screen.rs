@@ -199,7 +199,8 @@ fn sizes(context: &Context, effect: &Effect, place: &Place, k: usize) -> Vec<f64
     };
     let mut values = effect.neutral(model, place);
     if let Some(range) = place.items.first().and_then(|a| range(context, *a)) {
-        values[end] = range[end];
+        let (low, high) = effect.bounds(model, place, end);
+        values[end] = range[end].clamp(low, high);
     }
     values
 }

@@ -76,7 +76,7 @@ pub fn intervals(
 
 /// How much of an effect each parameter of term `index` is, SI: how far it is from where the effect begins. That is its
 /// neutral value; but where there is a threshold nothing may happen for most of the way, and a stop that is nowhere at
-/// 20 rad begins where the joint would get.
+/// 4 rad begins where the joint would get.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].

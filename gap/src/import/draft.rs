@@ -132,12 +132,10 @@ fn by_numbers(
             (None, Some("A" | "mA")) => {
                 out.insert(column.to_owned(), "cur");
             }
-            (None, Some(name))
-                if unit(name).is_ok_and(|(_, of)| ["speed", "velocity"].contains(&of)) =>
-            {
+            (None, Some(name)) if unit(name).is_ok_and(|(_, of)| of == "speed") => {
                 out.insert(column.to_owned(), "vel");
             }
-            (None, None | Some("rad" | "deg" | "turn" | "m" | "mm")) => {
+            (None, None | Some("rad" | "deg" | "turn")) => {
                 angles.entry(joint).or_default().push(column);
             }
             _ => {}
@@ -320,8 +318,8 @@ impl Draft<'_> {
                 }
                 let _ = writeln!(self.out, "column = {}\nunit = \"{unit_name}\"", quoted(column));
                 let words = Words::of(column);
-                let of_slide =
-                    words.unit.filter(|_| words.unit_of(is_slide(self.robot, joint)).is_none());
+                let hinge = joint.is_some() && !is_slide(self.robot, joint);
+                let of_slide = words.unit.filter(|_| words.unit_at(hinge).is_none());
                 if let Some(word) = words.strange_unit.or(of_slide.map(str::to_owned)) {
                     let _ = writeln!(
                         self.out,
@@ -403,12 +401,13 @@ impl Draft<'_> {
             None => (kind.to_owned(), None),
         };
         let slide = is_slide(self.robot, joint);
-        let unit_name = match hint.and_then(|hint| hint.unit).or(words.unit_of(slide)) {
-            Some(UNKNOWN) if ["cmd", "pos"].contains(&kind) => self.open_unit(column, values),
-            Some(UNKNOWN) | None if slide => unit_of_slide(kind, values),
-            Some(UNKNOWN) | None => unit_by_size(kind, values),
-            Some(unit) => unit,
-        };
+        let unit_name =
+            match hint.and_then(|hint| hint.unit).or(words.unit_at(joint.is_some() && !slide)) {
+                Some(UNKNOWN) if ["cmd", "pos"].contains(&kind) => self.open_unit(column, values),
+                Some(UNKNOWN) | None if slide => unit_of_slide(kind, values),
+                Some(UNKNOWN) | None => unit_by_size(kind, values),
+                Some(unit) => unit,
+            };
         Ok((name, joint, unit_name))
     }
 

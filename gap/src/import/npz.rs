@@ -68,8 +68,9 @@ pub fn open(path: &Path) -> Result<Recording, ImportError> {
             ));
         }
     }
-    if rows == 0 {
-        return Err(wrong("has no row".to_owned()));
+    if rows == 0 || sheet.columns.is_empty() {
+        let lacks = if rows == 0 { "row" } else { "column" };
+        return Err(wrong(format!("has no {lacks}")));
     }
     Ok(Recording {
         file: named,
@@ -195,7 +196,9 @@ impl Description {
     /// Values in the order of rows.
     fn by_rows(&self, values: Vec<f64>) -> Vec<f64> {
         match self.shape[..] {
-            [rows, columns] if self.by_columns => transposed(&values, columns, rows),
+            [rows, columns] if self.by_columns && !values.is_empty() => {
+                transposed(&values, columns, rows)
+            }
             _ => values,
         }
     }
@@ -374,6 +377,7 @@ mod tests {
         says(npy("<f8", false, "(3, -2)", &[]), "`q`: is described as \"{'descr'");
         says(npy("<f8", false, "(0, 2)", &[]), "has no row");
         says(npy("<f8", false, "(0, 9999999999999)", &[]), "has no row");
+        says(npy("<f8", true, "(9999999999999, 0)", &[]), "has no column");
         says(npy("<f8", false, "()", &f8(&[1.0])), "has no row");
     }
 }

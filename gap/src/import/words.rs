@@ -23,8 +23,10 @@ const KIND_WORDS: &[(&str, &str)] = &[
     ),
 ];
 pub(super) const COMMANDS: &str = "goal goals action actions qcmd cmd command commands commanded target targets desired des setpoint sp reference ref soll consigne consigna";
-/// What switches a torque or holds a position is neither.
-const SWITCHES: &str = "on off enable enabled enabling flag freigabe";
+/// What is on or off is no signal that a draft takes, whatever it switches …
+const SWITCHES: &str = "enable enabled enabling flag freigabe";
+/// … and of a torque these say the same.
+const SWITCHES_OF_TORQUE: &str = "on off status";
 /// Units that are such in brackets only: `theta_m` is an angle of the motor.
 const LETTERS: [&str; 2] = ["m", "n"];
 pub(super) const CLOCKS: &str =
@@ -111,10 +113,10 @@ impl Words {
         unit(name).map_or(true, fit)
     }
 
-    /// Its unit, if it is one of a slide or of a hinge, as the joint is.
-    pub(super) fn unit_of(&self, slide: bool) -> Option<&'static str> {
-        let of = |of| self.want().is_some_and(|want| of_slide(of, want));
-        self.unit.filter(|name| slide || !unit(name).is_ok_and(|(_, kind)| of(kind)))
+    /// Its unit, but none that only slides have at a `hinge`.
+    pub(super) fn unit_at(&self, hinge: bool) -> Option<&'static str> {
+        let long = |of| ["length", "velocity", "force"].contains(&of);
+        self.unit.filter(|name| !hinge || !unit(name).is_ok_and(|(_, of)| long(of)))
     }
 
     fn want(&self) -> Option<&'static str> {
@@ -133,7 +135,8 @@ impl Words {
     pub(super) fn moves_otherwise(&self) -> Option<String> {
         let (name, want) = (self.strange_unit.as_ref()?, self.want()?);
         let (_, of) = unit(name).ok()?;
-        let moves = |of| ["angle", "speed", "angular acceleration"].contains(&of);
+        let moves =
+            |of| ["angle", "speed", "angular acceleration", "length", "velocity"].contains(&of);
         (moves(of) && moves(want))
             .then(|| format!(", as its unit `{name}` is one of {of}, and not of {want}"))
     }
@@ -150,7 +153,8 @@ impl Words {
 
     pub(super) fn kind(&self) -> Option<&'static str> {
         let kind = KIND_WORDS.iter().find(|(_, words)| self.says(words)).map(|k| k.0);
-        if matches!(kind, None | Some("tau" | "pos")) && self.has(SWITCHES) {
+        let of_torque = matches!(kind, None | Some("tau")) && self.says(SWITCHES_OF_TORQUE);
+        if of_torque || self.says(SWITCHES) {
             return None;
         }
         match (self.says(COMMANDS), kind) {
@@ -279,6 +283,7 @@ mod tests {
         assert_eq!(Words::of("elbow").kind_in(None), None);
         let said = |header: &str| Words::of(header).kind();
         assert_eq!([said("torque_enable"), said("position_flag")], [None, None]);
+        assert_eq!([said("pwm_enable1"), said("torque_status")], [None, None]);
         assert_eq!(said("motor_status_velocity"), Some("vel"));
         assert_eq!(said("drive_on_current_a"), Some("cur"));
         let dot = Words::of("q1_dot");

@@ -52,8 +52,8 @@ fn sizes_at_a_slide_are_lengths() {
     near(&at(&slide, "gear_backlash").1, &[0.0003]);
     near(&at(&hinge, "pre_sliding").0, &[0.002]);
     near(&at(&slide, "pre_sliding").0, &[0.0001]);
-    near(&at(&hinge, "hard_stop").0, &[-20.0, 20.0]);
-    near(&at(&slide, "hard_stop").0, &[-20.0, 20.0]);
+    near(&at(&hinge, "hard_stop").0, &[-4.0, 4.0]);
+    near(&at(&slide, "hard_stop").0, &[-4.0, 4.0]);
 }
 
 /// A run of `joints`, in which every joint steps and swings; measured values are zeros, since only

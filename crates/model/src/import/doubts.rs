@@ -47,7 +47,9 @@ pub(super) fn say(robot: &Robot, root: &Element, remarks: &mut Remarks) {
         joints.filter_map(|j| j.range).filter(|(low, high)| low < high)
     };
     let narrow = limits().filter(|(low, high)| high - low < NARROW_RAD).count();
-    if root.tag == "mujoco" && 2 * narrow > limits().count() {
+    let in_degrees = |e: &Element| e.attributes.get("angle").is_none_or(|angle| angle != "radian");
+    let mut compilers = root.children.iter().filter(|e| e.tag == "compiler");
+    if root.tag == "mujoco" && compilers.all(in_degrees) && 2 * narrow > limits().count() {
         let message = format!(
             "{narrow} hinges have limits less than {NARROW_RAD} rad apart: are they radians that count as degrees? {RADIANS}"
         );

@@ -306,14 +306,18 @@ fn units_that_are_hardly_meant_are_told() {
         assert!(told(&made, word), "{word}: {:?}", made.notes);
     }
     // a file in radians that does not say so; a URDF always has radians
-    let arm = |compiler: &str| {
+    let arm = |compiler: &str, range: &str| {
         format!(
-            "<mujoco>{compiler}<worldbody><body name=\"arm\"><joint name=\"turn\" range=\"-1.57 1.57\"/>\
+            "<mujoco>{compiler}<worldbody><body name=\"arm\"><joint name=\"turn\" range=\"{range}\"/>\
              <geom size=\"0.05\" mass=\"1\"/></body></worldbody><actuator><motor joint=\"turn\"/></actuator></mujoco>"
         )
     };
-    for (compiler, asked) in [("", true), ("<compiler angle=\"radian\"/>", false)] {
-        let made = read("arm.xml", &arm(compiler)).unwrap();
+    for (compiler, range, asked) in [
+        ("", "-1.57 1.57", true),
+        ("", "-90 90", false),
+        ("<compiler angle=\"radian\"/>", "-0.05 0.05", false),
+    ] {
+        let made = read("arm.xml", &arm(compiler, range)).unwrap();
         assert_eq!(told(&made, "radians that count as degrees"), asked, "{:?}", made.notes);
     }
     // no body of this size has either
