@@ -171,7 +171,7 @@ fn unnamed(report: &Report) {
         of_place.push(format!("{} ({})", c.effect, values.join(", ")));
     }
     for (place, effects) in places {
-        say::line(format!("in the model at {place}, its names no finding: {}", effects.join(", ")));
+        say::line(format!("in the model at {place}, and no findings: {}", effects.join(", ")));
     }
 }
 

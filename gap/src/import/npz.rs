@@ -204,11 +204,11 @@ impl Description {
     }
 }
 
-/// Whether no two of these words are the same, and none is a unit.
+/// Whether no two of these words are the same, and not all are units: a joint may be called `a`.
 fn are_names(words: &[String]) -> bool {
     let unit = |word: &str| unit_word(word.trim().to_lowercase().as_str()).is_some();
     let again = |k: usize| words[..k].contains(&words[k]);
-    (0..words.len()).all(|k| !again(k) && !unit(&words[k]))
+    !(0..words.len()).any(again) && !words.iter().all(|word| unit(word))
 }
 
 /// Rows and columns of `values`, `[rows][columns]`, the other way round.
@@ -352,6 +352,7 @@ mod tests {
         assert_eq!(sheet.header()[10..], ["imu[0]", "imu[1]"]);
         let words = |words: [&str; 2]| are_names(&words.map(str::to_owned));
         assert!(words(["hip", "knee"]) && !words(["hip", "hip"]) && !words(["rad", "m/s"]));
+        assert!(words(["a", "hip"]));
         let values = |column: &str| sheet.values(column, None).unwrap();
         assert_eq!(values("q hip"), [Some(1.0), Some(3.0), None]);
         assert_eq!(values("cmd knee"), [4.0, 5.0, 6.0].map(Some));

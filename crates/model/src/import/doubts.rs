@@ -10,7 +10,7 @@ use crate::types::JointMotion;
 
 /// Two turns: farther off a limit is in degrees, or of a joint that turns without end.
 const FAR_RAD: f64 = 4.0 * std::f64::consts::PI;
-/// Two turns, written in radians and read as degrees: limits all nearer to each other are hardly meant.
+/// Two turns, written in radians and read as degrees: most limits nearer to each other are hardly meant.
 const NARROW_RAD: f64 = 0.22;
 /// How far past a limit an angle of the key frame is more than rounding.
 const PAST_RAD: f64 = 0.01;
@@ -51,7 +51,7 @@ pub(super) fn say(robot: &Robot, root: &Element, remarks: &mut Remarks) {
     let mut compilers = root.children.iter().filter(|e| e.tag == "compiler");
     if root.tag == "mujoco" && compilers.all(in_degrees) && 2 * narrow > limits().count() {
         let message = format!(
-            "{narrow} hinges have limits less than {NARROW_RAD} rad apart: are they radians that count as degrees? {RADIANS}"
+            "of hinges {narrow} have limits less than {NARROW_RAD} rad apart: are they radians that count as degrees? {RADIANS}"
         );
         remarks.note(root, message);
     }
