@@ -8,8 +8,10 @@
 mod alike;
 mod carried;
 mod constancy;
+mod delete;
 mod divergence;
 mod doubt;
+mod exchange;
 mod extend;
 mod fits;
 mod floors;

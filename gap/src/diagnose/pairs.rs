@@ -45,14 +45,38 @@ pub fn pairs(
     if !several(context, best, index)? {
         return Ok(Vec::new());
     }
-    let model = context.replayer.model();
     let others = best.without(index);
     let bare = context.replayer.predict(&context.fit.data, std::slice::from_ref(&others))?;
     let asked = context.fit.change(&best.fit.prediction, &bare.concat());
+    let mut found = sums(context, &others, alone, &asked)?;
+    found.retain(|(left, _)| *left < LEFT);
+    found.truncate(PAIRS);
+    let variants = found.into_iter().map(|(_, terms)| terms).collect();
+    let fitted = refine(context, &context.fit, variants, None, None)?;
+    let variants: Vec<Variant> = fitted.into_iter().map(|f| f.0).collect();
+    let mut states = context.states(&variants)?;
+    let own = penalised(context, best);
+    states.retain(|s| indistinguishable(best, s) || penalised(context, s) < own);
+    states.sort_by(|a, b| penalised(context, a).total_cmp(&penalised(context, b)));
+    Ok(states)
+}
+
+/// Every two of `tried` on top of `others`, at the sizes at which their traces come nearest to `asked`, with the share
+/// of its square that they leave, least first.
+///
+/// # Errors
+/// As [`crate::replay::Replayer::predict`].
+pub fn sums(
+    context: &Context,
+    others: &[Term],
+    tried: &[&Term],
+    asked: &[f32],
+) -> Result<Vec<(f64, Variant)>, GapError> {
+    let model = context.replayer.model();
     let nothing = |t: &&Term| Term::nothing(model, t.effect, t.place.clone());
-    let tried: Vec<Term> = alone.iter().map(nothing).collect();
-    let (columns, steps) = context.jacobian(&context.fit, &[&others[..], &tried[..]].concat())?;
-    let span = Span::new(&columns, &asked);
+    let tried: Vec<Term> = tried.iter().map(nothing).collect();
+    let (columns, steps) = context.jacobian(&context.fit, &[others, &tried[..]].concat())?;
+    let span = Span::new(&columns, asked);
     let mut first: usize = others.iter().map(|t| t.values.len()).sum();
     let mut own: Vec<Vec<usize>> = Vec::new();
     for term in &tried {
@@ -72,20 +96,11 @@ pub fn pairs(
                 let (low, high) = two[t].bounds(model, p);
                 two[t].values[p] = (two[t].values[p] + size * steps[k]).clamp(low, high);
             }
-            found.push((left, [&others[..], &two[..]].concat()));
+            found.push((left, [others, &two[..]].concat()));
         }
     }
-    found.retain(|(left, _)| *left < LEFT);
     found.sort_by(|a, b| a.0.total_cmp(&b.0));
-    found.truncate(PAIRS);
-    let variants = found.into_iter().map(|(_, terms)| terms).collect();
-    let fitted = refine(context, &context.fit, variants, None, None)?;
-    let variants: Vec<Variant> = fitted.into_iter().map(|f| f.0).collect();
-    let mut states = context.states(&variants)?;
-    let own = penalised(context, best);
-    states.retain(|s| indistinguishable(best, s) || penalised(context, s) < own);
-    states.sort_by(|a, b| penalised(context, a).total_cmp(&penalised(context, b)));
-    Ok(states)
+    Ok(found)
 }
 
 /// Whether term `index` of `best` needs more than one size.

@@ -4,7 +4,9 @@
 //! where much is left the search begins at the other end too: with what the angles of the worst joint ask for
 //! ([`super::tracking`]), all of it fitted at once, from which is deleted what it can do without.
 
-use super::fits::{Before, LAST_STEPS, best_fits, fitted, penalised, polished, single, with_each};
+use super::delete::{delete, enough};
+use super::exchange::exchanged;
+use super::fits::{Before, LAST_STEPS, fitted, penalised, polished, single, with_each};
 use super::gates::{self, Worth};
 use super::joints::Joints;
 use super::levels::NOTHING_LEFT;
@@ -23,9 +25,6 @@ const FITTED: usize = 12;
 const FITTED_LATER: usize = 6;
 /// Places of one effect among them.
 const PLACES: usize = 2;
-/// A further effect must explain this share of what the robot as given fails to: what a model lacks in detail
-/// grows with what it has.
-const OF_ALL: f64 = 0.035;
 
 /// What the search found.
 pub struct Found {
@@ -76,18 +75,12 @@ pub fn search(
     built: Option<&Joints>,
     progress: &mut dyn FnMut(Progress),
 ) -> Result<(), GapError> {
-    for depth in 1..=MOST_TERMS {
-        if depth > 1 {
-            if gates::worst(context, &found.best) < gates::least(context) {
-                break;
-            }
-            take_anew(context, found)?;
-        }
-        let children = children(context, found, depth, progress)?;
-        if !step(context, found, children)? {
-            break;
-        }
+    grow(context, found, 1, progress)?;
+    if let Some(other) = exchanged(context, &found.base, &found.best, &found.singles)? {
+        found.best = other;
+        let depth = found.best.terms.len();
         progress(Progress::new(Stage::Accepted, depth, &found.best.label()));
+        grow(context, found, depth + 1, progress)?;
     }
     if let Some(built) = built {
         from_built(context, found, built)?;
@@ -102,6 +95,29 @@ pub fn search(
         if found.best.terms.len() < count {
             found.best = polished(context, found.best.clone())?;
         }
+    }
+    Ok(())
+}
+
+/// Adds the best of what passes, one by one, from the effect with number `first` on.
+fn grow(
+    context: &mut Context,
+    found: &mut Found,
+    first: usize,
+    progress: &mut dyn FnMut(Progress),
+) -> Result<(), GapError> {
+    for depth in first..=MOST_TERMS {
+        if depth > 1 {
+            if gates::worst(context, &found.best) < gates::least(context) {
+                break;
+            }
+            take_anew(context, found)?;
+        }
+        let children = children(context, found, depth, progress)?;
+        if !step(context, found, children)? {
+            break;
+        }
+        progress(Progress::new(Stage::Accepted, depth, &found.best.label()));
     }
     Ok(())
 }
@@ -225,12 +241,6 @@ fn last_place(state: &State) -> Option<&Place> {
     state.terms.last().map(|t| &t.place)
 }
 
-/// Whether a further effect at `place` explains enough to be one.
-fn enough(context: &Context, worth: &Worth, base: &State, place: Option<&Place>) -> bool {
-    let all = gates::part(&context.fit, &base.cross, place);
-    worth.cross > OF_ALL * all || worth.rest || (worth.beyond_doubt && worth.fit > OF_ALL * all)
-}
-
 /// Takes the tolerances around `terms`, and judges `states` by them.
 fn rebase(
     context: &mut Context,
@@ -266,34 +276,4 @@ fn choose(screened: &[Screened], most: usize) -> Vec<&Screened> {
         }
     }
     chosen
-}
-
-/// Deletes effects that the others make superfluous, one by one: those that would not be added now.
-fn delete(context: &Context, base: &State, mut state: State) -> Result<State, GapError> {
-    while state.terms.len() > 1 {
-        let variants = (0..state.terms.len()).map(|i| state.without(i)).collect::<Vec<_>>();
-        let of: Vec<usize> = (0..variants.len()).collect();
-        let before = Before { look: f64::INFINITY, fit: f64::INFINITY };
-        let without = best_fits(context, variants, &of, of.len(), before)?;
-        // the one that is missed least
-        let least = without
-            .into_iter()
-            .enumerate()
-            .min_by(|a, b| penalised(context, &a.1).total_cmp(&penalised(context, &b.1)));
-        let Some((index, mut shorter)) = least else {
-            break;
-        };
-        if context.scout.is_some() {
-            // fitted to a scout, it is not yet as good as it can be
-            shorter = polished(context, shorter)?;
-        }
-        let place = Some(&state.terms[index].place);
-        let worth = gates::worth(context, &shorter, &state, place);
-        let kept = worth.passed && enough(context, &worth, base, place);
-        if kept && penalised(context, &shorter) > penalised(context, &state) {
-            break;
-        }
-        state = shorter;
-    }
-    Ok(state)
 }

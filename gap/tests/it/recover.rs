@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use caudata_gap::repeats;
 use caudata_gap::replay::{Data, Replayer, SegmentOptions};
-use caudata_gap::report::{DataFault, Verdict};
+use caudata_gap::report::{Cause, DataFault, Verdict};
 use caudata_gap::trial::Trial;
 use caudata_gap::{Diagnosis, GapError, GoOn, Options, Request, Role, Run, diagnose, extension};
 use caudata_model::RobotModel;
@@ -339,6 +339,24 @@ fn a_soft_loop_is_named_and_its_score_comes_again_from_the_file() {
     );
     // twice the same, to the bit
     assert_eq!(diagnose(&request, &mut |_| {}).unwrap().report, d.report);
+}
+
+#[test]
+fn gains_of_position_and_of_speed_that_are_off_together_are_named() {
+    // alone the nearest is a weaker motor: less stiffness and less damping
+    let mut request = request(0, &|p| {
+        p.kp_nm_per_rad[0] *= 0.75;
+        p.kd_nms_per_rad[0] = 0.02;
+    });
+    let text = String::from_utf8(request.robot_toml).unwrap();
+    let text = text.replacen("kd_nm_s_per_rad = 0.0 ", "kd_nm_s_per_rad = 0.05 ", 1);
+    request.robot_toml = text.into_bytes();
+    let d = diagnose(&request, &mut |_| {}).unwrap();
+    let is =
+        |c: &Cause, id: &str| c.effect == id || c.as_good(&str::to_owned).contains(&id.to_owned());
+    for id in ["kp_error", "kd_error"] {
+        assert!(d.report.causes.iter().any(|c| is(c, id)), "{id}: {:?}", names(&d));
+    }
 }
 
 #[test]
