@@ -27,6 +27,7 @@ pub mod replay;
 pub mod report;
 pub mod term;
 pub mod trial;
+mod units;
 
 pub use diagnose::{Diagnosis, Options, Progress, Request, Stage, diagnose};
 pub use error::GapError;

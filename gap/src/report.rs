@@ -258,6 +258,16 @@ pub struct PositionError {
     pub fitted_mean_rad: f64,
     /// By joint, on held-out runs, rad.
     pub joints_rad: BTreeMap<String, f64>,
+    /// Those of them that slide: their errors are m, and count tenfold in the means.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub slides: Vec<String>,
+}
+
+impl PositionError {
+    /// What to say of the units of a table of such errors.
+    pub fn units(&self) -> &'static str {
+        if self.slides.is_empty() { "rad" } else { "rad; of slides m, ten times in the mean" }
+    }
 }
 
 /// An effect that the extended model carries.
@@ -287,8 +297,15 @@ pub struct LocalGap {
     pub to_s: f64,
     /// Root mean square error of its angle there, rad.
     pub rms_rad: f64,
+    /// Unit of that: of a joint that slides m.
+    #[serde(default = "radians")]
+    pub unit: String,
     /// The same in tolerances (whitened).
     pub ratio: f64,
+}
+
+fn radians() -> String {
+    "rad".to_owned()
 }
 
 /// What is left over.

@@ -1,7 +1,10 @@
 //! A measured run as diagnosis sees it: commands, switches, and sampled channels with their own stamps.
 
 use caudata_declare::named;
+use caudata_model::RobotModel;
 use caudata_runlog::{BaseHold, LogMeta, RunLog};
+
+use crate::units::at_joint;
 
 /// What a run is used for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -73,6 +76,14 @@ impl Kind {
             Self::Gravity => "",
             Self::BasePosition | Self::Foot => "m",
             Self::BaseVelocity => "m/s",
+        }
+    }
+
+    /// SI unit at this joint or component: at joints that slide without radians.
+    pub fn unit_at(self, model: &RobotModel, index: usize) -> &'static str {
+        match self.of_joint() {
+            true => at_joint(model, index, self.unit()),
+            false => self.unit(),
         }
     }
 

@@ -104,7 +104,7 @@ effects! {
         /// soon as it is outside. Nominal 0.
         dead_band_jump: 0.0, 1.0 => 0.0;
         /// Integral gain, N·m/(rad·s); stands still while the motor saturates. Nominal 0.
-        ki_nm_per_rad_s: 0.0, 1000.0 => 0.0;
+        ki_nm_per_rad_s: 0.0, 1e7 => 0.0;
         /// Delay between what the loop wants and what the motor gives, s (computing time). At most
         /// [`MAX_LOOP_DELAY_S`]. Nominal 0.
         loop_delay_s: 0.0, MAX_LOOP_DELAY_S => 0.0;
@@ -116,7 +116,7 @@ effects! {
         /// envelope. Nominal 1.
         winding_scale: 0.05, 20.0 => 1.0;
         /// Damping that the motor has beyond the Kd gain (back-EMF), N·m·s/rad. Nominal: the servo's.
-        kd_min_nms_per_rad: 0.0, 100.0 => servo.kd_min_nm_s_per_rad;
+        kd_min_nms_per_rad: 0.0, 1e5 => servo.kd_min_nm_s_per_rad;
         /// Factor on Kp while the load drives the joint away from its target. Nominal: the servo's.
         back_drive_kp_ratio: 0.0, 10.0 => servo.back_drive_kp_ratio;
         /// Torque per ampere beyond the dead band, N·m/A. Nominal: the servo's.
@@ -130,7 +130,7 @@ effects! {
         /// Nominal 0.
         braking_current_limit_a: 0.0, 1000.0 => 0.0;
         /// Friction at rest beyond Coulomb's, N·m (Stribeck). Nominal: the servo's.
-        stribeck_nm: 0.0, 100.0 => servo.stribeck_nm;
+        stribeck_nm: 0.0, 1e4 => servo.stribeck_nm;
         /// Speed at which that has fallen to 1/e, rad/s. Nominal: the servo's.
         stribeck_speed_radps: 1e-3, 100.0 => servo.stribeck_speed_radps;
         /// Friction per load torque while the motor drives the load. Nominal: the servo's.
@@ -144,11 +144,11 @@ effects! {
         /// (iron that saturates, brushes and bridge that drop more). Nominal 0.
         torque_saturation_per_nm: 0.0, 100.0 => 0.0;
         /// Friction more in the positive and less in the negative direction, N·m. Nominal 0.
-        friction_asymmetry_nm: -100.0, 100.0 => 0.0;
+        friction_asymmetry_nm: -1e4, 1e4 => 0.0;
         /// Deflection at which friction starts to slide, rad. Nominal 0.002; of a slide, m, 0.0001.
         presliding_rad: 1e-7, 1.0 => friction::presliding_rad(joint);
         /// Amplitude of torque ripple A·sin(n·q + φ), N·m. Nominal 0.
-        ripple_nm: 0.0, 100.0 => 0.0;
+        ripple_nm: 0.0, 1e4 => 0.0;
         /// n: periods of the ripple per turn of the joint. Nominal 1.
         ripple_per_turn: 0.0, 10_000.0 => 1.0;
         /// φ: phase of the ripple, rad. Nominal 0.
@@ -157,14 +157,14 @@ effects! {
         /// [`gear_backlash_rad`](ServoParams::gear_backlash_rad)/2).
         gear_half_gap_rad: 0.0, 0.5 => 0.0;
         /// Stiffness between rotor and joint, N·m/rad. Nominal 0: rigid (teeth of 1000 where there is play).
-        gear_stiffness_nm_per_rad: 0.0, 1e6 => 0.0;
+        gear_stiffness_nm_per_rad: 0.0, 1e8 => 0.0;
         /// Damping ratio of the rotor on that stiffness. Nominal 0.3.
         gear_damping_ratio: 0.0, 10.0 => TOOTH_DAMPING_RATIO;
         /// 1 where the encoder is on the motor, 0 where it is on the output: the share of what the rotor is
         /// ahead of the joint that loop and log see. Nominal: the servo's.
         motor_encoder: 0.0, 1.0 => f64::from(u8::from(servo.encoder == Some(EncoderSide::Motor)));
         /// Spring at the joint (cable, skin), N·m/rad. Nominal: the model's.
-        spring_nm_per_rad: 0.0, 1e4 => joint.stiffness_nm_per_rad;
+        spring_nm_per_rad: 0.0, 1e6 => joint.stiffness_nm_per_rad;
         /// Where that spring is relaxed, rad. Nominal: the model's.
         spring_rest_rad: -1000.0, 1000.0 => joint.spring_ref_rad;
         /// Lower end stop, rad. Nominal: the model's.
@@ -187,11 +187,11 @@ effects! {
     /// `backlash_half_width_rad`).
     pub struct HingeEffects {
         /// Spring, N·m/rad. Nominal: the model's.
-        spring_nm_per_rad: 0.0, 1e4 => joint.stiffness_nm_per_rad;
+        spring_nm_per_rad: 0.0, 1e6 => joint.stiffness_nm_per_rad;
         /// Where it is relaxed, rad. Nominal: the model's.
         spring_rest_rad: -1000.0, 1000.0 => joint.spring_ref_rad;
         /// Viscous damping, N·m·s/rad. Nominal: the model's.
-        damping_nms_per_rad: 0.0, 1e4 => joint.damping_nm_s_per_rad;
+        damping_nms_per_rad: 0.0, 1e6 => joint.damping_nm_s_per_rad;
         /// Coulomb friction, N·m. Nominal: the model's.
         friction_nm: 0.0, 1e4 => joint.friction_loss_nm;
         /// Lower end stop, rad. Nominal: the model's.

@@ -124,7 +124,8 @@ pub fn print(report: &Report) {
         let joints: Vec<&str> = given.joints_rad.keys().map(String::as_str).collect();
         // of many joints the mean is enough here; report.json has all
         let shown = if joints.len() > 8 { &[] } else { &joints[..] };
-        let mut head = vec!["mean |error|, held out (rad)", "all"];
+        let about = format!("mean |error|, held out ({})", given.units());
+        let mut head = vec![about.as_str(), "all"];
         head.extend(shown);
         say::line("");
         say::table(
@@ -139,12 +140,13 @@ pub fn print(report: &Report) {
     }
     for g in &report.local_gaps {
         say::line(format!(
-            "far off: {} in {} from {:.1} s to {:.1} s, {} rad",
+            "far off: {} in {} from {:.1} s to {:.1} s, {} {}",
             g.joint,
             g.run,
             g.from_s,
             g.to_s,
-            short(g.rms_rad)
+            short(g.rms_rad),
+            g.unit
         ));
     }
     for u in &report.unexplained {

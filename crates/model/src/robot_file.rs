@@ -225,6 +225,13 @@ pub(crate) fn parse(label: &str, text: &str) -> Result<RobotFile, ModelError> {
     Ok(file)
 }
 
+/// The stiffest position gain or spring: an axis on a ball screw in N/m, which is far more than a hinge has.
+const STIFFEST: f64 = 1e6;
+/// The same of damping, N·s/m.
+const MOST_DAMPED: f64 = 1e5;
+/// The same of a rotor's inertia: behind a screw of 5 mm a turn that of 1e-4 kg·m² is 160 kg.
+const MOST_INERT: f64 = 1e4;
+
 /// Makes errors about the robot file.
 pub(crate) struct Checker<'a> {
     pub file: &'a str,
@@ -289,8 +296,8 @@ impl Checker<'_> {
         }
         for (name, gains) in &f.control.joint {
             for (key, gain, hi) in [
-                ("kp_nm_per_rad", gains.kp_nm_per_rad, 1e4),
-                ("kd_nm_s_per_rad", gains.kd_nm_s_per_rad, 1e3),
+                ("kp_nm_per_rad", gains.kp_nm_per_rad, STIFFEST),
+                ("kd_nm_s_per_rad", gains.kd_nm_s_per_rad, MOST_DAMPED),
             ] {
                 let at = format!("control.joint.{name}.{key}");
                 gain.map_or(Ok(()), |gain| self.within(&at, gain, 0.0, hi))?;
@@ -299,8 +306,8 @@ impl Checker<'_> {
         // Ranges: wide enough for any robot of this kind, narrow enough to catch a wrong unit.
         #[rustfmt::skip]
         self.all_within(&[
-            ("control.kp_nm_per_rad", f.control.kp_nm_per_rad, 0.0, 1e4),
-            ("control.kd_nm_s_per_rad", f.control.kd_nm_s_per_rad, 0.0, 1e3),
+            ("control.kp_nm_per_rad", f.control.kp_nm_per_rad, 0.0, STIFFEST),
+            ("control.kd_nm_s_per_rad", f.control.kd_nm_s_per_rad, 0.0, MOST_DAMPED),
             ("supply.default_v", f.supply.default_v, 1.0, 100.0),
             ("supply.bench_v", f.supply.bench_v, 1.0, 100.0),
             ("supply.battery_full_v", f.supply.battery_full_v, 1.0, 100.0),
@@ -343,7 +350,7 @@ impl Checker<'_> {
             ("damping_nm_s_per_rad", j.damping_nm_s_per_rad),
             ("friction_loss_nm", j.friction_loss_nm),
         ] {
-            self.within(&format!("{at}.{name}"), v, 0.0, 1e4)?;
+            self.within(&format!("{at}.{name}"), v, 0.0, STIFFEST)?;
         }
         Ok(())
     }
@@ -377,13 +384,13 @@ impl Checker<'_> {
         for (key, v, hi) in [
             ("kd_min_nm_s_per_rad", s.kd_min_nm_s_per_rad, 1e3),
             ("back_drive_kp_ratio", s.back_drive_kp_ratio, 10.0),
-            ("friction_loss_nm", s.friction_loss_nm, 1e3),
-            ("damping_nm_s_per_rad", s.damping_nm_s_per_rad, 1e3),
-            ("armature_kgm2", s.armature_kgm2, 1e2),
+            ("friction_loss_nm", s.friction_loss_nm, 1e4),
+            ("damping_nm_s_per_rad", s.damping_nm_s_per_rad, MOST_DAMPED),
+            ("armature_kgm2", s.armature_kgm2, MOST_INERT),
             ("current_dead_band_a", s.current_dead_band_a, 1e2),
             ("gear_backlash_rad", s.gear_backlash_rad, 0.5),
             ("current_limit_a", s.current_limit_a, 1e2),
-            ("stribeck_nm", s.stribeck_nm, 1e2),
+            ("stribeck_nm", s.stribeck_nm, 1e4),
             ("load_friction_driving", s.load_friction_driving, 0.95),
             ("load_friction_driven", s.load_friction_driven, 0.95),
         ] {

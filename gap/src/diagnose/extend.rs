@@ -89,7 +89,7 @@ pub fn parameters(
         let (low, high) = term.bounds(model, p);
         let parameter = Parameter {
             value,
-            unit: spec.unit.to_owned(),
+            unit: term.effect.unit(model, &term.place, p).to_owned(),
             ci_low: (value - half).max(low),
             ci_high: (value + half).min(high),
             at_bound: term.at_bound(model, p),

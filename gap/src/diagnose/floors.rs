@@ -34,7 +34,7 @@ pub fn floors(context: &Context, screened: &[Screened], misfit: f64) -> BTreeMap
             Floor {
                 parameter: spec.name.to_owned(),
                 value: if excited { value } else { value.clamp(low, high) },
-                unit: spec.unit.to_owned(),
+                unit: s.effect.unit(model, &s.place, p).to_owned(),
                 excited,
             },
         );
@@ -50,7 +50,7 @@ pub fn floors(context: &Context, screened: &[Screened], misfit: f64) -> BTreeMap
                 Floor {
                     parameter: effect.parameters[0].name.to_owned(),
                     value: 0.0,
-                    unit: effect.parameters[0].unit.to_owned(),
+                    unit: effect.unit(model, &place, 0).to_owned(),
                     excited: false,
                 },
             );

@@ -103,7 +103,7 @@ fn depends(context: &Context, found: &Found, kind: Kind, index: usize) -> (Vec<S
     let terms = chosen.iter().zip(&weights);
     let formula: Vec<String> = terms.map(|(i, w)| format!("{w:+.3e}·{}", LIBRARY[*i].0)).collect();
     let share = 100.0 * (1.0 - left / total.max(1e-300));
-    let (formula, unit) = (formula.join(" "), kind.unit());
+    let (formula, unit) = (formula.join(" "), kind.unit_at(context.replayer.model(), index));
     (arguments, format!("measured − simulated ≈ {formula} {unit} ({share:.0} % of what is left)"))
 }
 

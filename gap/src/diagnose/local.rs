@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use caudata_model::RobotModel;
+
 use super::judge::Judge;
 use super::product::dot;
 use super::state::{Context, On};
@@ -19,9 +21,10 @@ const MOST: usize = 5;
 /// Windows of angles in which a model is off by far more than the floor, worst first; one of each run and
 /// joint.
 pub fn local_gaps(context: &Context, fit: &On, holdout: &On) -> Vec<LocalGap> {
-    let mut out = of_runs(&context.fit, fit);
+    let model = context.replayer.model();
+    let mut out = of_runs(model, &context.fit, fit);
     if !context.same_runs {
-        out.extend(of_runs(&context.holdout, holdout));
+        out.extend(of_runs(model, &context.holdout, holdout));
     }
     out.retain(|g| g.ratio > LOCAL.sqrt());
     out.sort_by(|a, b| b.ratio.total_cmp(&a.ratio));
@@ -30,7 +33,7 @@ pub fn local_gaps(context: &Context, fit: &On, holdout: &On) -> Vec<LocalGap> {
 }
 
 /// The worst window of each run and joint.
-fn of_runs(judge: &Judge, on: &On) -> Vec<LocalGap> {
+fn of_runs(model: &RobotModel, judge: &Judge, on: &On) -> Vec<LocalGap> {
     let data = &judge.data;
     let mut worst: BTreeMap<(usize, usize), LocalGap> = BTreeMap::new();
     for segment in &data.segments {
@@ -51,6 +54,7 @@ fn of_runs(judge: &Judge, on: &On) -> Vec<LocalGap> {
                     from_s: data.time_s[from],
                     to_s: data.time_s[to - 1],
                     rms_rad: (square / n).sqrt(),
+                    unit: piece.kind.unit_at(model, piece.index).to_owned(),
                     ratio: (dot(part, part) / n).sqrt(),
                 };
                 let own = worst.entry((segment.trial, piece.index));

@@ -350,12 +350,7 @@ fn differ(context: &Context, data: &Data, one: &[f32], other: &[f32]) -> (f64, S
         let square: f64 = piece.range.clone().map(off).sum();
         let apart = (square / piece.range.len().max(1) as f64).sqrt();
         if apart / tolerance > most.0 {
-            let slide = piece.kind.of_joint()
-                && model.joints()[model.actuated()[piece.index]].unit() == "m";
-            let unit = match slide {
-                true => piece.kind.unit().replace("rad", "m"),
-                false => piece.kind.unit().to_owned(),
-            };
+            let unit = piece.kind.unit_at(model, piece.index);
             let joint = match piece.kind.of_joint() {
                 true => format!(".{}", model.actuated_names()[piece.index]),
                 false => String::new(),

@@ -72,7 +72,7 @@ fn overlays(context: &Context, found: &Found, model: &State) -> Vec<Overlay> {
             run: trial.name.clone(),
             signal: piece.kind.name().to_owned(),
             joint: trial.channels[piece.channel].name.clone(),
-            unit: piece.kind.unit().to_owned(),
+            unit: piece.kind.unit_at(context.replayer.model(), piece.index).to_owned(),
             time_s: of(&|k| data.time_s[k]),
             command: match piece.kind {
                 Kind::Position => of(&|k| trial.commands[piece.index].at(data.time_s[k])),
@@ -121,7 +121,7 @@ fn horizons(context: &Context, found: &Found, model: &State) -> Vec<Horizon> {
             horizon_s.push(longest.max(HORIZONS_S[HORIZONS_S.len() - 1]));
             Horizon {
                 signal: kind.name().to_owned(),
-                unit: kind.unit().to_owned(),
+                unit: kind.unit_at(context.replayer.model(), 0).to_owned(),
                 horizon_s,
                 before: of(0),
                 after: if model.terms.is_empty() && context.losses.is_none() {

@@ -47,7 +47,7 @@ pub fn signatures(context: &Context, found: &Found, named: &[Named]) -> Vec<Sign
                 joint: names.get(joint).copied().unwrap_or_default().to_owned(),
                 title: format!("measured − simulated {} against {}", kind.name(), x_label),
                 x_label: x_label.to_owned(),
-                y_label: format!("difference ({})", kind.unit()),
+                y_label: format!("difference ({})", kind.unit_at(context.replayer.model(), joint)),
                 series,
             })
         })

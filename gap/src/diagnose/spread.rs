@@ -227,7 +227,7 @@ pub fn widen(cause: &mut Cause, own: &Term, best: &State, causes: &[Named]) {
             }
             let instead = instead.label();
             let of = of.label();
-            let unit = format!(" {}", spec.unit);
+            let unit = format!(" {}", p.unit);
             cause.evidence.push(format!(
                 "with {instead} instead of {of} its {} would be {}{}",
                 spec.name,

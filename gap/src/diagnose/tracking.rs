@@ -25,6 +25,7 @@ use crate::effects::{self, Domain, Effect, Place};
 use crate::error::GapError;
 use crate::replay::{Term, Variant};
 use crate::report::PositionError;
+use crate::trial::Kind;
 
 /// Steps in which a standard model is fitted.
 const ROUNDS: usize = 6;
@@ -267,6 +268,10 @@ impl Tracking {
         variants.extend(self.standard.iter().map(|m| m.joints.variant()));
         variants.push(extended.to_vec());
         let held = Angles::of(context, &context.holdout.data);
+        let slides = names.iter().enumerate().filter(|(a, _)| {
+            held.measured(*a) && Kind::Position.unit_at(context.replayer.model(), *a) == "m"
+        });
+        let slides: Vec<String> = slides.map(|(_, name)| (*name).to_owned()).collect();
         let fitted = Angles::of(context, &context.fit.data);
         let held_out = held.residuals(&variants)?;
         let on_fitted = fitted.residuals(&variants)?;
@@ -284,6 +289,7 @@ impl Tracking {
                     .filter(|&a| held.measured(a))
                     .map(|a| (names[a].to_owned(), mean_abs(&held_out[a])))
                     .collect::<BTreeMap<_, _>>(),
+                slides: slides.clone(),
             })
             .collect())
     }

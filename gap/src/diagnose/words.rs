@@ -240,8 +240,8 @@ pub fn last(
     }
     if let Some(worst) = local.first() {
         text.push_str(&format!(
-            " In run {} joint {} is {} rad off from {:.1} s to {:.1} s, {:.1} times what runs differ by.",
-            worst.run, worst.joint, rounded(worst.rms_rad), worst.from_s, worst.to_s, worst.ratio
+            " In run {} joint {} is {} {} off from {:.1} s to {:.1} s, {:.1} times what runs differ by.",
+            worst.run, worst.joint, rounded(worst.rms_rad), worst.unit, worst.from_s, worst.to_s, worst.ratio
         ));
     }
     text

@@ -6,6 +6,7 @@ use caudata_model::{JointMotion, RobotModel, ServoParams};
 use crate::excitation::Excitation;
 use crate::place::{Domain, Place, places};
 use crate::plant::{Plant, lever};
+use crate::units::at_joint;
 
 named! {
     /// Where in the chain an effect acts.
@@ -190,6 +191,15 @@ impl Effect {
                 self.value(model, place, i, neutral)
             })
             .collect()
+    }
+
+    /// SI unit of parameter `index`: at joints that slide without radians.
+    pub fn unit(&self, model: &RobotModel, place: &Place, index: usize) -> &'static str {
+        let unit = self.parameters[index].unit;
+        match place.items.first() {
+            Some(&a) if place.domain == Domain::Joints => at_joint(model, a, unit),
+            _ => unit,
+        }
     }
 
     /// Lowest and highest value of parameter `index`, SI.

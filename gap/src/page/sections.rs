@@ -393,7 +393,8 @@ pub fn position_errors(report: &Report) -> String {
     };
     let table = table(&head, report.position_errors.iter().map(row));
     format!(
-        "<p class=\"soft\">Mean absolute error of the angles over whole held-out runs, rad. Standard models are fitted to the same runs.</p><div class=\"card scroll\">{table}</div>"
+        "<p class=\"soft\">Mean absolute error of the angles over whole held-out runs, {}. Standard models are fitted to the same runs.</p><div class=\"card scroll\">{table}</div>",
+        given.units()
     )
 }
 
