@@ -3,7 +3,7 @@
 use caudata_model::RobotModel;
 use caudata_runlog::{Axis, BaseHold, QuatPart, Signal, Table};
 
-use crate::check::series::median_step_s;
+use crate::check::{holes, series::median_step_s};
 use crate::error::GapError;
 use crate::trial::{Channel, Kind, Run, Steps, Trial, attitude_of, nearest_turn};
 
@@ -66,7 +66,7 @@ pub fn trial(model: &RobotModel, run: &Run) -> Result<Trial, GapError> {
         channels,
         meta: meta.clone(),
         group: 0,
-        masked_s: Vec::new(),
+        masked_s: holes(table).iter().map(|h| (h.from_s, h.until_s)).collect(),
         members: Vec::new(),
         session: 0.0,
     })

@@ -69,7 +69,12 @@ pub fn run(args: &ImportArgs) -> Result<(), Failure> {
                 .hint(format!("write in {path} what each column is, then give it as --map")));
         }
         if !drafted.unread.is_empty() {
-            tracing::warn!("not understood, and left out: {}", drafted.unread.join(", "));
+            let name = |column: &String| match column.trim() {
+                "" => "a column without a name".to_owned(),
+                named => named.to_owned(),
+            };
+            let names: Vec<String> = drafted.unread.iter().map(name).collect();
+            tracing::warn!("not understood, and left out: {}", names.join(", "));
         }
         say::line(format!("{path} is a guess: check it, then give it as --map {path}"));
         return Ok(());

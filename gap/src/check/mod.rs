@@ -9,6 +9,7 @@ mod blind;
 mod channels;
 mod excites;
 mod finding;
+mod holes;
 mod joints;
 mod late;
 mod parity;
@@ -32,6 +33,7 @@ use crate::report::DataFault;
 use channels::Channels;
 pub(crate) use finding::MAYBE_HELD;
 use finding::{Finding, Run};
+pub(crate) use holes::holes;
 
 /// What was found in one run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -4,6 +4,7 @@ use caudata_runlog::Signal;
 
 use super::channels::Channels;
 use super::finding::{Finding, Run};
+use super::holes::{Hole, holes};
 use super::series::{busiest, median_step_s, unit_of_steps};
 
 /// The median rate may be off the one that the log claims by this share; a loop never keeps its rate
@@ -91,6 +92,7 @@ format!(
 ));
     }
     lost(time_s, median, out);
+    out.extend(in_a_row(&holes(&run.log.table)));
     let bunched = steps().filter(|&(_, step)| step < BUNCHED * median).count();
     if bunched as f64 > BUNCHED_SHARE * time_s.len() as f64 {
         let detail = format!(
@@ -101,6 +103,22 @@ format!(
         );
         out.push(Finding::fatal("stamps", "t", detail));
     }
+}
+
+/// What to say of holes.
+fn in_a_row(holes: &[Hole]) -> Option<Finding> {
+    let longest = holes.iter().max_by_key(|h| h.rows)?;
+    let all = match holes.len() {
+        1 => String::new(),
+        n => format!(", the longest of {n} such holes"),
+    };
+    let detail = format!(
+        "{} rows in a row are missing after t = {:.2} s{all}: what was commanded in them is not known, and a diagnosis leaves out the time until {:.1} s after",
+        longest.rows,
+        longest.from_s,
+        longest.until_s - longest.to_s
+    );
+    Some(Finding::note("gap", "t".to_owned(), detail))
 }
 
 /// Rows that are missing one by one, or a few at a time: where rows come evenly, longer steps are whole

@@ -1,6 +1,7 @@
 //! Which model goes into the extended file. The names of causes are one thing, the model another: it holds
 //! whatever the runs that were fitted support, named or not.
 
+use super::alike::predict_the_same;
 use super::extend::{entry, parameters};
 use super::fits::{fitted, penalised, single};
 use super::folds::jackknife;
@@ -166,9 +167,12 @@ pub fn refuse(
     Ok(())
 }
 
-/// Whether a model may be carried, by held-out runs.
+/// Whether a model may be carried, by held-out runs: also where none of them shows what it has, so that they say
+/// nothing against it.
 fn nearer(context: &Context, base: &State, state: &State) -> bool {
-    state.terms.is_empty() || gates::nearer(context, base, state)
+    state.terms.is_empty()
+        || gates::nearer(context, base, state)
+        || predict_the_same(&base.holdout, &state.holdout)
 }
 
 /// Standard deviations of the parameters of `state` by the jackknife over the parts of the runs, SI.

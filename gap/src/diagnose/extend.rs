@@ -62,9 +62,10 @@ fn no_stop(context: &Context, passed: &Passed) -> ExtensionEffect {
 /// A cause as a robot file has it.
 pub fn entry(cause: &Cause) -> ExtensionEffect {
     let range = |(name, p): (&String, &Parameter)| {
-        // what the fit leaves open, and half as much again for what was not recorded
-        let half = 0.75 * (p.ci_high - p.ci_low);
-        (name.clone(), [p.value - half, p.value + half])
+        // what the fit leaves open, and half as much again for what was not recorded; what cannot be below zero stays
+        let low = p.value - 1.5 * (p.value - p.ci_low);
+        let high = p.value + 1.5 * (p.ci_high - p.value);
+        (name.clone(), [if p.ci_low >= 0.0 { low.max(0.0) } else { low }, high])
     };
     ExtensionEffect {
         id: cause.effect.clone(),

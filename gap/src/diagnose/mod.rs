@@ -6,6 +6,7 @@
 //! randomness is resampling, from a seed.
 
 mod alike;
+mod both_gains;
 mod carried;
 mod constancy;
 mod delete;

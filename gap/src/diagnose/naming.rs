@@ -6,6 +6,7 @@ use std::collections::BTreeSet;
 use caudata_model::RobotModel;
 
 use super::alike::{indistinguishable, trades, wider};
+use super::both_gains::{tangles, told_apart};
 use super::doubt::{one_place, outgrown};
 use super::fits::{Before, fitted, penalised, polished, with_each};
 use super::gates::{self, Worth};
@@ -99,6 +100,9 @@ pub fn name(context: &Context, found: &mut Found, out: &mut Vec<Named>) -> Resul
     // Ends: a step either drops a cause or leads to a model that was not the best before, which is smaller or
     // leaves far less.
     let mut seen: BTreeSet<Vec<String>> = BTreeSet::new();
+    if let Some(plain) = told_apart(context, &found.best)? {
+        found.best = plain;
+    }
     'again: loop {
         seen.insert(found.best.key());
         out.clear();
@@ -431,6 +435,7 @@ fn instead_of(
     let term = &best.terms[index];
     let mut chosen: Vec<Screened> = rivals(term, screened).into_iter().cloned().collect();
     let model = context.replayer.model();
+    chosen.retain(|rival| !tangles(rival, &best.terms, index));
     chosen.iter_mut().for_each(|rival| begin_alike(model, term, rival));
     let chosen: Vec<&Screened> = chosen.iter().collect();
     let instead = |t| {

@@ -38,6 +38,10 @@ pub fn signatures(context: &Context, found: &Found, named: &[Named]) -> Vec<Sign
                 ) => (|m, _| m.error_rad, "command − position (rad)"),
                 _ => (|m, _| m.qd_radps, "speed (rad/s)"),
             };
+            let x_label = match Kind::Position.unit_at(context.replayer.model(), joint) {
+                "m" => x_label.replace("angle", "position").replace("rad", "m"),
+                _ => x_label.to_owned(),
+            };
             let kind = [Kind::Current, Kind::Torque, Kind::Position].into_iter().find(|k| {
                 context.holdout.data.trials.iter().any(|t| t.channel(*k, joint).is_some())
             })?;
@@ -46,7 +50,7 @@ pub fn signatures(context: &Context, found: &Found, named: &[Named]) -> Vec<Sign
                 effect: term.effect.id.to_owned(),
                 joint: names.get(joint).copied().unwrap_or_default().to_owned(),
                 title: format!("measured − simulated {} against {}", kind.name(), x_label),
-                x_label: x_label.to_owned(),
+                x_label,
                 y_label: format!("difference ({})", kind.unit_at(context.replayer.model(), joint)),
                 series,
             })

@@ -27,7 +27,9 @@ pub fn hold_out(replayer: &Replayer, trials: &mut [Trial]) -> Result<Split, GapE
         return Ok(Split::Same);
     }
     let off = off_by(replayer, trials, groups)?;
-    let aside = middles(&off);
+    let members = |g: usize| trials.iter().filter(|t| t.group == g).count();
+    let repeated: Vec<bool> = (0..groups).map(|g| members(g) > 1).collect();
+    let aside = middles(&off, &repeated);
     for t in trials.iter_mut().filter(|t| aside.contains(&t.group)) {
         t.role = Role::Holdout;
     }
@@ -61,11 +63,17 @@ fn off_by(replayer: &Replayer, trials: &[Trial], groups: usize) -> Result<Vec<f6
     Ok(out)
 }
 
-/// The second of each three, greatest first.
-fn middles(off: &[f64]) -> Vec<usize> {
+/// The second of each three, greatest first; of one three the third where no repeat would be left to fit: what runs
+/// differ by tells their noise.
+fn middles(off: &[f64], repeated: &[bool]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..off.len()).collect();
     order.sort_by(|&a, &b| off[b].total_cmp(&off[a]));
-    order.chunks_exact(3).map(|three| three[1]).collect()
+    let mut aside: Vec<usize> = order.chunks_exact(3).map(|three| three[1]).collect();
+    let fitted = |aside: &[usize]| (0..off.len()).any(|g| repeated[g] && !aside.contains(&g));
+    if let Some(k) = aside.iter().position(|&g| repeated[g]).filter(|_| !fitted(&aside)) {
+        aside[k] = order[3 * k + 2];
+    }
+    aside
 }
 
 #[cfg(test)]
@@ -74,9 +82,12 @@ mod tests {
 
     #[test]
     fn what_shows_most_is_fitted_and_a_third_is_held_out() {
-        assert_eq!(middles(&[0.1, 0.2, 9.0]), [1]);
-        assert_eq!(middles(&[9.0, 0.2, 0.1, 0.3, 0.15]), [3]);
-        let six = middles(&[1.0, 6.0, 2.0, 5.0, 3.0, 4.0]);
-        assert_eq!(six, [3, 2]);
+        assert_eq!(middles(&[0.1, 0.2, 9.0], &[false; 3]), [1]);
+        assert_eq!(middles(&[9.0, 0.2, 0.1, 0.3, 0.15], &[false; 5]), [3]);
+        let six = [1.0, 6.0, 2.0, 5.0, 3.0, 4.0];
+        assert_eq!(middles(&six, &[false; 6]), [3, 2]);
+        // the only repeats are the second of the first three: they stay, and the third is held out
+        assert_eq!(middles(&six, &[false, false, false, true, false, false]), [5, 2]);
+        assert_eq!(middles(&six, &[false, true, false, true, false, false]), [3, 2]);
     }
 }

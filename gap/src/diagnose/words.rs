@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use super::alike::predict_the_same;
 use super::carried::NO_NEARER;
 use super::doubt::Doubts;
 use super::levels::{BUILT, CAREFUL_LAB, NOTHING_LEFT};
@@ -124,6 +125,11 @@ pub fn summary(
             state.label()
         ));
     }
+    if !found.best.terms.is_empty() && predict_the_same(&found.base.holdout, &found.best.holdout) {
+        text.push_str(
+            " No held-out run shows what was found, so it rests on cross-validation of the others: hold out one that shows it (--holdout).",
+        );
+    }
     for passed in &context.passed {
         text.push_str(&format!(" {} {}.", passed.note.location, passed.note.detail));
     }
@@ -155,7 +161,7 @@ pub fn first(
     let mut text = String::new();
     if unfinished {
         text.push_str(
-            "Unfinished: time ended before everything was tried, and this is the best so far. Give it more time (--budget) before you record anything. ",
+            "Unfinished: it ended before everything was tried, and this is the best so far. Give it more time before you record anything. ",
         );
     }
     let [_, standard @ .., extended] = errors else {

@@ -97,3 +97,8 @@ pub static ALL: &[&Effect] = &[
 pub fn find(id: &str) -> Option<&'static Effect> {
     ALL.iter().copied().find(|e| e.id == id)
 }
+
+/// The ids of all effects, in a line.
+pub fn ids() -> String {
+    ALL.iter().map(|e| e.id).collect::<Vec<_>>().join(", ")
+}

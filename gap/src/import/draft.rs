@@ -10,13 +10,13 @@ use std::fmt::Write as _;
 
 use caudata_model::{BaseKind, RobotModel};
 
+use super::clock::clock;
 use super::map::{UNKNOWN, unit};
 use super::order::Order;
 use super::run::ImportError;
-use super::sheet::{Clock, Hint, Joint, Recording, Sheet};
-use super::units::{MOST_RAD, is_slide, unit_at, unit_by_size, unit_of_slide, unit_word};
-use super::words::{CLOCKS, COMMANDS, Words, joint_called};
-use crate::check::series::unit_of_steps;
+use super::sheet::{Hint, Joint, Recording, Sheet};
+use super::units::{MOST_RAD, is_slide, unit_at, unit_by_size, unit_of_slide};
+use super::words::{COMMANDS, Words, joint_called};
 
 /// Words in the names of grippers, which some give as a share of their range when all else is an angle.
 const GRIPPERS: [&str; 3] = ["gripper", "jaw", "claw"];
@@ -189,36 +189,6 @@ fn follows(command: &[Option<f64>], reading: &[Option<f64>]) -> Option<f64> {
     let lags = 0..=MOST_LAG.min(both.len() / 4);
     let (lag, least) = lags.map(|lag| (lag, apart(lag))).min_by(|a, b| a.1.total_cmp(&b.1))?;
     (lag > 0 && variance > 0.0 && least < KEEPS_UP * variance).then(|| least / variance)
-}
-
-/// The clock of a recording whose form tells of none.
-fn clock(recording: &Recording) -> Result<Clock, ImportError> {
-    let header: Vec<&str> = recording.sheets.iter().flat_map(|s| s.header()).collect();
-    for sheet in &recording.sheets {
-        for column in sheet.header() {
-            let words = Words::of(column);
-            // a column that is called `ms`
-            let alone = unit_word(&column.trim().to_lowercase());
-            let alone = alone.filter(|name| unit(name).is_ok_and(|(_, of)| of == "time"));
-            if words.has(CLOCKS) || alone.is_some() {
-                let stamps: Vec<f64> = sheet.values(column, None)?.into_iter().flatten().collect();
-                return Ok(Clock {
-                    column: column.to_owned(),
-                    unit: words.unit.or(alone).unwrap_or_else(|| clock_unit(&stamps)),
-                    remark: String::new(),
-                });
-            }
-        }
-    }
-    Err(ImportError::Format {
-        file: recording.file.clone(),
-        message: match header.iter().all(|name| name.parse::<f64>().is_ok()) {
-            true => {
-                "its first line is numbers: put one with the columns' names above it".to_owned()
-            }
-            false => format!("no column is called time; it has {}", header.join(", ")),
-        },
-    })
 }
 
 /// A map that is being written.
@@ -466,12 +436,6 @@ fn zero(
         "offset = {offset:.4}     # rad. A guess: {least:.2} to {most:.2} rad is outside of the joint's range {low:.2} \
          to {high:.2},\n                      # so it is taken to begin at the nominal position\n"
     )
-}
-
-/// What the stamps of rows are in.
-fn clock_unit(stamps: &[f64]) -> &'static str {
-    let span = stamps.last().unwrap_or(&0.0) - stamps.first().unwrap_or(&0.0);
-    unit_of_steps(span / (stamps.len().max(2) - 1) as f64)
 }
 
 fn quoted(text: &str) -> String {

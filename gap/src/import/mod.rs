@@ -7,6 +7,7 @@
 
 pub mod bag;
 pub mod bam;
+mod clock;
 pub mod csv;
 pub mod draft;
 pub mod lerobot;

@@ -52,7 +52,12 @@ impl Format {
                 Some("parquet") => {
                     Err(wrong("give the folder of the dataset, which has meta/info.json"))
                 }
-                _ => Err(wrong("its form is not known: .mcap, .db3, .csv, .json, or say --format")),
+                Some("jsonl" | "ndjson") => {
+                    Err(wrong("JSON lines are not read; write the same as .csv or .npz"))
+                }
+                _ => Err(wrong(
+                    "its form is not known: .mcap, .db3, .csv, .npz, a .json of BAM's, or say --format",
+                )),
             };
         }
         let bag = path.join("metadata.yaml").is_file();

@@ -1,0 +1,94 @@
+//! Holes in a log: rows that are missing in a row while commands changed, so that nobody knows what the robot was
+//! told.
+
+use caudata_runlog::{Signal, Table};
+
+use super::series::{busiest, median_step_s};
+
+/// Rows are missing in a row where a step is longer than so many median steps: of a single missing row the command is
+/// nearly what it was before.
+const STEPS: f64 = 2.5;
+/// A robot is where its commands have brought it so long after those that nobody knows, s.
+const FORGOTTEN_S: f64 = 0.5;
+/// A run that has more of its time in holes than this is not left out bit by bit: its rows come as they come.
+const MOST: f64 = 0.25;
+
+/// A hole.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Hole {
+    /// The row before it, s.
+    pub from_s: f64,
+    /// The row after it, s.
+    pub to_s: f64,
+    /// Until then the robot is not where it would be without it, s.
+    pub until_s: f64,
+    /// Rows that are missing.
+    pub rows: usize,
+}
+
+/// The holes of a log, in order.
+pub(crate) fn holes(table: &Table) -> Vec<Hole> {
+    let time_s = busiest(table);
+    let median_s = median_step_s(&time_s);
+    let (Some(first), Some(last)) = (time_s.first(), time_s.last()) else {
+        return Vec::new();
+    };
+    let long = time_s.windows(2).filter(|w| w[1] - w[0] > STEPS * median_s);
+    let holes: Vec<Hole> = long
+        .filter(|w| told_otherwise(table, w[0], w[1]))
+        .map(|w| Hole {
+            from_s: w[0],
+            to_s: w[1],
+            until_s: w[1] + FORGOTTEN_S,
+            rows: ((w[1] - w[0]) / median_s).round() as usize - 1,
+        })
+        .collect();
+    let all_s: f64 = holes.iter().map(|h| h.until_s - h.from_s).sum();
+    if all_s > MOST * (last - first) { Vec::new() } else { holes }
+}
+
+/// Whether any command is another one after a hole than before.
+fn told_otherwise(table: &Table, from_s: f64, to_s: f64) -> bool {
+    let commands = table.signals().iter().filter(|s| matches!(s, Signal::Command(_)));
+    let mut columns = commands.filter_map(|signal| table.column(signal));
+    columns.any(|column| {
+        let known = || table.time_s().iter().zip(column).filter_map(|(t, v)| Some((*t, (*v)?)));
+        let before = known().take_while(|(t, _)| *t <= from_s).last();
+        let after = known().find(|(t, _)| *t >= to_s);
+        matches!((before, after), (Some(b), Some(a)) if b.1 != a.1)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+
+    /// Rows every 10 ms for 6 s without some, with a command that rises by 1 rad/s until 4 s.
+    fn log(missing: &[usize]) -> Table {
+        let rows = (0..600).filter(|k| !missing.contains(k));
+        let row = |k: usize| format!("{},{},0.1\n", 0.01 * k as f64, 0.01 * k.min(400) as f64);
+        let text: String = rows.map(row).collect();
+        Table::parse("log.csv", format!("t,cmd.a,pos.a\n{text}").as_bytes()).unwrap()
+    }
+
+    #[test]
+    fn rows_that_are_missing_in_a_row_while_the_command_moves_are_a_hole() {
+        let six = holes(&log(&[100, 101, 102, 103, 104, 105]));
+        assert_eq!(six.len(), 1);
+        // the row before is number 99, the one after 106
+        assert!((six[0].from_s - 0.99).abs() < 1e-9 && (six[0].to_s - 1.06).abs() < 1e-9);
+        assert!((six[0].until_s - 1.56).abs() < 1e-9);
+        assert_eq!(six[0].rows, 6);
+    }
+
+    #[test]
+    fn a_single_row_a_command_at_rest_and_a_log_full_of_holes_are_none() {
+        assert_eq!(holes(&log(&[100, 200, 300])), []);
+        assert_eq!(holes(&log(&[500, 501, 502, 503])), []);
+        // four holes of 0.54 s in 6 s are more than a quarter
+        let many: Vec<usize> = [50, 150, 250, 350].iter().flat_map(|k| *k..k + 4).collect();
+        assert_eq!(holes(&log(&many)), []);
+    }
+}
