@@ -16,6 +16,8 @@ pub struct Anatomy {
     pub nominal_rad: PerJoint<f64>,
     /// End stops, rad.
     pub range_rad: PerJoint<[f64; 2]>,
+    /// What counts as a radian: of a slide m.
+    pub per_radian: PerJoint<f64>,
     /// The counterpart of each joint on the other side, and 1 or −1 as it turns alike or the other way;
     /// itself and 1 where the robot is not its own mirror image.
     pub counterpart: PerJoint<(usize, f64)>,
@@ -71,6 +73,7 @@ impl Anatomy {
                 .map_or(0.0, |g| shapes.foremost_m(&places, g.ahead) - g.along(g.hind_m)),
             nominal_rad: PerJoint::of(nominal),
             range_rad: PerJoint::from_fn(joints, range),
+            per_radian: PerJoint::from_fn(joints, |j| model.per_radian(j)),
             counterpart: PerJoint::from_fn(joints, counterpart),
             other_foot: PerFoot::from_fn(feet.len(), |f| mirror.as_ref().map_or(f, |m| m.feet[f])),
             in_leg: plan.in_leg,

@@ -6,8 +6,7 @@ use serde::Serialize;
 /// Share of the limit from which a torque counts as at it: means over a step hardly ever reach it wholly.
 const AT_THE_LIMIT: f64 = 0.95;
 
-/// The torque envelope of the first joint's servo at the supply that simulations use
-/// (`caudata_sim::drive::servo`).
+/// The torque envelope of a joint's servo at the supply that simulations use (`caudata_sim::drive::servo`).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Envelope {
     /// Largest torque at low speed, N·m.
@@ -25,9 +24,13 @@ pub struct Envelope {
 }
 
 impl Envelope {
-    /// The envelope of a robot's servos.
-    pub fn of(model: &RobotModel) -> Self {
-        let servo = model.servo(0);
+    /// The envelopes of a robot's servos, in policy order.
+    pub fn of_each(model: &RobotModel) -> Vec<Self> {
+        (0..model.actuated().len()).map(|joint| Self::of(model, joint)).collect()
+    }
+
+    fn of(model: &RobotModel, joint: usize) -> Self {
+        let servo = model.servo(joint);
         let supply_v = model.supply_v();
         let scale = supply_v / servo.reference_supply_v;
         Self {

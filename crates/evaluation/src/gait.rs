@@ -32,8 +32,8 @@ pub struct Measure {
     pub anatomy: Anatomy,
     /// Joint power above this is vibration, not walking, Hz.
     pub vibration_hz: f64,
-    /// What its servos can give.
-    pub envelope: Envelope,
+    /// What each of its servos can give.
+    pub envelopes: Vec<Envelope>,
 }
 
 /// One episode in figures. Means are over its frames after settling.
@@ -128,7 +128,7 @@ impl Gait {
             vibration_share: vibration_share(frames, trace.period_s, measure.vibration_hz),
             torque_peak_nm: peak(frames, |f| &f.torque_nm),
             torque_rms_nm: mean(frames, |f| mean_square(&f.torque_nm)).sqrt(),
-            servo_limit_share: mean(frames, |f| at_limit(f, &measure.envelope)),
+            servo_limit_share: mean(frames, |f| at_limit(f, &measure.envelopes)),
             joint_speed_peak_radps: peak(frames, |f| &f.joint_vel_radps),
             joint_accel_rms_radps2: accel_rms(frames, trace.period_s),
             posture: Posture::of(frames, &duty_factor, &measure.anatomy),
@@ -172,9 +172,9 @@ fn accel_rms(frames: &[Frame], period_s: f64) -> f64 {
 }
 
 /// Share of the motors that give all they can.
-fn at_limit(frame: &Frame, envelope: &Envelope) -> f64 {
-    let motors = frame.torque_nm.iter().zip(&frame.joint_vel_radps);
-    let reached = motors.filter(|(t, v)| envelope.is_reached(f64::from(**t), f64::from(**v)));
+fn at_limit(frame: &Frame, envelopes: &[Envelope]) -> f64 {
+    let motors = frame.torque_nm.iter().zip(&frame.joint_vel_radps).zip(envelopes);
+    let reached = motors.filter(|((t, v), own)| own.is_reached(f64::from(**t), f64::from(**v)));
     reached.count() as f64 / frame.torque_nm.len().max(1) as f64
 }
 
@@ -309,7 +309,7 @@ pub(crate) mod tests {
                 ..Anatomy::of(&crate::anatomy::tests::polymander())
             },
             vibration_hz: 6.0,
-            envelope: W210,
+            envelopes: vec![W210; ACT_DIM],
         }
     }
 

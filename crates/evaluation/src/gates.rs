@@ -48,6 +48,14 @@ pub struct Gate {
 }
 
 impl Gate {
+    /// Its name with what was found and what passes.
+    pub fn told(&self) -> String {
+        let limits = self.at_least.map(|x| format!("at least {x}")).into_iter();
+        let limits = limits.chain(self.at_most.map(|x| format!("at most {x}")));
+        let limits: Vec<String> = limits.collect();
+        format!("{} {:.3} ({})", self.name, self.value, limits.join(", "))
+    }
+
     /// How far beyond its limit: 1 − value/limit of one that is too small, 1 − limit/value of one that is too large;
     /// 0 where it passes, at most 1.
     pub fn lacks(&self) -> f64 {
@@ -77,6 +85,11 @@ impl GateReport {
         if limits.posture {
             gates.extend(means.of_posture(flat));
         }
+        gates.push(at_most(
+            "overlaps itself",
+            means.of(|g| g.posture.overlap_share),
+            OVERLAP_SHARE,
+        ));
         Self { walks: gates.iter().all(|g| g.met), gates }
     }
 
@@ -161,7 +174,6 @@ impl Means<'_> {
         let of = |value: fn(&Posture) -> f64| self.of(|g| value(&g.posture));
         let (sides, duty) = (of(|p| p.sides_apart_rad), of(|p| p.duty_apart));
         let (tail, bend) = (of(|p| p.tail_power_share), of(|p| p.trunk_bend_share));
-        let overlap = of(|p| p.overlap_share);
         let mut gates = vec![
             at_most("joint off nominal and mirror, rad", off, OFF_RAD),
             at_most("at an end stop", at_stop, AT_STOP_SHARE),
@@ -169,7 +181,6 @@ impl Means<'_> {
             at_most("duty factor apart left and right", duty, DUTY_APART),
             at_most("tail's share of the power", tail, TAIL_POWER_SHARE),
             at_most("trunk bend in one joint", bend, TRUNK_BEND_SHARE),
-            at_most("overlaps itself", overlap, OVERLAP_SHARE),
         ];
         if flat {
             let (yaw, side) = (of(|p| p.yaw_off_radps), of(|p| p.side_off_mps));

@@ -8,7 +8,7 @@ use crate::anatomy::Anatomy;
 use crate::overlap::DEPTH_M;
 use crate::trace::Frame;
 
-/// A joint this near its end is at its stop, rad: 1°.
+/// A joint this near its end is at its stop, rad: 1°; a slide 1.75 mm.
 const AT_STOP_RAD: f64 = 0.0175;
 /// Every how many frames the robot is looked at for parts that meet.
 const OVERLAP_EVERY: usize = 5;
@@ -70,7 +70,8 @@ impl Posture {
             at_stop_share: each(&|f, j| {
                 let [low, high] = anatomy.range_rad[j];
                 let q = f64::from(f.joint_pos_rad[j]);
-                f64::from(u8::from(q < low + AT_STOP_RAD || q > high - AT_STOP_RAD))
+                let near = AT_STOP_RAD * anatomy.per_radian[j];
+                f64::from(u8::from(q < low + near || q > high - near))
             }),
             yaw_off_radps: mean(&|f| f64::from(f.yaw_rate_radps - f.command[2])).abs(),
             side_off_mps: mean(&|f| f64::from(f.velocity_mps[1] - f.command[1])).abs(),

@@ -89,7 +89,7 @@ pub fn run_scenario(
         mass_kg: model.total_mass_kg(),
         anatomy: Anatomy::of(model),
         vibration_hz: config.evaluation.gates.vibration_hz,
-        envelope: Envelope::of(model),
+        envelopes: Envelope::of_each(model),
     };
     let run = |block: Block| -> Result<Round, EvaluationError> {
         let mut config = config.clone();

@@ -1,7 +1,7 @@
 //! Evaluations as text for a person.
 
 use caudata_evaluation::{
-    AnimalRow, Estimate, Row, ScenarioResult, SuiteResult, TransitionResult, animal_score,
+    AnimalRow, Estimate, Gate, Row, ScenarioResult, SuiteResult, TransitionResult, animal_score,
 };
 use caudata_task::CommandContract;
 use caudata_task::termination::TerminationReason;
@@ -190,7 +190,10 @@ pub fn verdict(r: &ScenarioResult) -> Option<String> {
             "stands still: `caudata explain` of its run folder says why".to_owned()
         }
         (false, missed) if missed.is_empty() => "misses a gate: it falls too often".to_owned(),
-        (false, missed) => format!("misses gates: {}", missed.join("; ")),
+        (false, _) => {
+            let missed = gates.gates.iter().filter(|gate| !gate.met);
+            format!("misses gates: {}", missed.map(Gate::told).collect::<Vec<_>>().join("; "))
+        }
     })
 }
 

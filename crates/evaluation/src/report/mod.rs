@@ -9,6 +9,7 @@ mod scene;
 
 use caudata_model::RobotModel;
 use caudata_policy::PolicyFile;
+use caudata_task::{BodyPlan, PerJoint};
 use serde::Serialize;
 
 pub use film::{Curves, FilmData, motion_row, pose_row};
@@ -52,7 +53,10 @@ struct Page<'a> {
     paper: Vec<PaperRow>,
     result: &'a SuiteResult,
     robot: RobotScene,
-    servo: Envelope,
+    /// Of each joint, in policy order.
+    servos: Vec<Envelope>,
+    /// Which joints move a leg.
+    in_leg: PerJoint<bool>,
     joint_names: Vec<String>,
     foot_names: Vec<String>,
     /// One per scenario.
@@ -122,7 +126,8 @@ pub fn page(
         paper: PAPER_MPS.iter().map(|row| paper_row(row, result)).collect(),
         result,
         robot: RobotScene::of(model),
-        servo: Envelope::of(model),
+        servos: Envelope::of_each(model),
+        in_leg: BodyPlan::from_model(model).in_leg,
         joint_names: names(model.actuated_names()),
         foot_names: model.feet().iter().map(|f| f.name.clone()).collect(),
         shown: outcomes.iter().map(|o| shown(o, settings)).collect(),

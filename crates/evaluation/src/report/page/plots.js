@@ -70,7 +70,7 @@ caudata.Plots = class {
     set("body", "Spine and tail.", "Yaw joints from head (top) to tail; a wave to the tail leans to the right going down.");
     set("wave", "The wave along the body.", "How far each yaw joint lags behind the first at the common frequency, and how far it swings, over all episodes.");
     set("legs", "Legs.", this.shore ? "Hip and knee of each leg over the whole episode; shaded: the foot is on the ground; blue: the centre of mass is over water." : "Hip (solid) and knee (dashed) of each leg around the cursor; shaded: the foot is on the ground.");
-    set("servo", "Torque and speed of every servo", `in the episode shown, against the servo's envelope at ${this.page.servo.supply_v} V.`);
+    set("servo", "Torque and speed of every servo", `in the episode shown, as shares of its own largest torque and speed without load, against its envelope at ${this.page.servos[0].supply_v} V.`);
     set("path", "Seen from above.", "Way of the centre of mass in the episode shown, 1 s between dots.");
   }
 
@@ -260,26 +260,31 @@ caudata.Plots = class {
     const sheet = this.sheets.servo;
     if (!this.film) return sheet.empty("no film of this scenario");
     sheet.begin();
-    const { theme, width, height, ctx } = sheet, { servo } = this.page, { effort } = this.film;
+    const { theme, width, height, ctx } = sheet, { servos, in_leg: inLeg } = this.page, { effort } = this.film;
     const joints = effort.columns / 2;
-    let fastest = servo.taper_at_radps * 1.12;
-    for (let r = 0; r < effort.rows; r++) for (let j = 0; j < joints; j++) fastest = Math.max(fastest, Math.abs(effort.at(r, joints + j)) * 1.05);
-    const most = Math.max(servo.tau_max_nm, servo.tau_brake_max_nm) * 1.1;
-    const axes = sheet.axes({ box: [62, 24, width - 10, height - 36], x: [-fastest, fastest], y: [-most, most], xTicks: 7, yTicks: 5, xLabel: "speed, rad/s", yLabel: "torque, N·m" });
+    const speed = (r, j) => effort.at(r, joints + j) / servos[j].taper_at_radps;
+    const torque = (r, j) => effort.at(r, j) / servos[j].tau_max_nm;
+    let fastest = 1.12;
+    for (let r = 0; r < effort.rows; r++) for (let j = 0; j < joints; j++) fastest = Math.max(fastest, Math.abs(speed(r, j)) * 1.05);
+    const most = 1.1 * Math.max(1, ...servos.map((servo) => servo.tau_brake_max_nm / servo.tau_max_nm));
+    const axes = sheet.axes({ box: [62, 24, width - 10, height - 36], x: [-fastest, fastest], y: [-most, most], xTicks: 7, yTicks: 5, xLabel: "speed / speed without load", yLabel: "torque / largest torque" });
     sheet.clip(axes, () => {
       ctx.globalAlpha = 0.28;
       for (let j = 0; j < joints; j++) {
-        ctx.fillStyle = j < 8 ? theme.feet[1] : theme.accent;
-        for (let r = 0; r < effort.rows; r++) ctx.fillRect(axes.px(effort.at(r, joints + j)) - 1, axes.py(effort.at(r, j)) - 1, 2, 2);
+        ctx.fillStyle = inLeg[j] ? theme.accent : theme.feet[1];
+        for (let r = 0; r < effort.rows; r++) ctx.fillRect(axes.px(speed(r, j)) - 1, axes.py(torque(r, j)) - 1, 2, 2);
       }
       ctx.globalAlpha = 1;
     });
     const speeds = Array.from({ length: 121 }, (_, i) => (i - 60) / 60 * fastest);
-    const upper = speeds.map((v) => (v >= 0 ? caudata.drivingLimit(servo, v) : servo.tau_brake_max_nm));
-    const lower = speeds.map((v) => (v <= 0 ? -caudata.drivingLimit(servo, -v) : -servo.tau_brake_max_nm));
-    sheet.line(axes, speeds, upper, theme.bad, 1.5);
-    sheet.line(axes, speeds, lower, theme.bad, 1.5);
-    sheet.key([{ label: "spine and tail", color: theme.feet[1], dot: true }, { label: "legs", color: theme.accent, dot: true }, { label: "envelope", color: theme.bad }], 62, 11);
+    const kinds = new Map(servos.map((servo) => [JSON.stringify(servo), servo]));
+    for (const servo of kinds.values()) {
+      const limit = (v) => caudata.drivingLimit(servo, v * servo.taper_at_radps) / servo.tau_max_nm;
+      const brake = servo.tau_brake_max_nm / servo.tau_max_nm;
+      sheet.line(axes, speeds, speeds.map((v) => (v >= 0 ? limit(v) : brake)), theme.bad, 1.5);
+      sheet.line(axes, speeds, speeds.map((v) => (v <= 0 ? -limit(-v) : -brake)), theme.bad, 1.5);
+    }
+    sheet.key([{ label: "other joints", color: theme.feet[1], dot: true }, { label: "legs", color: theme.accent, dot: true }, { label: "envelope", color: theme.bad }], 62, 11);
   }
 
   path() {
