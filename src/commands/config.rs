@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use caudata_config::{Config, ConfigArgs, PRESETS, TransportKind};
+use caudata_config::{Config, ConfigArgs, PRESETS, TransportKind, can_walk};
+use caudata_model::BaseKind;
 use caudata_signing::pki::CERTIFICATE_FILE;
 use caudata_sim::{EngineKind, Terrain};
 use caudata_studies::{files, flags};
@@ -54,6 +55,9 @@ pub fn run(command: &ConfigCommand) -> Result<(), Failure> {
 /// before it begins.
 pub fn fits(config: &Config) -> Result<(), Failure> {
     let model = robot::load(&config.robot_path())?;
+    if model.base() == BaseKind::Fixed {
+        can_walk(&model).or_exit(ExitCode::BadConfig)?;
+    }
     let contract = PolicyContract::new(&model, &config.task).or_exit(ExitCode::BadConfig)?;
     Critic::new(&config.task.critic, contract.names()).or_exit(ExitCode::BadConfig)?;
     if config.learner.network.symmetric {

@@ -16,6 +16,11 @@ use crate::say::{self, WithJson};
 
 pub fn run(args: &WithJson<diagnosis::Plan>, process: &Process) -> Result<(), Failure> {
     let WithJson { plan, json } = args;
+    if plan.out.join(diagnosis::REPORT).exists() {
+        let message = format!("{} holds a diagnosis already", plan.out.display());
+        return Err(Failure::message(ExitCode::CannotCreate, message)
+            .hint("give another --out, or remove it"));
+    }
     let mut view = View::new(*json);
     let report = diagnosis::diagnose(plan, &process.stop, &mut |progress| view.show(progress));
     view.end();

@@ -1,6 +1,7 @@
 //! The run folder: where everything that a run leaves behind lies.
 
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
@@ -43,7 +44,11 @@ impl RunFolder {
     /// Makes the folder of a new run: at `out`, or `<out_dir>/<time>_<name>`.
     pub fn create(out: Option<&Path>, out_dir: &Path, name: &str) -> Result<Self, Failure> {
         let time = timestamp(SystemTime::now());
-        let root = out.map_or_else(|| out_dir.join(format!("{time}_{name}")), Path::to_owned);
+        let new = out.is_none_or(|out| !out.exists());
+        let root = match out {
+            Some(out) => out.to_owned(),
+            None => unused(out_dir, &format!("{time}_{name}"))?,
+        };
         if root.join("config.toml").exists() {
             let message = format!("{} holds a run already", root.display());
             return Err(Failure::message(ExitCode::CannotCreate, message)
@@ -51,13 +56,13 @@ impl RunFolder {
         }
         // Also the name of the stream on the policy server, which knows no capitals.
         let run_id = format!("{name}-{time}-{}", std::process::id()).to_ascii_lowercase();
-        Self::make(&root, run_id)
+        Self::make(&root, run_id, new)
     }
 
     /// The folder of a run with a given id at `root`: made, or taken up again as by [`RunFolder::reopen`].
     pub fn of_run(root: &Path, run_id: &str, wait: Wait<'_>) -> Result<Self, Failure> {
         if !root.join("run_id.txt").exists() {
-            return Self::make(root, run_id.to_owned());
+            return Self::make(root, run_id.to_owned(), !root.exists());
         }
         let folder = Self::reopen(Some(root), root, wait)?;
         if folder.run_id != run_id {
@@ -68,9 +73,8 @@ impl RunFolder {
         Ok(folder)
     }
 
-    fn make(root: &Path, run_id: String) -> Result<Self, Failure> {
+    fn make(root: &Path, run_id: String, new: bool) -> Result<Self, Failure> {
         let root = absolute(root)?;
-        let new = !root.exists();
         files::make_folder(&root)?;
         let owner = owned(&root, Duration::ZERO, &mut |_| false)?;
         let folder = Self { root, run_id, new, before: None, _owner: owner };
@@ -288,6 +292,30 @@ fn absolute(path: &Path) -> Result<PathBuf, Failure> {
         .or_exit_with(ExitCode::CannotCreate, || format!("no such path: {}", path.display()))
 }
 
+/// A new folder of this name in `out_dir`, or with a number behind it: two runs may begin in one second.
+fn unused(out_dir: &Path, name: &str) -> Result<PathBuf, Failure> {
+    /// More than anybody starts in a second.
+    const MOST: usize = 1000;
+    files::make_folder(out_dir)?;
+    for number in 1..MOST {
+        let root = out_dir.join(match number {
+            1 => name.to_owned(),
+            again => format!("{name}-{again}"),
+        });
+        match fs::create_dir(&root) {
+            Ok(()) => return Ok(root),
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
+            Err(error) => {
+                return Err(error).or_exit_with(ExitCode::CannotCreate, || {
+                    format!("cannot make {}", root.display())
+                });
+            }
+        }
+    }
+    let message = format!("{} has {MOST} runs of this second", out_dir.display());
+    Err(Failure::message(ExitCode::CannotCreate, message))
+}
+
 /// The folder of the run that began, or learnt, last.
 pub fn newest(out_dir: &Path) -> Option<PathBuf> {
     let folders = fs::read_dir(out_dir).ok()?.flatten().map(|entry| entry.path());
@@ -321,6 +349,15 @@ mod tests {
         assert_eq!(at(0), "19700101-000000");
         assert_eq!(at(951_782_400), "20000229-000000");
         assert_eq!(at(1_767_225_599), "20251231-235959");
+    }
+
+    #[test]
+    fn two_runs_of_one_second_have_a_folder_each() {
+        let dir = tempfile::tempdir().unwrap();
+        let names = ["now_walk", "now_walk-2", "now_walk-3"];
+        for name in names {
+            assert_eq!(unused(dir.path(), "now_walk").unwrap(), dir.path().join(name));
+        }
     }
 
     fn locked(root: &Path) -> Owner {

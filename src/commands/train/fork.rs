@@ -132,7 +132,8 @@ pub fn same_training(before: &Config, now: &Config) -> Result<(), Failure> {
         differing(before, now).join(", ")
     );
     Err(Failure::message(ExitCode::BadConfig, message)
-        .hint("only names, length, transport, services and telemetry may change, and what caudata tune may"))
+        .hint("only names, length, transport, services and telemetry may change so; `caudata tune` changes weights while \
+               it runs, and `--from RUN@ITERATION --set …` begins another run where this one stands"))
 }
 
 /// The keys of decisive sections whose values differ, in words.

@@ -17,6 +17,21 @@ pub(super) fn nominal(robot: &Robot, joint: &Joint) -> f64 {
     home.clamp(low, high)
 }
 
+/// Tells of joints that nothing holds: a forgotten actuator makes a leg limp.
+fn name_undriven(robot: &Robot, remarks: &mut Remarks) {
+    let driven: BTreeSet<&str> = robot.actuators.iter().map(|a| a.joint.as_str()).collect();
+    let bodies = robot.bodies.iter().filter(|body| !wheel(body));
+    let joints = bodies.flat_map(|body| &body.joints);
+    let limp = joints.filter(|j| j.stiffness == 0.0 && !driven.contains(j.name.as_str()));
+    for joint in limp.filter(|_| !driven.is_empty()) {
+        let message = format!(
+            "no actuator drives `{}` and no spring holds it, so it swings freely; if it has a motor, add its actuator",
+            joint.name
+        );
+        remarks.note_of(&joint.element, message);
+    }
+}
+
 /// Brings what was read into the form that the supported subset has.
 pub(super) fn finish(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
     if robot.bodies.is_empty() {
@@ -39,13 +54,17 @@ pub(super) fn finish(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
                 // it does not move: any mass will do
                 body.inertial = Some(Solid::unit_ball());
             } else {
-                remarks.refuse(
-                    &body.element,
-                    format!("{label} moves and has no mass; give it an <inertial>{or}"),
-                );
+                let shell = body.element.all("geom").find_map(|geom| geom.get("mesh"));
+                let of_shell = shell.map_or(String::new(), |mesh| {
+                    format!(", or its mesh `{mesh}` a file that can be read")
+                });
+                let message =
+                    format!("{label} moves and has no mass; give it an <inertial>{or}{of_shell}");
+                remarks.refuse(&body.element, message);
             }
         }
     }
+    name_undriven(robot, remarks);
     strengthen(robot, root, remarks);
     turn_imu(robot, remarks);
     shape(robot, remarks);

@@ -80,6 +80,9 @@ pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot)
             let critical = 2.0 * (kp.max(0.0) * robot.hanging_inertia(&joint)).sqrt();
             (kp, kd * gear * gear + ratio * critical)
         });
+        if e.get("dyntype").is_some_and(|kind| kind != "none") {
+            context.remarks.note_once(&e, "dyntype: the lag of the actuator is not kept");
+        }
         for key in ["kp", "kv"] {
             e.not_negative(key, context.remarks);
         }
