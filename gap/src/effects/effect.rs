@@ -225,12 +225,7 @@ impl Effect {
         let near = 1e-6 * (high - low);
         let neutral = self.neutral(model, place)[index];
         let moved = (value - neutral).abs() >= near && value.abs() >= near;
-        // far from nothing a fit stops a little short of the bound that it is drawn to
-        let end = |bound: f64| match (bound - neutral).abs() > 0.4 * (high - low) {
-            true => 5e-3 * (high - low),
-            false => near,
-        };
-        !a_share && moved && (value <= low + end(low) || value >= high - end(high))
+        !a_share && moved && (value <= low + near || value >= high - near)
     }
 
     /// Smallest change of parameter `index` that matters, SI.

@@ -124,7 +124,7 @@ fn an_actor_takes_an_incarnation_that_the_learner_listens_to() {
 #[test]
 fn a_progress_file_that_cannot_be_written_ends_the_run_in_good_order() {
     let learner =
-        format!("{STARTED}; trap 'touch $RUN/asked; exit 0' TERM; while :; do sleep 0.02; done");
+        format!("trap 'touch $RUN/asked; exit 0' TERM; {STARTED}; while :; do sleep 0.02; done");
     let stage = Stage::new(&learner, "exec sleep 600");
     std::os::unix::fs::symlink("/dev/full", stage.folder.progress()).unwrap();
     let failure = stage.run().err().unwrap();
@@ -204,7 +204,7 @@ fn a_killed_learner_of_a_cluster_goes_on_from_its_checkpoint() {
 #[test]
 fn an_actor_that_cannot_work_ends_the_run_with_its_exit_code() {
     let learner = format!(
-        "{STARTED}; trap '{}; exit 0' TERM; {}",
+        "trap '{}; exit 0' TERM; {STARTED}; {}",
         finished("SIGTERM").replace('\'', "'\\''"),
         "while :; do sleep 0.02; done"
     );
@@ -217,7 +217,7 @@ fn an_actor_that_cannot_work_ends_the_run_with_its_exit_code() {
 
 #[test]
 fn an_actor_that_keeps_dying_is_given_up() {
-    let learner = format!("{STARTED}; trap 'exit 0' TERM; while :; do sleep 0.02; done");
+    let learner = format!("trap 'exit 0' TERM; {STARTED}; while :; do sleep 0.02; done");
     let mut stage = Stage::new(&learner, "exit 70");
     stage.config.actors.restarts_per_minute = 1;
     let failure = stage.run().err().unwrap();
