@@ -7,11 +7,11 @@ use super::series::{busiest, median_step_s};
 
 /// Rows are missing in a row where a step is longer than so many median steps: of a single missing row the command is
 /// nearly what it was before.
-const STEPS: f64 = 2.5;
+const MISSING_STEPS: f64 = 2.5;
 /// A robot is where its commands have brought it so long after those that nobody knows, s.
 const FORGOTTEN_S: f64 = 0.5;
 /// A run that has more of its time in holes than this is not left out bit by bit: its rows come as they come.
-const MOST: f64 = 0.25;
+const MOST_OF_A_RUN: f64 = 0.25;
 
 /// A hole.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -33,7 +33,7 @@ pub(crate) fn holes(table: &Table) -> Vec<Hole> {
     let (Some(first), Some(last)) = (time_s.first(), time_s.last()) else {
         return Vec::new();
     };
-    let long = time_s.windows(2).filter(|w| w[1] - w[0] > STEPS * median_s);
+    let long = time_s.windows(2).filter(|w| w[1] - w[0] > MISSING_STEPS * median_s);
     let holes: Vec<Hole> = long
         .filter(|w| told_otherwise(table, w[0], w[1]))
         .map(|w| Hole {
@@ -44,7 +44,7 @@ pub(crate) fn holes(table: &Table) -> Vec<Hole> {
         })
         .collect();
     let all_s: f64 = holes.iter().map(|h| h.until_s - h.from_s).sum();
-    if all_s > MOST * (last - first) { Vec::new() } else { holes }
+    if all_s > MOST_OF_A_RUN * (last - first) { Vec::new() } else { holes }
 }
 
 /// Whether any command is another one after a hole than before.

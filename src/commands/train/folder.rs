@@ -295,9 +295,9 @@ fn absolute(path: &Path) -> Result<PathBuf, Failure> {
 /// A new folder of this name in `out_dir`, or with a number behind it: two runs may begin in one second.
 fn unused(out_dir: &Path, name: &str) -> Result<PathBuf, Failure> {
     /// More than anybody starts in a second.
-    const MOST: usize = 1000;
+    const RUNS_A_SECOND: usize = 1000;
     files::make_folder(out_dir)?;
-    for number in 1..MOST {
+    for number in 1..RUNS_A_SECOND {
         let root = out_dir.join(match number {
             1 => name.to_owned(),
             again => format!("{name}-{again}"),
@@ -312,7 +312,7 @@ fn unused(out_dir: &Path, name: &str) -> Result<PathBuf, Failure> {
             }
         }
     }
-    let message = format!("{} has {MOST} runs of this second", out_dir.display());
+    let message = format!("{} has {RUNS_A_SECOND} runs of this second", out_dir.display());
     Err(Failure::message(ExitCode::CannotCreate, message))
 }
 

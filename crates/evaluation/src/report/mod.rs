@@ -53,7 +53,7 @@ struct Page<'a> {
     paper: Vec<PaperRow>,
     result: &'a SuiteResult,
     robot: RobotScene,
-    /// Of each joint, in policy order.
+    /// What the servo of each joint can give, in policy order.
     servos: Vec<Envelope>,
     /// Which joints move a leg.
     in_leg: PerJoint<bool>,
