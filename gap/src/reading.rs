@@ -66,7 +66,8 @@ pub fn trial(model: &RobotModel, run: &Run) -> Result<Trial, GapError> {
         channels,
         meta: meta.clone(),
         group: 0,
-        masked_s: holes(table).iter().map(|h| (h.from_s, h.until_s)).collect(),
+        masked_s: Vec::new(),
+        holes_s: holes(table).iter().map(|h| (h.from_s, h.until_s)).collect(),
         members: Vec::new(),
         session: 0.0,
     })

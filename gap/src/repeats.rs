@@ -59,7 +59,7 @@ fn mean(first: &Trial, members: Vec<Trial>) -> Trial {
             let (mut sum, mut count) = (0.0, 0.0);
             for (m, c) in &others {
                 let at = m.span_s.0 + since;
-                if !m.masked_s.iter().any(|(a, b)| (*a..=*b).contains(&at)) {
+                if !m.is_left_out(at) {
                     let value = c.at(at);
                     // each run counts its turns from where it began
                     sum += if yaw { nearest_turn(value, channel.value[k]) } else { value };
@@ -74,7 +74,7 @@ fn mean(first: &Trial, members: Vec<Trial>) -> Trial {
     let volts: Vec<f64> = members.iter().filter_map(|t| t.supply_v).collect();
     trial.supply_v = (!volts.is_empty()).then(|| volts.iter().sum::<f64>() / volts.len() as f64);
     trial.session = members.iter().map(|t| t.session).sum::<f64>() / n;
-    // only what all members lack is missing
+    // only what all members lack is missing; holes of the commands that are replayed stay
     trial.masked_s = Vec::new();
     trial.members = members;
     trial
@@ -163,6 +163,15 @@ mod tests {
         runs[2].meta.kp = Some(0.5);
         group(&model, &mut runs);
         assert_eq!([0, 1, 2].map(|k| runs[k].group), [0, 1, 2]);
+    }
+
+    #[test]
+    fn a_hole_in_the_commands_that_are_replayed_stays_in_the_mean() {
+        let mut runs = [turned([0.0; 3]), turned([0.0; 3])];
+        runs[0].masked_s.push((0.0, 0.2));
+        runs[0].holes_s.push((0.4, 0.6));
+        let mean = collapse(&runs).swap_remove(0);
+        assert!(!mean.is_left_out(0.1) && mean.is_left_out(0.5) && !mean.is_left_out(0.7));
     }
 
     #[test]

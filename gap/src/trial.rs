@@ -179,6 +179,9 @@ pub struct Trial {
     pub group: usize,
     /// Stretches of time that do not count (somebody touched the robot, …), s.
     pub masked_s: Vec<(f64, f64)>,
+    /// Stretches of time after rows that are missing while commands changed, which do not count either, s: those of
+    /// the commands that are replayed, whatever repeats have there.
+    pub holes_s: Vec<(f64, f64)>,
     /// The runs that this one is the mean of; empty for a single run.
     pub members: Vec<Trial>,
     /// Where in the session it was recorded, 0 (first run) to 1 (last).
@@ -186,6 +189,11 @@ pub struct Trial {
 }
 
 impl Trial {
+    /// Whether what was measured at time `t_s` does not count.
+    pub fn is_left_out(&self, t_s: f64) -> bool {
+        self.masked_s.iter().chain(&self.holes_s).any(|(from, to)| (*from..=*to).contains(&t_s))
+    }
+
     /// s.
     pub fn duration_s(&self) -> f64 {
         self.span_s.1 - self.span_s.0
@@ -212,6 +220,7 @@ impl Trial {
             supply_v: None,
             group: 0,
             masked_s: Vec::new(),
+            holes_s: Vec::new(),
             members: Vec::new(),
             session: 0.0,
         }

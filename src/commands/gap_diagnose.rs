@@ -79,7 +79,9 @@ fn verdict(report: &Report) -> Result<(), Failure> {
             // a run of the user's own
             None => format!("record {} once more", next.trial),
         }),
-        None if report.unfinished => failure.hint("give it more time: --budget 10min"),
+        None if report.unfinished => {
+            failure.hint("give it more time, and another --out: --budget 10min")
+        }
         None => failure,
     })
 }

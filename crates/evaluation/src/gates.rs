@@ -55,7 +55,10 @@ impl Gate {
         let limits = self.at_least.map(|x| format!("at least {x}")).into_iter();
         let limits = limits.chain(self.at_most.map(|x| format!("at most {x}")));
         let limits: Vec<String> = limits.collect();
-        format!("{} {:.3} ({})", self.name, self.value, limits.join(", "))
+        // three digits that count, so that it never reads as its limit
+        let before = self.value.abs().max(1e-6).log10().floor() as i32;
+        let digits = usize::try_from(2 - before).unwrap_or(0);
+        format!("{} {:.digits$} ({})", self.name, self.value, limits.join(", "))
     }
 
     /// How far beyond its limit: 1 − value/limit of one that is too small, 1 − limit/value of one that is too large;
@@ -272,7 +275,7 @@ mod tests {
         }
         let report = GateReport::of(&[gait], &limits, true);
         let missed = report.gates.iter().find(|gate| !gate.met).map(Gate::told);
-        assert_eq!(missed.as_deref(), Some("overlaps itself 0.080 (at most 0.01)"));
+        assert_eq!(missed.as_deref(), Some("overlaps itself 0.0800 (at most 0.01)"));
     }
 
     /// Also where posture is not judged a robot that is told to go straight must not go in circles; rough ground may

@@ -345,12 +345,12 @@ impl Checker<'_> {
     }
 
     fn spring(&self, at: &str, j: &PassiveJoint) -> Result<(), ModelError> {
-        for (name, v) in [
-            ("stiffness_nm_per_rad", j.stiffness_nm_per_rad),
-            ("damping_nm_s_per_rad", j.damping_nm_s_per_rad),
-            ("friction_loss_nm", j.friction_loss_nm),
+        for (name, v, most) in [
+            ("stiffness_nm_per_rad", j.stiffness_nm_per_rad, STIFFEST),
+            ("damping_nm_s_per_rad", j.damping_nm_s_per_rad, MOST_DAMPED),
+            ("friction_loss_nm", j.friction_loss_nm, 1e4),
         ] {
-            self.within(&format!("{at}.{name}"), v, 0.0, STIFFEST)?;
+            self.within(&format!("{at}.{name}"), v, 0.0, most)?;
         }
         Ok(())
     }

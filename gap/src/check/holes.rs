@@ -43,20 +43,29 @@ pub(crate) fn holes(table: &Table) -> Vec<Hole> {
             rows: ((w[1] - w[0]) / median_s).round() as usize - 1,
         })
         .collect();
-    let all_s: f64 = holes.iter().map(|h| h.until_s - h.from_s).sum();
+    let mut reached_s = *first;
+    let mut all_s = 0.0;
+    for hole in &holes {
+        let until_s = hole.until_s.min(*last);
+        all_s += (until_s - hole.from_s.max(reached_s)).max(0.0);
+        reached_s = reached_s.max(until_s);
+    }
     if all_s > MOST_OF_A_RUN * (last - first) { Vec::new() } else { holes }
 }
 
-/// Whether any command is another one after a hole than before.
+/// Whether any command is another one after a hole than before, and none tells what it was in between.
 fn told_otherwise(table: &Table, from_s: f64, to_s: f64) -> bool {
     let commands = table.signals().iter().filter(|s| matches!(s, Signal::Command(_)));
-    let mut columns = commands.filter_map(|signal| table.column(signal));
-    columns.any(|column| {
-        let known = || table.time_s().iter().zip(column).filter_map(|(t, v)| Some((*t, (*v)?)));
-        let before = known().take_while(|(t, _)| *t <= from_s).last();
-        let after = known().find(|(t, _)| *t >= to_s);
-        matches!((before, after), (Some(b), Some(a)) if b.1 != a.1)
-    })
+    let time_s = table.time_s();
+    let (low, high) =
+        (time_s.partition_point(|t| *t <= from_s), time_s.partition_point(|t| *t < to_s));
+    let changes = |column: &[Option<f64>]| {
+        let before = column[..low].iter().rev().flatten().next();
+        let after = column[high..].iter().flatten().next();
+        let known = column[low..high].iter().any(Option::is_some);
+        !known && matches!((before, after), (Some(b), Some(a)) if b != a)
+    };
+    commands.filter_map(|signal| table.column(signal)).any(changes)
 }
 
 #[cfg(test)]

@@ -8,17 +8,15 @@ use crate::effects::Effect;
 use crate::error::GapError;
 use crate::replay::Term;
 
-/// Whether two models predict the same of the runs that are fitted, to a hundredth of what counts.
+/// Whether two models predict the same, to a hundredth of what counts.
 pub fn indistinguishable(a: &State, b: &State) -> bool {
-    predict_the_same(&a.fit, &b.fit)
-}
-
-/// Whether two predictions of the same runs are one, to a hundredth of what counts.
-pub fn predict_the_same(a: &On, b: &On) -> bool {
     const SAME: f64 = 0.01;
-    let pairs = a.residual.iter().zip(&b.residual);
-    let square: f64 = pairs.map(|(x, y)| f64::from(x - y).powi(2)).sum();
-    square / (a.residual.len().max(1) as f64) < SAME
+    let apart = |a: &On, b: &On| -> f64 {
+        let pairs = a.residual.iter().zip(&b.residual);
+        let square: f64 = pairs.map(|(x, y)| f64::from(x - y).powi(2)).sum();
+        square / a.residual.len().max(1) as f64
+    };
+    apart(&a.fit, &b.fit) < SAME
 }
 
 /// Whether `other` beside the effects of `model` would do nothing that other sizes of those do not do as well:

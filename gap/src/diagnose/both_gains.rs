@@ -26,8 +26,12 @@ pub fn told_apart(context: &Context, best: &State) -> Result<Option<State>, GapE
         let Some(one) = best.terms.iter().find(on_one) else { continue };
         let missing = |id: &str| EACH.contains(&id) && id != one.effect.id;
         let Some(&effect) = context.effects.iter().find(|e| missing(e.id)) else { continue };
+        let other = Term::nothing(model, effect, both.place.clone());
+        if best.terms.iter().any(|t| t.same(&other)) {
+            continue;
+        }
         let mut terms = best.terms.clone();
-        terms[index] = Term::nothing(model, effect, both.place.clone());
+        terms[index] = other;
         let state = fitted(context, terms, Some(LAST_STEPS))?;
         if penalised(context, &state) <= NO_MORE * penalised(context, best) {
             return Ok(Some(state));

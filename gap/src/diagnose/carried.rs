@@ -1,7 +1,6 @@
 //! Which model goes into the extended file. The names of causes are one thing, the model another: it holds
 //! whatever the runs that were fitted support, named or not.
 
-use super::alike::predict_the_same;
 use super::extend::{entry, parameters};
 use super::fits::{fitted, penalised, single};
 use super::folds::jackknife;
@@ -172,7 +171,7 @@ pub fn refuse(
 fn nearer(context: &Context, base: &State, state: &State) -> bool {
     state.terms.is_empty()
         || gates::nearer(context, base, state)
-        || predict_the_same(&base.holdout, &state.holdout)
+        || gates::silent(context, base, state)
 }
 
 /// Standard deviations of the parameters of `state` by the jackknife over the parts of the runs, SI.

@@ -259,6 +259,23 @@ pub fn nearer(context: &Context, from: &State, to: &State) -> bool {
     left < HELD_OUT || left <= 1.0 && of(from).iter().zip(&of(to)).any(falls)
 }
 
+/// Whether held-out runs say nothing of what `to` has beyond `from`: they predict the same of them, at every joint to a
+/// hundredth of what counts.
+pub fn silent(context: &Context, from: &State, to: &State) -> bool {
+    const SAME: f64 = 0.01;
+    let judge = &context.holdout;
+    let joints = context.replayer.model().actuated().len();
+    let mut sums = vec![(0.0, 0.0); joints + 1];
+    for piece in judge.data.pieces() {
+        let (square, n) = &mut sums[group(joints, piece)];
+        let (one, other) = (&from.holdout.residual, &to.holdout.residual);
+        let apart = one[piece.range.clone()].iter().zip(&other[piece.range.clone()]);
+        *square += apart.map(|(x, y)| f64::from(x - y).powi(2)).sum::<f64>();
+        *n += piece.range.len() as f64;
+    }
+    judge.data.len() > 0 && sums.iter().all(|(square, n)| *square < SAME * f64::max(*n, 1.0))
+}
+
 /// Samples that `place` concerns: channels of its joints, if it names joints; else all.
 fn mask(judge: &Judge, place: Option<&Place>) -> Vec<bool> {
     let named = place.filter(|p| p.domain == Domain::Joints && !p.names.is_empty());

@@ -200,7 +200,7 @@ impl<'a> Together<'a> {
         }
         let heard: Vec<Heard> =
             (runs.iter()).map(|t| Heard::of(replayer, t, a)).collect::<Option<_>>()?;
-        let masked = |t: &Trial, at: f64| t.masked_s.iter().any(|(a, b)| (*a..=*b).contains(&at));
+        let masked = |t: &Trial, at: f64| t.is_left_out(at);
         let all_at = |&t: &f64| {
             let since = t - first.span_s.0;
             let each = runs.iter().zip(&heard).map(|(run, heard)| {

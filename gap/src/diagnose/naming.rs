@@ -100,7 +100,7 @@ pub fn name(context: &Context, found: &mut Found, out: &mut Vec<Named>) -> Resul
     // Ends: a step either drops a cause or leads to a model that was not the best before, which is smaller or
     // leaves far less.
     let mut seen: BTreeSet<Vec<String>> = BTreeSet::new();
-    if let Some(plain) = told_apart(context, &found.best)? {
+    while let Some(plain) = told_apart(context, &found.best)? {
         found.best = plain;
     }
     'again: loop {

@@ -78,6 +78,8 @@ pub fn search(
     grow(context, found, 1, progress)?;
     if let Some(other) = exchanged(context, &found.base, &found.best, &found.singles)? {
         found.best = other;
+        context.find_basis(&mut found.best)?;
+        forget_refusals(found);
         let depth = found.best.terms.len();
         progress(Progress::new(Stage::Accepted, depth, &found.best.label()));
         grow(context, found, depth + 1, progress)?;
@@ -146,12 +148,16 @@ fn from_built(context: &mut Context, found: &mut Found, built: &Joints) -> Resul
     let worth = gates::worth(context, &found.best, &shorter, None);
     if worth.passed && penalised(context, &shorter) < penalised(context, &found.best) {
         found.best = shorter;
-        // what was refused beside the older best may be a cause now
-        let Found { best, refused, .. } = &mut *found;
-        let new = |t: &Term| !best.terms.iter().any(|b| b.same(t));
-        refused.retain(|(s, _)| s.terms.last().is_none_or(new));
+        forget_refusals(found);
     }
     take_anew(context, found)
+}
+
+/// What was refused beside an older best may be a cause now.
+fn forget_refusals(found: &mut Found) {
+    let Found { best, refused, .. } = found;
+    let new = |t: &Term| !best.terms.iter().any(|b| b.same(t));
+    refused.retain(|(s, _)| s.terms.last().is_none_or(new));
 }
 
 /// The terms of `best` and, of the joint that it leaves most at, those of `built` that matter.

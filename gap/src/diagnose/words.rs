@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use super::alike::predict_the_same;
 use super::carried::NO_NEARER;
 use super::doubt::Doubts;
+use super::gates;
 use super::levels::{BUILT, CAREFUL_LAB, NOTHING_LEFT};
 use super::naming::{Named, Rival};
 use super::request::Split;
@@ -125,7 +125,7 @@ pub fn summary(
             state.label()
         ));
     }
-    if !found.best.terms.is_empty() && predict_the_same(&found.base.holdout, &found.best.holdout) {
+    if !found.best.terms.is_empty() && gates::silent(context, &found.base, &found.best) {
         text.push_str(
             " No held-out run shows what was found, so it rests on cross-validation of the others: hold out one that shows it (--holdout).",
         );

@@ -50,16 +50,18 @@ fn rising(recording: &Recording) -> Result<Option<(String, &'static str)>, Impor
     let mut found = Vec::new();
     for sheet in &recording.sheets {
         for column in sheet.header() {
-            let Some(stamps) = sheet.values(column, None)?.into_iter().collect::<Option<Vec<_>>>()
-            else {
-                continue;
-            };
+            // a column of words, or with holes, is no clock
+            let Ok(values) = sheet.values(column, None) else { continue };
+            let Some(stamps) = values.into_iter().collect::<Option<Vec<_>>>() else { continue };
             let steps = || stamps.windows(2).map(|w| w[1] - w[0]);
             if stamps.len() < FEWEST_STAMPS || steps().any(|step| step <= 0.0) {
                 continue;
             }
-            let named =
-                Words::of(column).unit.filter(|name| unit(name).is_ok_and(|(_, of)| of == "time"));
+            let named = Words::of(column).unit;
+            let of_time = |name: &&str| unit(name).is_ok_and(|(_, of)| of == "time");
+            if named.is_some_and(|name| !of_time(&name)) {
+                continue;
+            }
             if named.is_some() || steps().any(|step| step != 1.0) {
                 found.push((column.to_owned(), named, clock_unit(&stamps)));
             }
@@ -95,9 +97,9 @@ mod tests {
 
     #[test]
     fn the_only_column_that_rises_is_the_clock() {
-        // an index counts rows, and the angle goes back and forth
-        let row = |k: usize| format!("{k},{},{}", 20 * k, (0.3 * k as f64).sin());
-        let clock = of(",Tick(ms),w_ist [deg]", row).unwrap();
+        // an index counts rows, an angle may rise, and a mode is a word
+        let row = |k: usize| format!("{k},{},{k}.5,hold", 20 * k);
+        let clock = of(",Tick(ms),w_ist [deg],mode", row).unwrap();
         assert_eq!((clock.column.as_str(), clock.unit), ("Tick(ms)", "ms"));
         assert!(clock.remark.contains("only column that rises"));
         // without a unit by its steps: 0.02 apart can be no milliseconds

@@ -109,7 +109,7 @@ impl Data {
             let high = channel.time_s.partition_point(|&t| t < end_s);
             for k in (low..high).step_by(stride) {
                 let t = channel.time_s[k];
-                if trial.masked_s.iter().any(|(a, b)| (*a..=*b).contains(&t)) {
+                if trial.is_left_out(t) {
                     continue;
                 }
                 self.time_s.push(t);

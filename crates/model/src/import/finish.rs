@@ -55,9 +55,8 @@ pub(super) fn finish(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
                 body.inertial = Some(Solid::unit_ball());
             } else {
                 let shell = body.element.all("geom").find_map(|geom| geom.get("mesh"));
-                let of_shell = shell.map_or(String::new(), |mesh| {
-                    format!(", or its mesh `{mesh}` a file that can be read")
-                });
+                let of_shell =
+                    shell.map_or(String::new(), |mesh| format!("; was its mesh `{mesh}` found?"));
                 let message =
                     format!("{label} moves and has no mass; give it an <inertial>{or}{of_shell}");
                 remarks.refuse(&body.element, message);

@@ -225,7 +225,7 @@ fn outside_its_band_a_controller_may_act_on_the_whole_error() {
 }
 
 #[test]
-fn what_takes_less_than_it_leaves_is_a_lead() {
+fn what_makes_up_for_a_law_is_carried_and_no_finding() {
     let root = tempfile::tempdir().unwrap();
     recorded("friction_drift", Block::Single, root.path());
     let report = diagnosed(&root.path().join("case"));
@@ -235,13 +235,13 @@ fn what_takes_less_than_it_leaves_is_a_lead() {
         panic!("{}: {}", report.summary, in_words(&report.causes));
     };
     assert_eq!(cause.effect, "friction_drift");
-    let [lead] = report.leads.as_slice() else {
-        panic!("{}: {}", report.summary, in_words(&report.leads));
-    };
-    assert_eq!(lead.effect, "pre_sliding");
     // how much of it there is hangs on the speed, which says nothing of the drift
     assert!(cause.confidence > 0.7, "{}: {}", report.summary, in_words(&report.causes));
-    assert!(report.summary.contains("a lead and no finding"), "{}", report.summary);
+    // a lead, or without a name: that hangs on which of its chirps are taken for repeats
+    let bends = report.model.iter().find(|m| m.effect == "pre_sliding").unwrap();
+    let leads = report.leads.iter().all(|lead| lead.effect == "pre_sliding");
+    assert!(leads && bends.named != report.leads.is_empty(), "{}", report.summary);
+    assert!(report.summary.contains("no finding"), "{}", report.summary);
 }
 
 #[test]
