@@ -128,6 +128,8 @@ fn who_stays_where_it_is_arrives_nowhere_and_rough_gets_over_three_centimetres()
 /// robot file as it is.
 #[test]
 fn policies_of_other_robots_walk() {
+    // legs that brush do so now and then, which a few seconds cannot tell from often
+    let settings = Settings { episodes: 32, episode_s: 12.0, ..Settings::default() };
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../policies");
     let mut walked = 0;
     for name in PRESETS.iter().filter(|p| p.derived).map(|p| p.name) {
@@ -141,7 +143,7 @@ fn policies_of_other_robots_walk() {
         assert_eq!(*robot, model.hash_hex(), "{name}");
         let command = [config.evaluation.command_mps as f32, 0.0, 0.0];
         let walk = Scenario::walk(name, command);
-        let outcome = run_scenario(&config, &model, &policy, &walk, &settings(), &|| true).unwrap();
+        let outcome = run_scenario(&config, &model, &policy, &walk, &settings, &|| true).unwrap();
         let missed = outcome.result.gates.as_ref().map(|gates| gates.missed());
         assert_eq!(outcome.result.walks(), Some(true), "{name}: {missed:?}");
         walked += 1;
