@@ -273,7 +273,7 @@ pub fn silent(context: &Context, from: &State, to: &State) -> bool {
         *square += apart.map(|(x, y)| f64::from(x - y).powi(2)).sum::<f64>();
         *n += piece.range.len() as f64;
     }
-    judge.data.len() > 0 && sums.iter().all(|(square, n)| *square < SAME * f64::max(*n, 1.0))
+    !judge.data.is_empty() && sums.iter().all(|(square, n)| *square < SAME * f64::max(*n, 1.0))
 }
 
 /// Samples that `place` concerns: channels of its joints, if it names joints; else all.
