@@ -87,6 +87,15 @@ impl Kind {
         }
     }
 
+    /// SI unit of all joints or components together: both where some joints slide and others do not.
+    pub fn unit_of_all(self, model: &RobotModel) -> String {
+        let mut units: Vec<&str> =
+            (0..model.actuated().len()).map(|joint| self.unit_at(model, joint)).collect();
+        units.sort_unstable();
+        units.dedup();
+        units.join(" and ")
+    }
+
     /// Whether component `index` says where the robot is in the world, which no two runs of a free robot
     /// agree on.
     pub fn of_place(self, index: usize) -> bool {

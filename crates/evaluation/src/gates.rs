@@ -55,7 +55,7 @@ impl Gate {
         let limits = self.at_least.map(|x| format!("at least {x}")).into_iter();
         let limits = limits.chain(self.at_most.map(|x| format!("at most {x}")));
         let limits: Vec<String> = limits.collect();
-        // three digits that count, so that it never reads as its limit
+        // three digits that count: 0.0014 must not read as its limit of 0.001
         let before = self.value.abs().max(1e-6).log10().floor() as i32;
         let digits = usize::try_from(2 - before).unwrap_or(0);
         format!("{} {:.digits$} ({})", self.name, self.value, limits.join(", "))

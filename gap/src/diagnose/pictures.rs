@@ -121,7 +121,7 @@ fn horizons(context: &Context, found: &Found, model: &State) -> Vec<Horizon> {
             horizon_s.push(longest.max(HORIZONS_S[HORIZONS_S.len() - 1]));
             Horizon {
                 signal: kind.name().to_owned(),
-                unit: kind.unit_at(context.replayer.model(), 0).to_owned(),
+                unit: kind.unit_of_all(context.replayer.model()),
                 horizon_s,
                 before: of(0),
                 after: if model.terms.is_empty() && context.losses.is_none() {

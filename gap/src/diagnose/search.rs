@@ -76,7 +76,8 @@ pub fn search(
     progress: &mut dyn FnMut(Progress),
 ) -> Result<(), GapError> {
     grow(context, found, 1, progress)?;
-    if let Some(other) = exchanged(context, &found.base, &found.best, &found.singles)? {
+    let room = found.best.terms.len() < MOST_TERMS;
+    if room && let Some(other) = exchanged(context, &found.base, &found.best, &found.singles)? {
         found.best = other;
         context.find_basis(&mut found.best)?;
         forget_refusals(found);
