@@ -5,8 +5,8 @@ use caudata_telemetry::{Failure, Process};
 use clap::Subcommand;
 
 use super::{
-    gap_apply, gap_check, gap_diagnose, gap_excite, gap_import, gap_policies, gap_report,
-    gap_session,
+    gap_apply, gap_check, gap_diagnose, gap_effects, gap_excite, gap_import, gap_policies,
+    gap_report, gap_session,
 };
 use crate::say::WithJson;
 
@@ -14,6 +14,8 @@ use crate::say::WithJson;
 pub enum GapCommand {
     /// Look at logs before any physics: faults, what they excite, what they cannot tell
     Check(gap_check::CheckArgs),
+    /// List the effects that a diagnosis can name, or say what tells some of them apart
+    Effects(gap_effects::EffectsArgs),
     /// Turn recordings of other projects into log folders
     Import(gap_import::ImportArgs),
     /// Say where simulation and measurement part, why, and what it is worth to know
@@ -38,6 +40,7 @@ pub enum GapCommand {
 pub fn run(command: &GapCommand, process: &Process) -> Result<(), Failure> {
     match command {
         GapCommand::Check(args) => gap_check::run(args),
+        GapCommand::Effects(args) => gap_effects::run(args),
         GapCommand::Import(args) => gap_import::run(args),
         GapCommand::Diagnose(args) => gap_diagnose::run(args, process),
         GapCommand::Session(args) => gap_session::run(args, process),

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use caudata_gap::check::{CheckVerdict, Checked, JointExcitation, RunCheck, check_dirs};
+use caudata_model::RobotModel;
 use caudata_studies::diagnosis::logs_at;
 use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure};
@@ -28,7 +29,7 @@ pub fn run(args: &CheckArgs) -> Result<(), Failure> {
     let robot = files::robot(&args.robot)?;
     let dirs = logs_at(&args.logs)?;
     let (_, checked) = check_dirs(&dirs, &robot);
-    say::either(args.json, &checked, print)?;
+    say::either(args.json, &checked, |checked| print(checked, &robot))?;
     match checked.verdict {
         CheckVerdict::Ok => Ok(()),
         CheckVerdict::DataFault => {
@@ -39,9 +40,9 @@ pub fn run(args: &CheckArgs) -> Result<(), Failure> {
     }
 }
 
-fn print(checked: &Checked) {
-    let head = ["run", "rows", "s", "Hz", "base", "joints", "fastest rad/s", "band Hz", "logged"];
-    say::table(&head, checked.runs.iter().map(row));
+fn print(checked: &Checked, robot: &RobotModel) {
+    let head = ["run", "rows", "s", "Hz", "base", "joints", "fastest", "band Hz", "logged"];
+    say::table(&head, checked.runs.iter().map(|run| row(run, robot)));
     let repeated = checked.repeats.iter().filter(|g| g.len() > 1).count();
     let guessed = match repeated == 0 && checked.runs.len() > 1 {
         true => ": without repeats the noise must be guessed",
@@ -81,7 +82,7 @@ fn print(checked: &Checked) {
     }
 }
 
-fn row(run: &RunCheck) -> Vec<String> {
+fn row(run: &RunCheck, robot: &RobotModel) -> Vec<String> {
     let e = &run.excites;
     let most =
         |value: &dyn Fn(&JointExcitation) -> f64| e.joints.iter().map(value).fold(0.0, f64::max);
@@ -96,8 +97,20 @@ fn row(run: &RunCheck) -> Vec<String> {
         format!("{:.0}", run.rate_hz),
         format!("{:?}", e.base).to_lowercase(),
         e.joints.len().to_string(),
-        format!("{:.2}", most(&|j| j.speed_max_radps)),
+        fastest(&e.joints, robot),
         if high > 0.0 { format!("{low:.1} to {high:.1}") } else { "rests".to_owned() },
         kinds.join(" "),
     ]
+}
+
+/// Highest speed of the joints that turn, and of those that slide.
+fn fastest(joints: &[JointExcitation], robot: &RobotModel) -> String {
+    let of_unit = |unit: &str| {
+        let has = |j: &&JointExcitation| {
+            robot.joints().iter().any(|own| own.name == j.joint && own.unit() == unit)
+        };
+        let speeds = joints.iter().filter(has).map(|j| j.speed_max_radps);
+        speeds.reduce(f64::max).map(|speed| format!("{speed:.2} {unit}/s"))
+    };
+    ["rad", "m"].into_iter().filter_map(of_unit).collect::<Vec<_>>().join(", ")
 }

@@ -48,6 +48,11 @@ pub fn run(args: &ExciteArgs) -> Result<(), Failure> {
     files::write_json(&args.out.join("battery.json"), &about)?;
     say::either(args.json, &about, |_| {
         print(&trials);
+        let mut driven = robot.actuated().iter().map(|&j| &robot.joints()[j]);
+        if let Some(slide) = driven.find(|j| j.unit() == "m") {
+            let way_mm = slide.per_radian() * 10.0;
+            say::line(format!("At joints that slide 10 mrad of a purpose are {way_mm:.0} mm"));
+        }
         let out = args.out.display();
         say::line(format!("\n{} command file(s) are in {out}", trials.len()));
     })

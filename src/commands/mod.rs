@@ -11,6 +11,7 @@ pub mod gap;
 mod gap_apply;
 mod gap_check;
 mod gap_diagnose;
+mod gap_effects;
 mod gap_excite;
 mod gap_import;
 mod gap_policies;

@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 use caudata_model::RobotModel;
 
 use super::judge::Judge;
-use super::product::dot;
 use super::state::{Context, On};
 use crate::report::LocalGap;
 use crate::trial::Kind;
@@ -32,39 +31,58 @@ pub fn local_gaps(context: &Context, fit: &On, holdout: &On) -> Vec<LocalGap> {
     out
 }
 
-/// The worst window of each run and joint.
+/// The worst window of each run and joint. A window goes on over the stretches that a free robot is replayed in.
 fn of_runs(model: &RobotModel, judge: &Judge, on: &On) -> Vec<LocalGap> {
     let data = &judge.data;
-    let mut worst: BTreeMap<(usize, usize), LocalGap> = BTreeMap::new();
+    let mut windows: BTreeMap<(usize, usize), Vec<Window>> = BTreeMap::new();
     for segment in &data.segments {
-        let trial = &data.trials[segment.trial];
         for piece in segment.pieces.iter().filter(|p| p.kind == Kind::Position) {
-            let mut from = piece.range.start;
-            while from < piece.range.end {
-                let until_s = data.time_s[from] + LOCAL_WINDOW_S;
-                let times = &data.time_s[from..piece.range.end];
-                let to = from + times.partition_point(|t| *t < until_s).max(1);
-                let n = (to - from) as f64;
-                let part = &on.residual[from..to];
-                let raw = |k: usize| data.value[k] - f64::from(on.prediction[k]);
-                let square: f64 = (from..to).map(|k| raw(k).powi(2)).sum();
-                let gap = LocalGap {
-                    run: trial.name.clone(),
-                    joint: trial.channels[piece.channel].name.clone(),
-                    from_s: data.time_s[from],
-                    to_s: data.time_s[to - 1],
-                    rms_rad: (square / n).sqrt(),
-                    unit: piece.kind.unit_at(model, piece.index).to_owned(),
-                    ratio: (dot(part, part) / n).sqrt(),
-                };
-                let own = worst.entry((segment.trial, piece.index));
-                let own = own.or_insert_with(|| gap.clone());
-                if gap.ratio > own.ratio {
-                    *own = gap;
+            let own = windows.entry((segment.trial, piece.channel)).or_default();
+            for k in piece.range.clone() {
+                let time_s = data.time_s[k];
+                match own.last_mut().filter(|w| time_s < w.from_s + LOCAL_WINDOW_S) {
+                    Some(window) => window.until_s = time_s,
+                    None => own.push(Window::at(time_s)),
                 }
-                from = to;
+                if let Some(window) = own.last_mut() {
+                    window.samples += 1.0;
+                    window.square += f64::from(on.residual[k]).powi(2);
+                    window.raw += (data.value[k] - f64::from(on.prediction[k])).powi(2);
+                }
             }
         }
     }
-    worst.into_values().collect()
+    let worst = |((trial, channel), windows): (&(usize, usize), &Vec<Window>)| {
+        let trial = &data.trials[*trial];
+        let channel = &trial.channels[*channel];
+        // what is left at the end of a run counts as much as it would in a whole window
+        let whole = windows.iter().map(|w| w.samples).fold(1.0, f64::max);
+        let worst = windows.iter().max_by(|a, b| a.square.total_cmp(&b.square))?;
+        Some(LocalGap {
+            run: trial.name.clone(),
+            joint: channel.name.clone(),
+            from_s: worst.from_s,
+            to_s: worst.until_s,
+            rms_rad: (worst.raw / worst.samples).sqrt(),
+            unit: channel.kind.unit_at(model, channel.index).to_owned(),
+            ratio: (worst.square / whole).sqrt(),
+        })
+    };
+    windows.iter().filter_map(worst).collect()
+}
+
+/// Samples of one joint in a run, one after the other.
+struct Window {
+    from_s: f64,
+    until_s: f64,
+    samples: f64,
+    /// Σ of squares, in floors, and in rad² (m²).
+    square: f64,
+    raw: f64,
+}
+
+impl Window {
+    fn at(time_s: f64) -> Self {
+        Self { from_s: time_s, until_s: time_s, samples: 0.0, square: 0.0, raw: 0.0 }
+    }
 }

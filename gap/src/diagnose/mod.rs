@@ -100,17 +100,20 @@ pub fn diagnose(
         .collect::<Result<Vec<_>, _>>()?;
     repeats::group(&model, &mut trials);
     mask_touched(request, &model, &mut trials);
-    let replayer = replayer(request, &model)?;
-    let split = split::hold_out(&replayer, &mut trials)?;
+    let split = split::hold_out(&replayer(request, &model)?, &mut trials)?;
     for (run, trial) in runs.iter_mut().zip(&trials) {
         run.role = role_name(trial.role).to_owned();
     }
-    let mut context = context(request, replayer, trials, split)?;
-    let mut found = search::Found::nothing(&context)?;
-    let mut named = Vec::new();
-    let mut tracking = tracking::Tracking::default();
-    let unfinished =
-        explore(request, &mut context, &mut found, &mut named, &mut tracking, progress)?;
+    let began = Instant::now();
+    let mut all =
+        searched(request, &model, &trials, split, (&[], request.options.budget_s), progress)?;
+    // a joint that was thrown past its stop by what was found does not say that the stop is wrong
+    let met = if all.unfinished { Vec::new() } else { all.stops_met(request, &model)? };
+    let left_s = request.options.budget_s.map(|s| s - began.elapsed().as_secs_f64());
+    if !met.is_empty() && left_s.is_none_or(|s| s > began.elapsed().as_secs_f64()) {
+        all = searched(request, &model, &trials, split, (&met, left_s), progress)?;
+    }
+    let Searched { mut context, mut found, mut named, tracking, unfinished } = all;
     progress(Progress::new(Stage::Reporting, 0, &found.best.label()));
     context.replayer.set_go_on(GoOn::default());
     if unfinished {
@@ -142,24 +145,71 @@ pub fn diagnose(
     Ok(diagnosis)
 }
 
+/// What a search came to.
+struct Searched {
+    context: state::Context,
+    found: search::Found,
+    named: Vec<naming::Named>,
+    tracking: tracking::Tracking,
+    /// Whether time was too short.
+    unfinished: bool,
+}
+
+impl Searched {
+    /// Joints that pass a stop of the file as given, and do not as they were found.
+    fn stops_met(
+        &self,
+        request: &Request,
+        model: &Arc<RobotModel>,
+    ) -> Result<Vec<usize>, GapError> {
+        let state::Context { passed, fit, holdout, .. } = &self.context;
+        if passed.is_empty() {
+            return Ok(Vec::new());
+        }
+        let trials = fit.data.trials.iter().chain(&holdout.data.trials).cloned().collect();
+        let data = Data::new(model, trials, SegmentOptions::default());
+        stops::met(&replayer(request, model)?, &data, passed, &self.found.best.terms)
+    }
+}
+
+/// Searches in so many seconds, if they are counted. Stops of the joints `kept` are as the file has them.
+fn searched(
+    request: &Request,
+    model: &Arc<RobotModel>,
+    trials: &[Trial],
+    split: Split,
+    (kept, budget_s): (&[usize], Option<f64>),
+    progress: &mut dyn FnMut(Progress),
+) -> Result<Searched, GapError> {
+    let mut context = context(request, replayer(request, model)?, trials.to_vec(), split, kept)?;
+    let mut found = search::Found::nothing(&context)?;
+    let mut named = Vec::new();
+    let mut tracking = tracking::Tracking::default();
+    let parts = (&mut context, &mut found, &mut named, &mut tracking);
+    let unfinished = explore((request, budget_s), parts, progress)?;
+    Ok(Searched { context, found, named, tracking, unfinished })
+}
+
 /// Shares of the time there is after which fitting of angles, the search, and naming end.
 const ENDS: [f64; 3] = [0.4, 0.75, 0.9];
 
+/// What a search fills.
+type Parts<'a> = (
+    &'a mut state::Context,
+    &'a mut search::Found,
+    &'a mut Vec<naming::Named>,
+    &'a mut tracking::Tracking,
+);
+
 /// Fits, searches and names, in the time there is. Whether that was too short.
 fn explore(
-    request: &Request,
-    context: &mut state::Context,
-    found: &mut search::Found,
-    named: &mut Vec<naming::Named>,
-    tracking: &mut tracking::Tracking,
+    (request, budget_s): (&Request, Option<f64>),
+    (context, found, named, tracking): Parts<'_>,
     progress: &mut dyn FnMut(Progress),
 ) -> Result<bool, GapError> {
     let began = Instant::now();
     let options = &request.options;
-    let end = |share: f64| {
-        let budget_s = options.budget_s?;
-        Some(began + Duration::from_secs_f64((share * budget_s).max(0.0)))
-    };
+    let end = |share: f64| Some(began + Duration::from_secs_f64((share * budget_s?).max(0.0)));
     let mut unfinished = false;
     let mut ended = |outcome: Result<(), GapError>| match outcome {
         Err(GapError::Stopped) => {
@@ -244,6 +294,7 @@ fn context(
     replayer: Replayer,
     trials: Vec<Trial>,
     split: Split,
+    kept: &[usize],
 ) -> Result<state::Context, GapError> {
     let model = &Arc::clone(replayer.model());
     let last = trials.len().max(2) as f64 - 1.0;
@@ -268,7 +319,8 @@ fn context(
     let mut effects: Vec<&'static Effect> = effects::ALL.iter().copied().filter(wanted).collect();
     effects.retain(|e| e.id != PASSED_STOP.id);
     let whole = fit_trials.iter().chain(&held_out).cloned().collect();
-    let passed = stops::find(&replayer, &Data::new(model, whole, options))?;
+    let mut passed = stops::find(&replayer, &Data::new(model, whole, options), &[])?;
+    passed.retain(|p| !kept.contains(&p.joint()));
     let also = |replayer: Replayer, p: &stops::Passed| replayer.with_also(p.term.clone());
     let replayer = passed.iter().fold(replayer, also);
     let repeats = match effects.iter().any(|e| e.id == DROPPED_FRAMES.id) {

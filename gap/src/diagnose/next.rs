@@ -41,6 +41,25 @@ pub fn next(
     request: &Request,
     verdict: Verdict,
     causes: &[Cause],
+    of: (&Found, &[Named]),
+    local: &[LocalGap],
+    unfinished: bool,
+) -> Result<Option<NextExperiment>, GapError> {
+    let told = telling(context, request, verdict, causes, of, local, unfinished)?;
+    let joints = context.replayer.model().actuated_names();
+    Ok(told.map(|mut told| {
+        let one = excite::moves_one_joint(&told.trial);
+        told.joints.retain(|j| one && joints.contains(&j.as_str()));
+        told
+    }))
+}
+
+/// The same, with the places that it is about.
+fn telling(
+    context: &Context,
+    request: &Request,
+    verdict: Verdict,
+    causes: &[Cause],
     (found, named): (&Found, &[Named]),
     local: &[LocalGap],
     unfinished: bool,

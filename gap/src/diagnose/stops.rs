@@ -1,7 +1,7 @@
 //! End stops of the robot file that measured angles pass. There the file is wrong whatever else is, and nothing is
 //! to make up for it: such a stop is simulated nowhere. Whether there is another one farther out the search says.
 
-use crate::effects::{PASSED_STOP, Place};
+use crate::effects::{HARD_STOP, PASSED_STOP, Place};
 use crate::error::GapError;
 use crate::replay::{Data, Replayer, Term};
 use crate::report::DataFault;
@@ -19,6 +19,13 @@ pub struct Passed {
     pub term: Term,
     /// What is said of it.
     pub note: DataFault,
+}
+
+impl Passed {
+    /// The joint, policy order.
+    pub fn joint(&self) -> usize {
+        self.term.place.items[0]
+    }
 }
 
 /// A stop beyond which a joint was measured.
@@ -54,12 +61,12 @@ fn past(replayer: &Replayer, data: &Data, passes: impl Fn(usize) -> f64) -> Vec<
     all
 }
 
-/// The joints that pass a stop of the robot file and are ahead of the simulated one there, in the mean, by as much as
-/// matters of a stop, or a count.
+/// The joints that pass a stop of the robot file and are ahead of the robot with `terms` there, in the mean, by as much
+/// as matters of a stop, or a count.
 ///
 /// # Errors
 /// As [`Replayer::predict`].
-pub fn find(replayer: &Replayer, data: &Data) -> Result<Vec<Passed>, GapError> {
+pub fn find(replayer: &Replayer, data: &Data, terms: &[Term]) -> Result<Vec<Passed>, GapError> {
     let model = replayer.model();
     let least = |a: usize| PASSED_STOP.parameters[0].scale * model.per_radian(a);
     let passes = |a: usize| least(a).max(model.servo(a).encoder_lsb_rad());
@@ -67,7 +74,7 @@ pub fn find(replayer: &Replayer, data: &Data) -> Result<Vec<Passed>, GapError> {
     if all.is_empty() {
         return Ok(Vec::new());
     }
-    let simulated = replayer.predict(data, &[Vec::new()])?.swap_remove(0);
+    let simulated = replayer.predict(data, &[terms.to_vec()])?.swap_remove(0);
     all.retain(|past| {
         let ahead = |k: usize| OUT[past.side] * (data.value[k] - f64::from(simulated[k]));
         let sum: f64 = past.samples.iter().map(|(_, k)| ahead(*k)).sum();
@@ -83,6 +90,27 @@ pub fn find(replayer: &Replayer, data: &Data) -> Result<Vec<Passed>, GapError> {
         Passed { note: note(&term.place.names[0], unit, stops, of), term }
     };
     Ok(all.chunk_by(|a, b| a.joint == b.joint).map(of_joint).collect())
+}
+
+/// The joints of `passed` that do not pass their stop if the robot has what was found beside other stops, `terms`: they
+/// are as far as the simulated ones then.
+///
+/// # Errors
+/// As [`Replayer::predict`].
+pub fn met(
+    replayer: &Replayer,
+    data: &Data,
+    passed: &[Passed],
+    terms: &[Term],
+) -> Result<Vec<usize>, GapError> {
+    let other = |t: &&Term| t.effect.id != HARD_STOP.id;
+    let found: Vec<Term> = terms.iter().filter(other).cloned().collect();
+    if found.is_empty() {
+        return Ok(Vec::new());
+    }
+    let still = find(replayer, data, &found)?;
+    let joints = passed.iter().map(Passed::joint);
+    Ok(joints.filter(|joint| still.iter().all(|s| s.joint() != *joint)).collect())
 }
 
 fn note(joint: &str, unit: &str, stops: [f64; 2], passed: &[Past]) -> DataFault {

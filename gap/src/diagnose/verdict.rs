@@ -147,7 +147,8 @@ pub fn conclude(
     )?;
     let tells = words::what_tells(verdict, &causes, next_experiment.as_ref(), evidence.unfinished);
     let told = (&causes[..], &leads[..], tells);
-    let told = summary(context, verdict, told, &doubts, &unexplained, split, found);
+    let known = (verdict, evidence.unfinished);
+    let told = summary(context, known, told, &doubts, &unexplained, split, found);
     let errors = evidence.tracking.errors(context, &model.terms)?;
     let listed = carried.listed(&entries);
     let first = words::first(verdict, &carried.state, &errors, evidence.unfinished);

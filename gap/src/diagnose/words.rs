@@ -92,14 +92,14 @@ pub fn what_tells(
 /// The verdict in a sentence or two, and what the reader must know besides.
 pub fn summary(
     context: &Context,
-    verdict: Verdict,
+    (verdict, unfinished): (Verdict, bool),
     (causes, leads, tells): (&[Cause], &[Cause], &str),
     doubts: &Doubts,
     unexplained: &[Unexplained],
     split: Split,
     found: &Found,
 ) -> String {
-    let mut text = headline(verdict, causes, doubts, unexplained, found);
+    let mut text = headline((verdict, unfinished), causes, doubts, unexplained, found);
     text.push_str(tells);
     let mut assumed: Vec<&str> =
         causes.iter().flat_map(|c| &c.assumed).map(String::as_str).collect();
@@ -286,7 +286,7 @@ fn names(causes: &[Cause]) -> String {
 }
 
 fn headline(
-    verdict: Verdict,
+    (verdict, unfinished): (Verdict, bool),
     causes: &[Cause],
     doubts: &Doubts,
     unexplained: &[Unexplained],
@@ -335,10 +335,18 @@ fn headline(
             )
         }
         Verdict::Unexplained => {
+            let nothing = match unfinished {
+                true => "nothing that was tried in the time",
+                false => "no effect of the catalogue",
+            };
             let misfit = base.misfit().max(base.holdout.misfit);
             match misfit < NOTHING_LEFT {
-                true => "There is a gap in a few seconds of a run that no effect of the catalogue explains; on average the runs agree.".to_owned(),
-                false => format!("There is a gap (misfit {misfit:.2} floors) that no effect of the catalogue explains."),
+                true => format!(
+                    "There is a gap in a few seconds of a run that {nothing} explains; on average the runs agree."
+                ),
+                false => {
+                    format!("There is a gap (misfit {misfit:.2} floors) that {nothing} explains.")
+                }
             }
         }
         Verdict::InsufficientData => {

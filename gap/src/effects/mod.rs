@@ -20,7 +20,7 @@ mod water;
 
 pub use crate::place::{Domain, Place};
 pub use effect::{Effect, Layer, ParameterSpec, Reference};
-pub use structure::PASSED_STOP;
+pub use structure::{HARD_STOP, PASSED_STOP};
 pub use timing::DROPPED_FRAMES;
 
 /// The catalogue.

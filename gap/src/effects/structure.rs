@@ -74,6 +74,7 @@ pub static PASSED_STOP: Effect = Effect {
     ..OF_STRUCTURE
 };
 
+/// A stop that is nearer or farther than the file's.
 pub static HARD_STOP: Effect = Effect {
     id: "hard_stop",
     parameters: &[

@@ -138,6 +138,11 @@ pub fn names(robot: &RobotModel, joint: Option<&str>) -> Vec<&'static str> {
     RECIPES.iter().filter(|r| fits(r, robot, joint)).map(|r| r.name).collect()
 }
 
+/// Whether a trial of the battery moves the joint that it is asked for, and not all that it needs.
+pub fn moves_one_joint(trial: &str) -> bool {
+    RECIPES.iter().any(|r| r.name == trial && matches!(r.make, Make::Joint(_)))
+}
+
 /// The trial of the battery that a run's name or notes name; the longest name where several do.
 pub fn names_in(text: &str) -> Option<&'static str> {
     let is_letter = |c: char| c.is_ascii_alphanumeric();

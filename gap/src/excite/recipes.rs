@@ -163,7 +163,7 @@ pub(super) const RECIPES: &[Recipe] = &[
     body("gait", "walk: trot at 1.2 Hz", Place::Ground, &["contact_friction"], |b| b.gait(1.2, 1.0, 0.0, 14.0)),
     body("gait_slow", "walk at 0.7 Hz", Place::Ground, &["contact_friction", "floor_slope"], |b| b.gait(0.7, 1.0, 0.0, 14.0)),
     body("gait_low", "walk with the belly low", Place::Ground, &["belly_friction"], |b| b.gait(1.0, 0.45, 0.0, 14.0)),
-    body("gait_turn", "walk with a bent trunk", Place::Ground, &["gyro_bias"], |b| b.gait(1.2, 1.0, 0.12, 14.0)),
+    body("gait_turn", "walk in a curve, the trunk bent or strides of one side shorter", Place::Ground, &["gyro_bias"], |b| b.gait(1.2, 1.0, 0.12, 14.0)),
     once(body("gait_long", "walk for two and a half minutes", Place::Ground, &["clock_drift", "friction_drift", "thermal_derating"], |b| b.gait(1.2, 1.0, 0.0, 150.0))),
     // water
     body("float", "float at rest", Place::Water, &["buoyancy", "buoyancy_centre", "water_level"], |b| b.hold(12.0)),

@@ -25,7 +25,7 @@ pub fn open(path: &Path, named: &BTreeSet<&str>) -> Result<Recording, ImportErro
     }
     let sheets = files.iter().map(|file| {
         let text = bytes(file)?;
-        let table = Table::parse(&file.display().to_string(), &String::from_utf8_lossy(&text))?;
+        let table = Table::parse(&file.display().to_string(), &decoded(text))?;
         Ok::<Box<dyn Sheet>, ImportError>(Box::new(table))
     });
     Ok(Recording {
@@ -299,6 +299,12 @@ fn fields(line: &str, separator: char) -> Vec<String> {
     out
 }
 
+/// A text in UTF-8, or else in Latin-1, as spreadsheets of old write it: every byte is the character of its number.
+fn decoded(bytes: Vec<u8>) -> String {
+    String::from_utf8(bytes)
+        .unwrap_or_else(|error| error.as_bytes().iter().map(|&b| char::from(b)).collect())
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
@@ -308,6 +314,12 @@ mod tests {
     use super::super::map::{Map, apply};
     use super::super::{ImportError, Imported};
     use super::*;
+
+    #[test]
+    fn a_spreadsheet_of_old_is_latin_1() {
+        assert_eq!(decoded(b"Sollwinkel [\xb0]".to_vec()), "Sollwinkel [°]");
+        assert_eq!(decoded("Sollwinkel [°]".into()), "Sollwinkel [°]");
+    }
 
     fn read(path: &Path, map: &Map, robot: &RobotModel) -> Result<Imported, ImportError> {
         apply(&open(path, &map.files())?, map, robot)

@@ -221,6 +221,22 @@ fn a_stop_that_angles_pass_is_told_and_simulated_nowhere() {
     assert!(d.report.summary.contains("past the end stop"), "{}", d.report.summary);
 }
 
+/// The joint as given comes to its stop, with a larger rotor it is thrown beyond: the stop is right.
+#[test]
+fn a_stop_into_which_a_cause_throws_the_joint_is_none() {
+    const STOP_RAD: f64 = 0.5;
+    let mut asked = request(0, &|p| {
+        p.joints[0].high_rad = STOP_RAD as f32;
+        p.joint_armature_kgm2[0] += 0.006;
+    });
+    let narrow = format!("range=\"-3.14159 {STOP_RAD}\"");
+    let wide = String::from_utf8(asked.mjcf.clone()).unwrap();
+    asked.mjcf = wide.replacen("range=\"-3.14159 3.14159\"", &narrow, 1).into_bytes();
+    let d = diagnose(&asked, &mut |_| {}).unwrap();
+    assert_eq!(names(&d), ["armature"], "{}", d.report.summary);
+    assert!(!d.report.summary.contains("past the end stop"), "{}", d.report.summary);
+}
+
 /// A joint that works far from zero, as a calf does: only where it came to tells of the stop.
 #[test]
 fn a_stop_is_found_wherever_it_is() {
