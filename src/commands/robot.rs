@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use caudata_config::{Config, ConfigArgs};
-use caudata_model::import::{self, ImportError, ImportOptions};
+use caudata_model::import::{self, ImportError, ImportOptions, Weld};
 use caudata_model::{BaseKind, JointMotion, ModelError, RobotModel};
 use caudata_sim::{Engine, EngineConfig, InitialState, SimError, TerrainConfig};
 use caudata_studies::files;
@@ -54,6 +54,9 @@ pub struct ImportArgs {
     /// Whether the base moves; only a URDF needs to be told [default: free if several chains hang on it]
     #[arg(long, value_enum, value_name = "WORD")]
     base: Option<BaseWord>,
+    /// Joints that stay where they are, of an arm or a head: in the nominal pose, or at so many rad (m)
+    #[arg(long, value_name = "JOINT[=POSITION]", num_args = 1.., value_parser = weld)]
+    weld: Vec<Weld>,
     /// Overwrite files that are there
     #[arg(long)]
     force: bool,
@@ -319,9 +322,11 @@ fn import(args: &ImportArgs) -> Result<(), Failure> {
     let options = ImportOptions {
         name: args.name.clone(),
         free_base: args.base.map(|word| word == BaseWord::Free),
+        weld: args.weld.clone(),
     };
     let made = match import::import(&args.file, &options) {
-        Err(ImportError::Refused(all)) => {
+        Err(ImportError::Refused { refusals: all, notes }) => {
+            notes.iter().for_each(|remark| say::line(format!("note: {remark}")));
             all.iter().for_each(|remark| say::line(format!("refused: {remark}")));
             let count = all.len();
             let message = format!("{}: {count} refused", args.file.display());
@@ -358,6 +363,15 @@ fn import(args: &ImportArgs) -> Result<(), Failure> {
         say::line(format!("      caudata train --robot {robot}"));
     }
     Ok(())
+}
+
+/// `JOINT` or `JOINT=POSITION`.
+fn weld(text: &str) -> Result<Weld, String> {
+    let (joint, at) = text.rsplit_once('=').map_or((text, None), |(joint, at)| (joint, Some(at)));
+    let number = |at: &str| at.parse().ok().filter(|at| f64::is_finite(*at));
+    let wrong = |at: &str| format!("`{at}` is no number of radians or metres");
+    let at = at.map(|at| number(at).ok_or_else(|| wrong(at))).transpose()?;
+    Ok(Weld { joint: joint.to_owned(), at })
 }
 
 /// Refuses to overwrite a file; the one that is imported even with `--force`.
@@ -534,7 +548,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("mine.xml");
         std::fs::write(&file, xml).unwrap();
-        let made = import::import(&file, &ImportOptions { name: None, free_base: None }).unwrap();
+        let made = import::import(&file, &ImportOptions::default()).unwrap();
         RobotModel::from_bytes("mine", made.robot_toml.as_bytes(), made.mjcf.as_bytes()).unwrap()
     }
 

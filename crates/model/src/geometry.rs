@@ -215,6 +215,17 @@ pub(crate) fn nearest_inertia(inertia: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
     pose::rotate_tensor(axes, diagonal([y + z, z + x, x + y]))
 }
 
+/// Whether shapes `geoms` of a link that are for the eye stand for those that touch, which are not drawn then. A nose beside a
+/// trunk does not: they must fill half as much.
+pub fn has_shell(geoms: &[Geom]) -> bool {
+    let filled_m3 = |touching: bool| -> f64 {
+        let geoms = geoms.iter().filter(|g| g.collides() == touching);
+        geoms.filter_map(|g| Solid::of(&g.shape)).map(|solid| solid.volume_m3).sum()
+    };
+    let shell_m3 = filled_m3(false);
+    shell_m3 > 0.0 && shell_m3 >= 0.5 * filled_m3(true)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -236,6 +247,25 @@ mod tests {
         assert!(check_inertia([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 1.0]]).is_err());
         // Σ = [[0.5, -0.4, 0], [-0.4, 0.5, 0], [0, 0, 0.5]] is positive definite
         assert!(check_inertia([[1.0, 0.4, 0.0], [0.4, 1.0, 0.0], [0.0, 0.0, 1.0]]).is_ok());
+    }
+
+    /// A box of 0.2 × 0.1 × 0.1 m holds 2 l, a ball of 5 cm 0.52 l, one of 6.2 cm 1.0 l: the latter two are half of it.
+    #[test]
+    fn a_nose_is_no_shell_of_a_trunk() {
+        let geom = |shape: Shape, touches: bool| Geom {
+            shape,
+            contype: u32::from(touches),
+            conaffinity: u32::from(touches),
+            name: None,
+            link_from_geom: Pose::IDENTITY,
+            friction: 1.0,
+            soft: Softness::default(),
+        };
+        let trunk = geom(Shape::Box { half_size_m: [0.1, 0.05, 0.05] }, true);
+        let ball = |radius_m| geom(Shape::Sphere { radius_m }, false);
+        assert!(!has_shell(std::slice::from_ref(&trunk)));
+        assert!(!has_shell(&[trunk.clone(), ball(0.05)]));
+        assert!(has_shell(&[trunk, ball(0.063)]));
     }
 
     /// Σ of (1, 2, 4) is (2.5, 1.5, −0.5); with 0 in its place the moments are 1.5, 2.5 and 4.

@@ -32,6 +32,7 @@ mod xml_text;
 
 pub use error::ModelError;
 pub use extension::{Extension, ExtensionEffect, ExtensionParameter};
+pub use geometry::has_shell;
 pub use kinematics::{JointFrame, Kinematics};
 pub use model::{IMU_TILT_MAX_RAD, RobotModel};
 pub use params::{

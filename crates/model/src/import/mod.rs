@@ -7,10 +7,12 @@
 
 mod doubts;
 mod finish;
+mod options;
 mod robot_toml;
 mod sole;
 mod stance;
 mod urdf;
+mod weld;
 mod write;
 
 use std::path::Path;
@@ -21,7 +23,7 @@ use crate::model::RobotModel;
 use crate::tree::{self, Element, Remarks};
 
 pub use crate::error::Remark;
-pub use urdf::ImportOptions;
+pub use options::{ImportOptions, Weld};
 
 /// What became of a file.
 #[derive(Clone, Debug)]
@@ -43,8 +45,19 @@ pub enum ImportError {
     #[error(transparent)]
     File(#[from] ModelError),
     /// It has what cannot be had here.
-    #[error("{}", all(.0))]
-    Refused(Vec<Remark>),
+    #[error("{}", all(refusals))]
+    Refused {
+        /// What, each with what to do.
+        refusals: Vec<Remark>,
+        /// What was passed over, assumed or doubted until then: often why.
+        notes: Vec<Remark>,
+    },
+}
+
+impl From<Remarks> for ImportError {
+    fn from(Remarks { refusals, notes, .. }: Remarks) -> Self {
+        Self::Refused { refusals, notes }
+    }
 }
 
 /// Every refusal, one a line.
@@ -77,15 +90,16 @@ pub fn import(file: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
         doubts::say(robot, &root, &mut remarks);
     }
     let Some(mut robot) = robot.filter(|_| read) else {
-        return Err(ImportError::Refused(remarks.refusals));
+        return Err(remarks.into());
     };
     let stem = file.file_stem().map(|s| s.to_string_lossy().into_owned());
     let name = options.name.clone().or(robot.name.take()).or(stem);
     let name = plain(&name.unwrap_or_default());
+    weld::weld(&mut robot, &options.weld, &root, &mut remarks);
     finish::finish(&mut robot, &root, &mut remarks);
     doubts::say(&robot, &root, &mut remarks);
     if !remarks.refusals.is_empty() {
-        return Err(ImportError::Refused(remarks.refusals));
+        return Err(remarks.into());
     }
     if robot.home.is_empty() && robot.free_base {
         robot.home_is_ours = stance::find(&mut robot);
@@ -123,14 +137,16 @@ pub fn import(file: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
                        not); for a robot that walks give each a sphere, for one that rolls each wheel a cylinder";
         remarks.note(&root, message);
     }
+    weld::name_others(&robot, &root, &mut remarks);
     robot_toml::raise(&mut robot, &root, &mut remarks);
     let mjcf = write::mjcf(&name, &robot);
     let robot_toml = robot_toml::write(&name, file, &robot, &remarks.notes);
     // whatever this reader let through that the strict one does not
     let label = format!("{name}.robot.toml");
     if let Err(error) = RobotModel::from_bytes(&label, robot_toml.as_bytes(), mjcf.as_bytes()) {
-        remarks.refuse_plain(&root.file, format!("what it was made into is refused: {error}"));
-        return Err(ImportError::Refused(remarks.refusals));
+        let message = format!("the robot made of it could not be read again: {error}");
+        remarks.refuse_plain(&root.file, message);
+        return Err(remarks.into());
     }
     Ok(Imported { name, mjcf, robot_toml, notes: remarks.notes })
 }
@@ -174,7 +190,7 @@ fn unexpanded(root: &Element, file: &Path, remarks: &mut Remarks) -> Result<(), 
         plain.display()
     );
     remarks.refuse(macros, message);
-    Err(ImportError::Refused(std::mem::take(&mut remarks.refusals)))
+    Err(std::mem::take(remarks).into())
 }
 
 /// Letters, digits, _ and - only, in small letters.

@@ -23,7 +23,7 @@ const FULL_TORQUE_SHARE: f64 = 2.0 / 3.0;
 
 /// What is taken for a foot.
 pub(super) struct Foot {
-    name: String,
+    pub name: String,
     /// The shapes of its sole.
     geoms: Vec<String>,
     friction: f64,

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+use super::options::ImportOptions;
 use crate::geometry::Inertial;
 use crate::mesh::Meshes;
 use crate::parts::{Actuator, Body, Joint, Painted, Robot};
@@ -12,15 +13,6 @@ use crate::types::{Geom, JointMotion, Shape, Softness};
 
 /// Deepest chain of links.
 const CHAIN_LIMIT: usize = 128;
-
-/// What a file cannot say itself.
-#[derive(Clone, Debug, Default)]
-pub struct ImportOptions {
-    /// Name of the robot; default: the file's own.
-    pub name: Option<String>,
-    /// For a URDF: whether the root link is free; default: whether it has several legs.
-    pub free_base: Option<bool>,
-}
 
 struct Reader<'a> {
     root: &'a Element,

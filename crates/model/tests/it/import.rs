@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::common::near;
-use caudata_model::import::{self, ImportError, ImportOptions, Imported};
+use caudata_model::import::{self, ImportError, ImportOptions, Imported, Weld};
 use caudata_model::{BaseKind, Pose, RobotModel, Shape};
 
 /// A file of its own folder.
@@ -151,7 +151,7 @@ fn everything_that_is_refused_is_said_at_once_with_its_line() {
   <actuator><motor joint="three"/></actuator>
   <something/>
 </mujoco>"#;
-    let ImportError::Refused(all) = read("wrong.xml", text).unwrap_err() else {
+    let ImportError::Refused { refusals: all, .. } = read("wrong.xml", text).unwrap_err() else {
         panic!("refused as a file");
     };
     let said: Vec<String> = all.iter().map(|r| format!("{} {}", r.line, r.message)).collect();
@@ -457,4 +457,54 @@ fn the_rotor_of_a_slide_is_a_mass() {
     near("rotor", slide("effort=\"500\""), 1.0, 1e-9);
     // over 0.1 m: ten times that of a hinge of as many N·m
     near("rotor", slide("effort=\"20\""), 0.17, 1e-9);
+}
+
+/// A dog's arm of two joints: at 0.5 rad and as drawn its bodies are one with the trunk, and the hand is where it was.
+#[test]
+fn what_is_welded_stays_where_it_is() {
+    let text = r#"<mujoco model="dog"><compiler angle="radian"/><worldbody><body name="trunk" pos="0 0 0.3"><freejoint/>
+      <geom type="box" size="0.2 0.1 0.05" mass="5"/>
+      <body name="arm" pos="0.1 0 0.1">
+        <joint name="sway" axis="0 0 1" pos="0 0.02 0" range="-1 1"/><joint name="lift" axis="0 1 0" pos="0.01 0 0" range="-1 1"/>
+        <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.02" mass="0.4"/>
+        <body name="hand" pos="0.2 0 0"><joint name="grip" type="slide" axis="1 0 0" range="0 0.03"/>
+          <geom type="sphere" size="0.02" mass="0.1"/></body>
+      </body>
+      <body name="leg" pos="0 0 -0.05"><joint name="hip" axis="0 1 0" range="-1 1"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="0.3"/></body>
+      </body></worldbody></mujoco>"#;
+    let weld = |joint: &str, at| Weld { joint: joint.to_owned(), at };
+    let made = |weld: Vec<Weld>| {
+        import::import(
+            &File::new("dog.xml", text).0,
+            &ImportOptions { weld, ..ImportOptions::default() },
+        )
+    };
+    let plain = made(Vec::new()).unwrap();
+    let told = |made: &Imported, what: &str| made.notes.iter().any(|n| n.message.contains(what));
+    assert!(told(&plain, "--weld sway lift grip"), "{:?}", plain.notes);
+    let [swayed, welded] = [
+        vec![weld("lift", Some(0.5))],
+        vec![weld("lift", Some(0.5)), weld("sway", Some(0.0)), weld("grip", Some(0.01))],
+    ]
+    .map(|welds| made(welds).unwrap());
+    assert!(!told(&welded, "--weld"), "{:?}", welded.notes);
+    assert_eq!(model(&welded).actuated_names(), ["hip"]);
+    // the centre of mass of all is where the joints' own angles put it, also with the first of two left in
+    let com = |made: &Imported, angles: &[(&str, f64)]| {
+        let robot = model(made);
+        let pos: Vec<f64> = (robot.actuated_names().iter())
+            .map(|name| angles.iter().find(|a| a.0 == *name).map_or(0.0, |a| a.1))
+            .collect();
+        let places = robot.kinematics(&Pose::IDENTITY, &robot.full_pos_rad(&pos).unwrap()).unwrap();
+        robot.centre_of_mass_m(&places)
+    };
+    let want = com(&plain, &[("lift", 0.5), ("grip", 0.01)]);
+    let got = com(&welded, &[]);
+    (0..3).for_each(|k| near("centre of mass", got[k], want[k], 1e-9));
+    let want = com(&plain, &[("sway", 0.4), ("lift", 0.5)]);
+    let got = com(&swayed, &[("sway", 0.4)]);
+    (0..3).for_each(|k| near("centre of mass", got[k], want[k], 1e-9));
+    let none = made(vec![weld("tail", None)]).unwrap_err().to_string();
+    assert!(none.contains("has no joint `tail` to weld; it has sway, lift, grip, hip"), "{none}");
 }

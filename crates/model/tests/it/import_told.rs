@@ -47,7 +47,7 @@ pub(crate) fn told(made: &Imported, word: &str) -> bool {
 /// Refusals, each as `LINE MESSAGE`.
 pub(crate) fn refused(name: &str, text: &str) -> Vec<String> {
     match read(name, text) {
-        Err(ImportError::Refused(all)) => {
+        Err(ImportError::Refused { refusals: all, .. }) => {
             all.iter().map(|r| format!("{} {}", r.line, r.message)).collect()
         }
         other => panic!("{other:?}"),

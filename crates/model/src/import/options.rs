@@ -1,0 +1,21 @@
+//! What a file cannot say itself.
+
+/// How a file is to be taken.
+#[derive(Clone, Debug, Default)]
+pub struct ImportOptions {
+    /// Name of the robot; default: the file's own.
+    pub name: Option<String>,
+    /// For a URDF: whether the root link is free; default: whether it has several legs.
+    pub free_base: Option<bool>,
+    /// Joints that stay where they are.
+    pub weld: Vec<Weld>,
+}
+
+/// A joint that is to stay where it is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Weld {
+    /// Its name in the file.
+    pub joint: String,
+    /// Where, rad or m; default: where the nominal pose has it.
+    pub at: Option<f64>,
+}
