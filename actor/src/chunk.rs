@@ -136,7 +136,7 @@ fn empty_chunk(
         sequence,
         policy_version: policy.version,
         policy_sha256: policy.sha256,
-        contract_hash: env.critic().seal(env.contract().hash()),
+        contract_hash: settings.world.seal(env.contract().hash()),
         steps,
         lanes,
         obs_dim,

@@ -310,7 +310,7 @@ impl Actor<'_> {
             actor_id: self.settings.actor_id,
             incarnation: self.settings.incarnation,
             lanes: self.env.lanes(),
-            contract_hash: self.env.critic().seal(self.env.contract().hash()),
+            contract_hash: self.settings.world.seal(self.env.contract().hash()),
             build: self.settings.build.clone(),
         };
         self.link.send(&encode(&Envelope::Hello(hello)), timeout)?;

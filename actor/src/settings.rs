@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use caudata_config::Config;
+use caudata_config::{Config, World};
 use caudata_env::VecEnv;
 use caudata_model::RobotModel;
 use caudata_telemetry::traces::{TraceError, TraceSettings, Tracer};
@@ -21,6 +21,8 @@ pub struct ActorSettings {
     pub actor_id: u32,
     /// How many times this actor was started before.
     pub incarnation: u64,
+    /// Where it acts.
+    pub world: World,
     /// Steps per chunk, T.
     pub chunk_steps: usize,
     /// Chunks per policy version.
@@ -52,6 +54,7 @@ impl ActorSettings {
             run_id: run_id.to_owned(),
             actor_id,
             incarnation,
+            world: config.world(),
             chunk_steps: actors.chunk_steps as usize,
             chunks_per_version: actors.chunks_per_version,
             max_lead: actors.max_lead,

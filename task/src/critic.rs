@@ -5,7 +5,6 @@
 //! actor-critic", Pinto et al. 2018).
 
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 
 use crate::expression::{Known, Names, Shape, Signal};
 use crate::mirror::SignedPermutation;
@@ -101,20 +100,6 @@ impl Critic {
         let views = self.signals.iter().map(|signal| image(*signal, mirror));
         views.fold(none, |all, view| all.followed_by(&view))
     }
-
-    /// What rollouts of this view and the policy contract with this hash are marked with: the contract's hash
-    /// itself where the value function sees nothing else. Learner and actors of one run have the same.
-    pub fn seal(&self, contract: [u8; 32]) -> [u8; 32] {
-        if self.signals.is_empty() {
-            return contract;
-        }
-        let mut hash = Sha256::new_with_prefix(contract);
-        for signal in &self.signals {
-            hash.update(signal.info().name);
-            hash.update([0]);
-        }
-        hash.finalize().into()
-    }
 }
 
 /// How one signal is mirrored.
@@ -199,9 +184,6 @@ mod tests {
         }
         let error = critic(&["push", "push"]).unwrap_err().to_string();
         assert!(error.contains("twice"), "{error}");
-        let seal = |sees: &[&str]| critic(sees).unwrap().seal([7; 32]);
-        assert_eq!(seal(&[]), [7; 32]);
-        assert_ne!(seal(&["height", "push"]), seal(&["push", "height"]));
     }
 
     #[test]

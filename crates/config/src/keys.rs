@@ -65,7 +65,9 @@ pub(crate) fn nearest(key: &str, known: &Table) -> Option<String> {
         let whole = strsim::jaro_winkler(key, candidate);
         let word = strsim::jaro_winkler(&last(key), &last(candidate));
         // A right last word in a wrong section counts more than a section that looks alike.
-        0.4 * whole + 0.6 * word
+        let score = 0.4 * whole + 0.6 * word;
+        // a bare last word is what people type who leave its section out
+        if word == 1.0 { score.max(SIMILAR_ENOUGH) } else { score }
     };
     all.into_iter()
         .map(|candidate| (score(&candidate), candidate))
@@ -105,6 +107,7 @@ mod tests {
             ("learner.gamma", Some("learner.ppo.gamma")),
             ("actor.count", Some("actors.count")),
             ("actor", Some("actors")),
+            ("lanes", Some("actors.lanes")),
             ("zebra", None),
         ];
         for (typed, meant) in cases {

@@ -69,6 +69,18 @@ settings! {
     }
 }
 
+/// What [`Config::world`] tells apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct World([u8; 32]);
+
+impl World {
+    /// What rollouts from here under the policy contract with this hash are marked with. Learner and actors of one run
+    /// have the same.
+    pub fn seal(&self, contract: [u8; 32]) -> [u8; 32] {
+        Sha256::new_with_prefix(contract).chain_update(self.0).finalize().into()
+    }
+}
+
 impl Config {
     /// The whole configuration as TOML, every key with its value in effect.
     ///
@@ -96,6 +108,13 @@ impl Config {
         // Plain structs always have a JSON form; the order of their fields is fixed.
         let json = serde_json::to_vec(&decisive).unwrap_or_default();
         Sha256::digest(json).into()
+    }
+
+    /// What a policy trains in: engine, terrain and task, but for what only tells machines apart.
+    pub fn world(&self) -> World {
+        let engine = EngineConfig { lane_width: 0, ..self.engine.clone() };
+        let json = serde_json::to_vec(&(engine, &self.terrain, &self.task)).unwrap_or_default();
+        World(Sha256::digest(json).into())
     }
 
     /// [`Config::hash`] as 64 hex digits.

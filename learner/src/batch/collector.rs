@@ -163,7 +163,7 @@ impl Collector {
                 if hello.contract_hash != self.settings.contract_hash {
                     return self.reject_unattributed(
                         "contract",
-                        "an actor was made for another task or robot",
+                        "an actor has another robot, engine, terrain or task than the learner: give both one configuration",
                     );
                 }
                 self.heard(actor);
@@ -316,7 +316,7 @@ impl Collector {
     fn check(&self, chunk: &RolloutChunk) -> Result<(), (&'static str, String)> {
         let s = &self.settings;
         if chunk.contract_hash != s.contract_hash {
-            return Err(("contract", "made for another task or robot".into()));
+            return Err(("contract", "made with another robot, engine, terrain or task".into()));
         }
         let dims = [chunk.steps, chunk.lanes, chunk.obs_dim, chunk.act_dim];
         let expected = [s.steps, s.lanes, s.obs_dim, s.act_dim];

@@ -271,7 +271,7 @@ fn collector_settings(
     let actors = &config.actors;
     CollectorSettings {
         run_id: run_id.to_owned(),
-        contract_hash: critic.seal(contract.hash()),
+        contract_hash: config.world().seal(contract.hash()),
         steps: actors.chunk_steps as usize,
         lanes: actors.lanes as usize,
         obs_dim: contract.obs_dim() + critic.dim(),

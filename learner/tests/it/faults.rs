@@ -94,7 +94,7 @@ fn sound(
         sequence: 0,
         policy_version,
         policy_sha256,
-        contract_hash: contract.hash(),
+        contract_hash: config.world().seal(contract.hash()),
         steps,
         lanes,
         obs_dim,

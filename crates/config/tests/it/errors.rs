@@ -206,3 +206,22 @@ fn the_hash_covers_what_decides_training_and_nothing_else() {
         assert_ne!(hash(other), base, "{other}");
     }
 }
+
+/// An actor on another machine may have lanes and threads of its own, but no reward of its own.
+#[test]
+fn two_machines_have_one_world_where_policies_meet_the_same() {
+    let world = |assignment: &str| load_with(assignment).unwrap().world();
+    let base = Config::default().world();
+    for same in ["run.seed=2", "actors.lanes=2", "learner.ppo.gamma=0.9", "engine.lane_width=4"] {
+        assert_eq!(world(same), base, "{same}");
+    }
+    for other in [
+        "task.reward.weights.alive=1000",
+        "engine.self_collision=true",
+        "terrain.kind=rough",
+        "task.critic.sees=[\"push\"]",
+    ] {
+        assert_ne!(world(other), base, "{other}");
+    }
+    assert_ne!(base.seal([1; 32]), base.seal([2; 32]));
+}
