@@ -17,8 +17,6 @@ use crate::EmulationError;
 
 /// What the servos' thermometers show, °C: heating is not simulated.
 const TEMPERATURE_C: u8 = 32;
-/// The earth's field in the world frame, T: 20 µT north (x), 43 µT down (middle Europe, rounded).
-const FIELD_WORLD_T: [f64; 3] = [2.0e-5, 0.0, -4.3e-5];
 /// Time over which a direction of travel is taken, s: more than a stride, so that the sway of the head
 /// averages out.
 const WINDOW_S: f64 = 1.0;
@@ -275,34 +273,14 @@ impl EmulatedRobot {
         }
         let (bias, stepped) = (&self.bias, self.steps > 0);
         let (gyro, acc) = sensors::imu(model, state, bias, stepped, dt_s, &mut self.stream);
-        let quat = std::array::from_fn(|i| f64::from(state.base_quat_wxyz[i]));
-        let field = into_body(quat, FIELD_WORLD_T).map(|b| b as f32);
         let back = |v| self.wiring.imu.turned_back(v);
-        self.bridge.imu.feel(back(gyro), back(acc), back(field));
+        self.bridge.imu.feel(back(gyro), back(acc));
     }
-}
-
-/// A world vector in the body frame of orientation `q` (w, x, y, z; world from body).
-fn into_body([w, x, y, z]: [f64; 4], v: [f64; 3]) -> [f64; 3] {
-    let rows = [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)],
-        [2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)],
-        [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)],
-    ];
-    rows.map(|row| (0..3).map(|i| row[i] * v[i]).sum())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_quarter_turn_to_the_left_sees_north_on_the_right() {
-        // Yaw +90°: the body's x points to world y, its y to world −x.
-        let half = std::f64::consts::FRAC_PI_4;
-        let seen = into_body([half.cos(), 0.0, 0.0, half.sin()], [1.0, 0.0, 0.0]);
-        assert!(seen[0].abs() < 1e-12 && (seen[1] + 1.0).abs() < 1e-12, "{seen:?}");
-    }
 
     #[test]
     fn speed_is_along_the_own_heading_without_beginning_and_end() {

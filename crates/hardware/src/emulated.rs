@@ -1,5 +1,4 @@
-//! Emulated chips: register maps that answer as LSM6DSOX and LIS3MDL do, directly or behind an emulated
-//! serial bridge.
+//! An emulated chip: a register map that answers as an LSM6DSOX does, directly or behind an emulated serial bridge.
 
 use std::collections::VecDeque;
 use std::io;
@@ -13,11 +12,10 @@ const FILTER_SAMPLES: usize = 5;
 /// Longest request that a bridge understands.
 const REQUEST_MAX: usize = 64;
 
-/// Both chips.
+/// The chip.
 #[derive(Clone, Debug)]
 pub struct EmulatedImu {
     lsm6: [u8; 0x80],
-    lis3: [u8; 0x80],
     /// Accelerations felt last, for the low-pass filter.
     acc_mps2: VecDeque<[f32; 3]>,
     /// Its cable is cut: nobody acknowledges.
@@ -26,12 +24,10 @@ pub struct EmulatedImu {
 
 impl Default for EmulatedImu {
     fn default() -> Self {
-        let (mut lsm6, mut lis3) = ([0; 0x80], [0; 0x80]);
+        let mut lsm6 = [0; 0x80];
         lsm6[usize::from(WHO_AM_I)] = LSM6_ID;
         lsm6[usize::from(LSM6_CTRL3_C)] = 0b100;
-        lis3[usize::from(WHO_AM_I)] = LIS3_ID;
-        lis3[usize::from(LIS3_CTRL3)] = 0b11;
-        Self { lsm6, lis3, acc_mps2: VecDeque::with_capacity(FILTER_SAMPLES), unplugged: false }
+        Self { lsm6, acc_mps2: VecDeque::with_capacity(FILTER_SAMPLES), unplugged: false }
     }
 }
 
@@ -41,16 +37,14 @@ fn raw(value: f32, lsb: f32) -> [u8; 2] {
 }
 
 impl EmulatedImu {
-    /// What the chips feel from now on, in the chips' own axes: rad/s, m/s², T. To be called every 4 ms.
-    pub fn feel(&mut self, gyro_radps: [f32; 3], acc_mps2: [f32; 3], field_t: [f32; 3]) {
+    /// What the chip feels from now on, in its own axes: rad/s, m/s². To be called every 4 ms.
+    pub fn feel(&mut self, gyro_radps: [f32; 3], acc_mps2: [f32; 3]) {
         let acc_mps2 = self.filtered(acc_mps2);
         for axis in 0..3 {
             let at = usize::from(LSM6_OUT) + 2 * axis;
             self.lsm6[at..at + 2].copy_from_slice(&raw(gyro_radps[axis], LSM6_RATE_LSB_RADPS));
             let at = at + 6;
             self.lsm6[at..at + 2].copy_from_slice(&raw(acc_mps2[axis], LSM6_ACC_LSB_MPS2));
-            let at = usize::from(LIS3_OUT) + 2 * axis;
-            self.lis3[at..at + 2].copy_from_slice(&raw(field_t[axis], LIS3_FIELD_LSB_T));
         }
         self.lsm6[usize::from(LSM6_STATUS)] = 0b11;
     }
@@ -71,7 +65,6 @@ impl EmulatedImu {
     fn chip(&mut self, chip: u8) -> io::Result<&mut [u8; 0x80]> {
         match chip {
             LSM6_ADDRESS if !self.unplugged => Ok(&mut self.lsm6),
-            LIS3_ADDRESS if !self.unplugged => Ok(&mut self.lis3),
             _ => Err(io::Error::other("no chip acknowledges")),
         }
     }
@@ -94,11 +87,8 @@ impl I2c for EmulatedImu {
     fn write_read(&mut self, chip: u8, bytes: &[u8], out: &mut [u8]) -> io::Result<()> {
         let registers = self.chip(chip)?;
         let Some(first) = bytes.first() else { return Ok(()) };
-        // The LSM6DSOX counts up with IF_INC set; the LIS3MDL where the address says so.
-        let counts_up = match chip {
-            LSM6_ADDRESS => registers[usize::from(LSM6_CTRL3_C)] & 0b100 != 0,
-            _ => first & LIS3_COUNT_UP != 0,
-        };
+        // it counts up with IF_INC set
+        let counts_up = registers[usize::from(LSM6_CTRL3_C)] & 0b100 != 0;
         for (offset, value) in out.iter_mut().enumerate() {
             let offset = if counts_up { offset } else { 0 };
             *value = registers[(usize::from(first & 0x7F) + offset) % registers.len()];
@@ -107,10 +97,10 @@ impl I2c for EmulatedImu {
     }
 }
 
-/// The chips' end of a serial bridge: bytes in, bytes out.
+/// The chip's end of a serial bridge: bytes in, bytes out.
 #[derive(Clone, Debug, Default)]
 pub struct EmulatedBridge {
-    /// The chips.
+    /// The chip.
     pub imu: EmulatedImu,
     request: Vec<u8>,
 }
@@ -183,7 +173,6 @@ mod tests {
         ImuWiring {
             bus: String::new(),
             address: LSM6_ADDRESS,
-            magnetometer: Some(LIS3_ADDRESS),
             axes: [Axis::PlusX, Axis::PlusY, Axis::PlusZ],
         }
     }
@@ -191,7 +180,7 @@ mod tests {
     #[test]
     fn values_come_back_within_half_a_unit_in_the_robots_axes() {
         let mut chips = EmulatedImu::default();
-        chips.feel([1.0, -0.5, 0.25], [0.0, -9.8, 1.0], [2e-5, 0.0, -4e-5]);
+        chips.feel([1.0, -0.5, 0.25], [0.0, -9.8, 1.0]);
         // The chip's y points forward, its x to the right (minus left), z up.
         let turned = ImuWiring { axes: [Axis::PlusY, Axis::MinusX, Axis::PlusZ], ..wiring() };
         let mut imu = ImuChip::start(chips, &turned).unwrap();
@@ -203,11 +192,6 @@ mod tests {
             assert!((found - expected).abs() < 0.51 * LSM6_ACC_LSB_MPS2, "{sample:?}");
         }
         assert!(!sample.saturated);
-        let field = imu.field_t().unwrap().unwrap();
-        assert!(
-            (field[1] + 2e-5).abs() < LIS3_FIELD_LSB_T
-                && (field[2] + 4e-5).abs() < LIS3_FIELD_LSB_T
-        );
     }
 
     #[test]
@@ -215,7 +199,7 @@ mod tests {
         let mut imu = ImuChip::start(EmulatedImu::default(), &wiring()).unwrap();
         // A spike of 20 m/s² in one of five samples.
         for z in [10.0, 10.0, 30.0, 10.0, 10.0] {
-            imu.bus_mut().feel([0.0; 3], [0.0, 0.0, z], [0.0; 3]);
+            imu.bus_mut().feel([0.0; 3], [0.0, 0.0, z]);
         }
         let z = imu.sample().unwrap().acc_mps2[2];
         assert!((z - 14.0).abs() < LSM6_ACC_LSB_MPS2, "{z}");
@@ -225,15 +209,16 @@ mod tests {
     fn the_end_of_the_range_is_told() {
         let mut chips = EmulatedImu::default();
         // ±500 °/s are 8.7 rad/s (32,767 units of 17.5 m°/s are 10 rad/s); 4 g are 39 m/s².
-        chips.feel([20.0, 0.0, 0.0], [0.0, 0.0, 9.8], [0.0; 3]);
+        chips.feel([20.0, 0.0, 0.0], [0.0, 0.0, 9.8]);
         let mut imu = ImuChip::start(chips, &wiring()).unwrap();
         assert!(imu.sample().unwrap().saturated);
     }
 
     #[test]
     fn another_chip_at_the_address_is_refused() {
-        let other = ImuWiring { address: LIS3_ADDRESS, ..wiring() };
-        let error = ImuChip::start(EmulatedImu::default(), &other).unwrap_err();
+        let mut other = EmulatedImu::default();
+        other.lsm6[usize::from(WHO_AM_I)] = 0x3D;
+        let error = ImuChip::start(other, &wiring()).unwrap_err();
         assert!(error.to_string().contains("0x3d"), "{error}");
     }
 

@@ -1,4 +1,4 @@
-//! The IMU: LSM6DSOX, and LIS3MDL where there is one.
+//! The IMU: an LSM6DSOX.
 
 use std::io::{self, ErrorKind};
 
@@ -17,7 +17,7 @@ pub struct ImuSample {
     pub saturated: bool,
 }
 
-/// Both chips on one bus.
+/// The chip on its bus.
 #[derive(Debug)]
 pub struct ImuChip<B> {
     bus: B,
@@ -25,12 +25,12 @@ pub struct ImuChip<B> {
 }
 
 impl<B: I2c> ImuChip<B> {
-    /// Looks for the chips and sets ranges and rates.
+    /// Looks for the chip and sets ranges and rates.
     ///
     /// # Errors
     /// What the bus says; another chip at the address is `InvalidData`.
     pub fn start(mut bus: B, wiring: &ImuWiring) -> io::Result<Self> {
-        identify(&mut bus, wiring.address, LSM6_ID, "LSM6DSOX")?;
+        identify(&mut bus, wiring.address)?;
         for (register, value) in [
             (LSM6_CTRL3_C, LSM6_CTRL3_C_VALUE),
             (LSM6_CTRL8_XL, LSM6_CTRL8_XL_VALUE),
@@ -38,11 +38,6 @@ impl<B: I2c> ImuChip<B> {
             (LSM6_CTRL2_G, LSM6_CTRL2_G_VALUE),
         ] {
             set(&mut bus, wiring.address, register, value)?;
-        }
-        if let Some(address) = wiring.magnetometer {
-            identify(&mut bus, address, LIS3_ID, "LIS3MDL")?;
-            set(&mut bus, address, LIS3_CTRL1, LIS3_CTRL1_VALUE)?;
-            set(&mut bus, address, LIS3_CTRL3, LIS3_CTRL3_VALUE)?;
         }
         Ok(Self { bus, wiring: wiring.clone() })
     }
@@ -66,29 +61,18 @@ impl<B: I2c> ImuChip<B> {
             saturated: raw.iter().any(|v| *v == i16::MAX || *v == i16::MIN),
         })
     }
-
-    /// The magnetic field in the robot's axes, T; `None` where no magnetometer is wired.
-    pub fn field_t(&mut self) -> io::Result<Option<[f32; 3]>> {
-        let Some(address) = self.wiring.magnetometer else { return Ok(None) };
-        let mut block = [0; 6];
-        self.bus.write_read(address, &[LIS3_OUT | LIS3_COUNT_UP], &mut block)?;
-        let field = std::array::from_fn(|i| {
-            f32::from(i16::from_le_bytes([block[2 * i], block[2 * i + 1]])) * LIS3_FIELD_LSB_T
-        });
-        Ok(Some(self.wiring.turned(field)))
-    }
 }
 
-fn identify(bus: &mut impl I2c, chip: u8, expected: u8, name: &str) -> io::Result<()> {
+fn identify(bus: &mut impl I2c, chip: u8) -> io::Result<()> {
     let mut id = [0];
     bus.write_read(chip, &[WHO_AM_I], &mut id)?;
-    if id[0] == expected {
+    let [found] = id;
+    if found == LSM6_ID {
         return Ok(());
     }
-    let found = id[0];
     Err(io::Error::new(
         ErrorKind::InvalidData,
-        format!("chip {chip:#04x} says {found:#04x}, a {name} says {expected:#04x}"),
+        format!("chip {chip:#04x} says {found:#04x}, an LSM6DSOX says {LSM6_ID:#04x}"),
     ))
 }
 

@@ -1,13 +1,12 @@
-//! Registers and scales of the LSM6DSOX (gyroscope, accelerometer) and the LIS3MDL (magnetometer), from ST's
-//! data sheets.
+//! Registers and scales of the LSM6DSOX (gyroscope, accelerometer), from ST's data sheet.
 
 /// Standard gravity, m/s².
 pub const G_MPS2: f32 = 9.806_65;
 
-/// WHO_AM_I of both chips.
+/// WHO_AM_I.
 pub const WHO_AM_I: u8 = 0x0F;
 
-/// LSM6DSOX: its 7-bit address with SA0 low.
+/// Its 7-bit address with SA0 low.
 pub const LSM6_ADDRESS: u8 = 0x6A;
 /// Its answer at WHO_AM_I.
 pub const LSM6_ID: u8 = 0x6C;
@@ -39,22 +38,3 @@ pub const LSM6_OUT: u8 = 0x22;
 pub const LSM6_RATE_LSB_RADPS: f32 = 0.0175 * std::f32::consts::PI / 180.0;
 /// One unit of acceleration at ±4 g: 0.122 mg, m/s².
 pub const LSM6_ACC_LSB_MPS2: f32 = 0.122e-3 * G_MPS2;
-
-/// LIS3MDL: its 7-bit address with SA1 low.
-pub const LIS3_ADDRESS: u8 = 0x1C;
-/// Its answer at WHO_AM_I.
-pub const LIS3_ID: u8 = 0x3D;
-/// CTRL_REG1.
-pub const LIS3_CTRL1: u8 = 0x20;
-/// Ultra-high performance, 80 Hz.
-pub const LIS3_CTRL1_VALUE: u8 = 0b0111_1100;
-/// CTRL_REG3.
-pub const LIS3_CTRL3: u8 = 0x22;
-/// Continuous conversion.
-pub const LIS3_CTRL3_VALUE: u8 = 0;
-/// OUT_X_L: three fields, 16 bits each, low byte first.
-pub const LIS3_OUT: u8 = 0x28;
-/// Set in a register's address, addresses count up by themselves.
-pub const LIS3_COUNT_UP: u8 = 0x80;
-/// One unit of field at ±4 G: 1/6842 G, T.
-pub const LIS3_FIELD_LSB_T: f32 = 1e-4 / 6842.0;

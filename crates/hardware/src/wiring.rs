@@ -170,9 +170,6 @@ pub struct ImuWiring {
     pub bus: String,
     /// Address of the LSM6DSOX.
     pub address: u8,
-    /// Address of the LIS3MDL; absent: none.
-    #[serde(default)]
-    pub magnetometer: Option<u8>,
     /// Which of the chip's axes point forward, left and up.
     pub axes: [Axis; 3],
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use caudata_model::RobotModel;
 use caudata_proto::registry::{LabelName, StreamName};
 use caudata_registry_client::is_loopback;
-use caudata_signing::{Trust, check_private};
+use caudata_signing::{Trust, check_private, pki};
 use caudata_telemetry::Metrics;
 
 use crate::DeployError;
@@ -43,8 +43,8 @@ pub struct SourceArgs {
     /// Certificates for an https:// address: folder with ca.crt, tls.crt and tls.key
     #[arg(long, value_name = "DIR", env = "CAUDATA_TLS_DIR")]
     pub tls_dir: Option<PathBuf>,
-    /// Name under which this robot reports to the policy server; over TLS that of its certificate. The host's
-    /// name when absent
+    /// Name under which this robot reports to the policy server. That of its certificate when absent; without one
+    /// the host's
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,
     /// Folder in which this robot keeps its policies
@@ -122,7 +122,8 @@ impl Source {
             (Some(path), Some(trust)) => store.trust(path, trust.version())?,
             _ => check_without_trust(store.state(), &args.state)?,
         }
-        let name = args.name.clone().unwrap_or_else(host_name);
+        let certified = || name_of(args.tls_dir.as_deref()?);
+        let name = args.name.clone().or_else(certified).unwrap_or_else(host_name);
         let reporter = Reporter::start(&args.policy_server, args.tls_dir.as_deref(), name)?;
         let mut keeper = Keeper::new(store, model.clone(), metrics.clone());
         keeper.reporter = Some(reporter);
@@ -155,6 +156,11 @@ impl Source {
         let (runtime, mut client) = server::connect(&follow.address, follow.tls_dir.as_deref())?;
         runtime.block_on(self.keeper.pull(&mut client, &follow.stream, &follow.label))
     }
+}
+
+/// The name in a robot's certificate. What is wrong with one is told where the connection is made.
+fn name_of(tls_dir: &Path) -> Option<String> {
+    pki::identity_of_pem(&tls_dir.join(pki::CERTIFICATE_FILE)).ok().map(|own| own.name)
 }
 
 /// The host's name, of what a robot's name may hold; `robot` where the system tells none.

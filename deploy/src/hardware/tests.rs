@@ -57,7 +57,7 @@ fn servos(joints: &[JointWiring]) -> Vec<EmulatedServo> {
 
 fn level() -> EmulatedImu {
     let mut imu = EmulatedImu::default();
-    imu.feel([0.0; 3], [0.0, 0.0, 9.81], [0.0; 3]);
+    imu.feel([0.0; 3], [0.0, 0.0, 9.81]);
     imu
 }
 
