@@ -174,10 +174,9 @@ fn title(key: &str) -> &str {
 
 /// A field of a record, short: a hash by its beginning, a time in words, a dash where there is nothing.
 fn cell(key: &str, value: &Value) -> String {
-    const HASH: usize = 64;
     match value {
         Value::Null => "-".to_owned(),
-        Value::String(text) if text.len() == HASH => text.chars().take(12).collect(),
+        Value::String(text) if is_hash(text) => text.chars().take(12).collect(),
         Value::String(text) => text.clone(),
         Value::Number(number) if key.ends_with("unix_ms") => utc(number.as_u64().unwrap_or(0)),
         Value::Number(number) if number.is_f64() => short(number.as_f64().unwrap_or(f64::NAN)),
@@ -188,6 +187,11 @@ fn cell(key: &str, value: &Value) -> String {
         }
         other => other.to_string(),
     }
+}
+
+/// A SHA-256.
+fn is_hash(text: &str) -> bool {
+    text.len() == 64 && text.bytes().all(|b| b.is_ascii_hexdigit())
 }
 
 /// Date and time of day, to the second.

@@ -130,6 +130,13 @@ fn list(server: &ServerArgs, limit: u32, json: bool) -> Result<(), Failure> {
     if json {
         return say::json(&json!({ "policies": policies, "more": page.more }));
     }
+    if policies.is_empty() {
+        let of = stream.map_or(String::new(), |s| {
+            format!(" of the stream {s}; `caudata policy list` without --stream shows all")
+        });
+        say::line(format!("the server has no policy{of}"));
+        return Ok(());
+    }
     say::records(&policies, "stream version sha256 bytes env_steps labels");
     if page.more {
         say::line("… and older ones; --limit shows more");

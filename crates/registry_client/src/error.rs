@@ -22,7 +22,7 @@ pub enum ClientError {
     #[error("certificates: {reason}")]
     Certificates { reason: String },
     /// Nobody answers.
-    #[error("policy server {address} does not answer: {reason}; is it running?")]
+    #[error("policy server {address} does not answer: {reason}; {}", question(address, reason))]
     Unreachable { address: String, reason: String },
     /// The server answered with a refusal.
     #[error("policy server refuses ({code:?}): {message}")]
@@ -42,6 +42,18 @@ pub enum ClientError {
     /// The call took too long.
     #[error("policy server did not finish {what} in time; try again")]
     TimedOut { what: &'static str },
+}
+
+/// What to look at where nobody answers.
+fn question(address: &str, reason: &str) -> &'static str {
+    let says = |what: &[&str]| what.iter().any(|w| reason.contains(w));
+    if says(&["certificate"]) {
+        "are its certificate and the one here of one authority?"
+    } else if !address.starts_with("https://") && says(&["broken pipe", "invalid size"]) {
+        "is it running, and does it want https://?"
+    } else {
+        "is it running?"
+    }
 }
 
 impl ClientError {
@@ -90,4 +102,18 @@ fn innermost(error: &dyn std::error::Error) -> String {
         last = source;
     }
     last.to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_does_not_answer_is_asked_about_what_it_said() {
+        let asks = |address: &str, reason: &str| question(address, reason);
+        assert_eq!(asks("127.0.0.1:7401", "connection refused"), "is it running?");
+        assert!(asks("127.0.0.1:7401", "frame with invalid size").contains("https://"));
+        let other = asks("https://lab:7401", "invalid peer certificate: UnknownIssuer");
+        assert!(other.contains("one authority"), "{other}");
+    }
 }

@@ -1,6 +1,6 @@
 //! The robot of a model as coloured shapes.
 
-use caudata_model::{Link, Pose, RobotModel, Shape};
+use caudata_model::{Link, Pose, RobotModel, Shape, has_shell};
 
 use crate::error::RenderError;
 use crate::scene::Item;
@@ -26,7 +26,7 @@ pub fn robot_items(
     let places = model.kinematics(world_from_base, joint_pos_rad)?;
     let mut items = Vec::new();
     for (l, (link, pose)) in model.links().iter().zip(&places.links).enumerate() {
-        let has_shell = link.geoms.iter().any(|g| !g.collides());
+        let has_shell = has_shell(&link.geoms);
         for (g, geom) in link.geoms.iter().enumerate() {
             let foot = model.foot_of(l, g);
             if has_shell && geom.collides() && foot.is_none() || geom.shape == Shape::Plane {

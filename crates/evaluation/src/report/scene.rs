@@ -1,6 +1,6 @@
 //! What the replay draws: the robot's shapes and joints, the ground, the water.
 
-use caudata_model::{Geom, JointMotion, Link, Pose, RobotModel};
+use caudata_model::{Geom, JointMotion, Link, Pose, RobotModel, has_shell};
 use caudata_sim::Terrain;
 use serde::Serialize;
 
@@ -96,7 +96,7 @@ impl RobotScene {
 }
 
 fn link_scene(model: &RobotModel, index: usize, link: &Link) -> LinkScene {
-    let has_shell = link.geoms.iter().any(|g| !g.collides());
+    let has_shell = has_shell(&link.geoms);
     let geoms = link.geoms.iter().enumerate().filter_map(|(g, geom)| {
         let foot = model.foot_of(index, g);
         let shown = foot.is_some() || !has_shell || !geom.collides();
