@@ -300,7 +300,7 @@ pub struct LocalGap {
     /// Unit of that: of a joint that slides m.
     #[serde(default = "radians")]
     pub unit: String,
-    /// The same in tolerances (whitened).
+    /// The same in tolerances (whitened), over a whole window: a shorter one at the end of a run counts less.
     pub ratio: f64,
 }
 

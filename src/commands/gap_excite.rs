@@ -51,7 +51,7 @@ pub fn run(args: &ExciteArgs) -> Result<(), Failure> {
         let mut driven = robot.actuated().iter().map(|&j| &robot.joints()[j]);
         if let Some(slide) = driven.find(|j| j.unit() == "m") {
             let way_mm = slide.per_radian() * 10.0;
-            say::line(format!("At joints that slide 10 mrad of a purpose are {way_mm:.0} mm"));
+            say::line(format!("Of joints that slide, read 10 mrad in a purpose as {way_mm:.0} mm"));
         }
         let out = args.out.display();
         say::line(format!("\n{} command file(s) are in {out}", trials.len()));

@@ -54,7 +54,7 @@ pub struct ImportArgs {
     /// Whether the base moves; only a URDF needs to be told [default: free if several chains hang on it]
     #[arg(long, value_enum, value_name = "WORD")]
     base: Option<BaseWord>,
-    /// Joints that stay where they are, of an arm or a head: in the nominal pose, or at so many rad (m)
+    /// Weld these joints (of an arm, a head): in the file's pose, else at 0, or at so many rad (m)
     #[arg(long, value_name = "JOINT[=POSITION]", num_args = 1.., value_parser = weld)]
     weld: Vec<Weld>,
     /// Overwrite files that are there

@@ -61,13 +61,15 @@ pub(crate) fn nearest(key: &str, known: &Table) -> Option<String> {
     let mut all: Vec<String> = entries(known).into_iter().map(|(key, _)| key).collect();
     all.extend(sections(known, ""));
     let last = |key: &str| key.rsplit('.').next().unwrap_or_default().to_owned();
+    let alone = all.iter().filter(|candidate| last(candidate) == key).count() == 1;
     let score = |candidate: &String| {
         let whole = strsim::jaro_winkler(key, candidate);
         let word = strsim::jaro_winkler(&last(key), &last(candidate));
         // A right last word in a wrong section counts more than a section that looks alike.
         let score = 0.4 * whole + 0.6 * word;
-        // a bare last word is what people type who leave its section out
-        if word == 1.0 { score.max(SIMILAR_ENOUGH) } else { score }
+        // people leave a section out: the last word alone, where there is one such
+        let bare = !key.contains('.') && *candidate != key && last(candidate) == key;
+        if bare && alone { score.max(SIMILAR_ENOUGH) } else { score }
     };
     all.into_iter()
         .map(|candidate| (score(&candidate), candidate))

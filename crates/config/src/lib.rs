@@ -110,10 +110,14 @@ impl Config {
         Sha256::digest(json).into()
     }
 
-    /// What a policy trains in: engine, terrain and task, but for what only tells machines apart.
+    /// What a policy trains in: engine, terrain and task, but for what only tells machines apart. Of a map it is what
+    /// stands in the file, wherever that is.
     pub fn world(&self) -> World {
         let engine = EngineConfig { lane_width: 0, ..self.engine.clone() };
-        let json = serde_json::to_vec(&(engine, &self.terrain, &self.task)).unwrap_or_default();
+        let terrain = TerrainConfig { map: PathBuf::new(), ..self.terrain.clone() };
+        let map = std::fs::read(&self.terrain.map).unwrap_or_default();
+        let map: [u8; 32] = Sha256::digest(map).into();
+        let json = serde_json::to_vec(&(engine, terrain, map, &self.task)).unwrap_or_default();
         World(Sha256::digest(json).into())
     }
 

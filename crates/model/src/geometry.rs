@@ -215,15 +215,17 @@ pub(crate) fn nearest_inertia(inertia: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
     pose::rotate_tensor(axes, diagonal([y + z, z + x, x + y]))
 }
 
-/// Whether shapes `geoms` of a link that are for the eye stand for those that touch, which are not drawn then. A nose beside a
-/// trunk does not: they must fill half as much.
+/// Whether shapes for the eye among the `geoms` of a link stand for those that touch, which are not drawn then. A nose
+/// beside a trunk does not: they must fill a third of that. (A salamander's lower leg, slim about two balls that touch,
+/// fills half.)
 pub fn has_shell(geoms: &[Geom]) -> bool {
+    const FILLS: f64 = 1.0 / 3.0;
     let filled_m3 = |touching: bool| -> f64 {
         let geoms = geoms.iter().filter(|g| g.collides() == touching);
         geoms.filter_map(|g| Solid::of(&g.shape)).map(|solid| solid.volume_m3).sum()
     };
     let shell_m3 = filled_m3(false);
-    shell_m3 > 0.0 && shell_m3 >= 0.5 * filled_m3(true)
+    shell_m3 > 0.0 && shell_m3 >= FILLS * filled_m3(true)
 }
 
 #[cfg(test)]
@@ -249,7 +251,7 @@ mod tests {
         assert!(check_inertia([[1.0, 0.4, 0.0], [0.4, 1.0, 0.0], [0.0, 0.0, 1.0]]).is_ok());
     }
 
-    /// A box of 0.2 × 0.1 × 0.1 m holds 2 l, a ball of 5 cm 0.52 l, one of 6.2 cm 1.0 l: the latter two are half of it.
+    /// A box of 0.2 × 0.1 × 0.1 m holds 2 l, a ball of 5 cm 0.52 l, one of 6 cm 0.90 l.
     #[test]
     fn a_nose_is_no_shell_of_a_trunk() {
         let geom = |shape: Shape, touches: bool| Geom {
@@ -265,7 +267,19 @@ mod tests {
         let ball = |radius_m| geom(Shape::Sphere { radius_m }, false);
         assert!(!has_shell(std::slice::from_ref(&trunk)));
         assert!(!has_shell(&[trunk.clone(), ball(0.05)]));
-        assert!(has_shell(&[trunk, ball(0.063)]));
+        assert!(has_shell(&[trunk, ball(0.06)]));
+    }
+
+    /// Where a robot that ships has shapes for the eye, what touches (balls at knees) is not drawn.
+    #[test]
+    fn robots_that_ship_are_drawn_by_their_shells() {
+        for name in ["polymander", "quadruped", "biped", "hexapod", "snake"] {
+            let file = format!("{}/../../robots/{name}.robot.toml", env!("CARGO_MANIFEST_DIR"));
+            let model = crate::RobotModel::load(file.as_ref()).unwrap();
+            for link in model.links().iter().filter(|l| l.geoms.iter().any(|g| !g.collides())) {
+                assert!(has_shell(&link.geoms), "{name} {}", link.name);
+            }
+        }
     }
 
     /// Σ of (1, 2, 4) is (2.5, 1.5, −0.5); with 0 in its place the moments are 1.5, 2.5 and 4.

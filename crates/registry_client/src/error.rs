@@ -48,8 +48,8 @@ pub enum ClientError {
 fn question(address: &str, reason: &str) -> &'static str {
     let says = |what: &[&str]| what.iter().any(|w| reason.contains(w));
     if says(&["certificate"]) {
-        "are its certificate and the one here of one authority?"
-    } else if !address.starts_with("https://") && says(&["broken pipe", "invalid size"]) {
+        "is its certificate valid, for this address, and of the authority of the one here?"
+    } else if !address.starts_with("https://") && says(&["roken pipe", "invalid size"]) {
         "is it running, and does it want https://?"
     } else {
         "is it running?"
@@ -114,6 +114,6 @@ mod tests {
         assert_eq!(asks("127.0.0.1:7401", "connection refused"), "is it running?");
         assert!(asks("127.0.0.1:7401", "frame with invalid size").contains("https://"));
         let other = asks("https://lab:7401", "invalid peer certificate: UnknownIssuer");
-        assert!(other.contains("one authority"), "{other}");
+        assert!(other.contains("authority"), "{other}");
     }
 }

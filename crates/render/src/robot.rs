@@ -12,7 +12,7 @@ const FOOT: [f64; 3] = [0.03, 0.03, 0.035];
 const FOOT_DOWN: [f64; 3] = [0.65, 0.06, 0.03];
 
 /// The shapes of `model` with its base at `world_from_base` and its joints at `joint_pos_rad` (`[J]`, model
-/// order). A link shows its shells (shapes that collide with nothing) and feet; one without shells shows all
+/// order). A link shows its shells ([`has_shell`]) and feet; one without shells shows all
 /// it has. `contacts` (one per foot, or empty) colours feet that stand on something red.
 ///
 /// # Errors

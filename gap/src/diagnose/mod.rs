@@ -108,10 +108,14 @@ pub fn diagnose(
     let mut all =
         searched(request, &model, &trials, split, (&[], request.options.budget_s), progress)?;
     // a joint that was thrown past its stop by what was found does not say that the stop is wrong
-    let met = if all.unfinished { Vec::new() } else { all.stops_met(request, &model)? };
+    let met = if all.unfinished { Ok(Vec::new()) } else { all.stops_met(request, &model) };
+    let met = met.or_else(none_where_stopped)?;
     let left_s = request.options.budget_s.map(|s| s - began.elapsed().as_secs_f64());
     if !met.is_empty() && left_s.is_none_or(|s| s > began.elapsed().as_secs_f64()) {
-        all = searched(request, &model, &trials, split, (&met, left_s), progress)?;
+        let again = searched(request, &model, &trials, split, (&met, left_s), progress);
+        // what is finished is worth more than what is not
+        let again = again.map(Some).or_else(none_where_stopped)?;
+        all = again.filter(|again| !again.unfinished).unwrap_or(all);
     }
     let Searched { mut context, mut found, mut named, tracking, unfinished } = all;
     progress(Progress::new(Stage::Reporting, 0, &found.best.label()));
@@ -143,6 +147,14 @@ pub fn diagnose(
     diagnosis.report.compute =
         Compute { candidates: found.tried, rollouts, simulated_s, seconds: 0.0 };
     Ok(diagnosis)
+}
+
+/// Nothing, of what whoever asked for it ended.
+fn none_where_stopped<T: Default>(error: GapError) -> Result<T, GapError> {
+    match error {
+        GapError::Stopped => Ok(T::default()),
+        other => Err(other),
+    }
 }
 
 /// What a search came to.

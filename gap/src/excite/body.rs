@@ -22,6 +22,8 @@ pub(super) struct Body<'a> {
     legs: Vec<Vec<usize>>,
     /// Joints that belong to no leg, head to tail.
     spine: Vec<usize>,
+    /// Whether one of them turns some legs against others.
+    bends: bool,
     nominal: Vec<f64>,
     /// One row per period. `[T][A]`
     pub rows: Vec<Vec<f64>>,
@@ -41,13 +43,15 @@ impl<'a> Body<'a> {
                 (0..limits.len()).filter(on_chain).collect()
             })
             .collect();
-        let shared = |a: usize| carries.iter().filter(|c| c.contains(&a)).count() != 1;
+        let beyond = |a: usize| carries.iter().filter(|c| c.contains(&a)).count();
+        let shared = |a: usize| beyond(a) != 1;
         // with one foot nothing is shared, and with none there is no leg
         let legs: Vec<Vec<usize>> =
             carries.iter().map(|c| c.iter().copied().filter(|&a| !shared(a)).collect()).collect();
         let spine = (0..limits.len()).filter(|a| !legs.iter().any(|l| l.contains(a))).collect();
+        let bends = (0..limits.len()).any(|a| (2..carries.len()).contains(&beyond(a)));
         let nominal = robot.nominal_pos_rad().to_vec();
-        Self { limits, rate_hz, legs, spine, rows: vec![nominal.clone()], nominal }
+        Self { limits, rate_hz, legs, spine, bends, rows: vec![nominal.clone()], nominal }
     }
 
     fn put(&mut self, mut row: Vec<f64>) {
@@ -173,7 +177,7 @@ impl<'a> Body<'a> {
     /// `height`: 1 nominal, less is lower.
     pub fn gait(&mut self, hz: f64, height: f64, bend_rad: f64, s: f64) {
         // what has no trunk to bend turns by shorter strides on one side
-        let shorter = if self.trunk().is_empty() { SHORTER_PER_RAD * bend_rad } else { 0.0 };
+        let shorter = if self.bends { 0.0 } else { SHORTER_PER_RAD * bend_rad };
         self.play(s, |b, t, fade, row| {
             let phase = TAU * hz * t;
             for (i, leg) in b.legs.iter().enumerate() {

@@ -25,7 +25,7 @@ pub fn open(path: &Path, named: &BTreeSet<&str>) -> Result<Recording, ImportErro
     }
     let sheets = files.iter().map(|file| {
         let text = bytes(file)?;
-        let table = Table::parse(&file.display().to_string(), &decoded(text))?;
+        let table = Table::parse(&file.display().to_string(), &decoded(&text))?;
         Ok::<Box<dyn Sheet>, ImportError>(Box::new(table))
     });
     Ok(Recording {
@@ -299,10 +299,15 @@ fn fields(line: &str, separator: char) -> Vec<String> {
     out
 }
 
-/// A text in UTF-8, or else in Latin-1, as spreadsheets of old write it: every byte is the character of its number.
-fn decoded(bytes: Vec<u8>) -> String {
-    String::from_utf8(bytes)
-        .unwrap_or_else(|error| error.as_bytes().iter().map(|&b| char::from(b)).collect())
+/// A text in UTF-8, or, where nothing beyond ASCII is, in Latin-1, as spreadsheets of old write it: every byte is the
+/// character of its number.
+fn decoded(bytes: &[u8]) -> String {
+    let lossy = String::from_utf8_lossy(bytes);
+    let read = |c: char| !c.is_ascii() && c != char::REPLACEMENT_CHARACTER;
+    match lossy.contains(char::REPLACEMENT_CHARACTER) && !lossy.contains(read) {
+        true => bytes.iter().map(|&b| char::from(b)).collect(),
+        false => lossy.into_owned(),
+    }
 }
 
 #[cfg(test)]
@@ -317,8 +322,10 @@ mod tests {
 
     #[test]
     fn a_spreadsheet_of_old_is_latin_1() {
-        assert_eq!(decoded(b"Sollwinkel [\xb0]".to_vec()), "Sollwinkel [°]");
-        assert_eq!(decoded("Sollwinkel [°]".into()), "Sollwinkel [°]");
+        assert_eq!(decoded(b"Sollwinkel [\xb0]"), "Sollwinkel [°]");
+        assert_eq!(decoded("Sollwinkel [°]".as_bytes()), "Sollwinkel [°]");
+        // one bad byte does not make °C two characters
+        assert_eq!(decoded(b"t [\xc2\xb0C];x\xff"), "t [°C];x\u{fffd}");
     }
 
     fn read(path: &Path, map: &Map, robot: &RobotModel) -> Result<Imported, ImportError> {

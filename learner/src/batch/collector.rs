@@ -163,7 +163,7 @@ impl Collector {
                 if hello.contract_hash != self.settings.contract_hash {
                     return self.reject_unattributed(
                         "contract",
-                        "an actor has another robot, engine, terrain or task than the learner: give both one configuration",
+                        "an actor has another robot, engine, terrain or task than the learner: give both one configuration and one version",
                     );
                 }
                 self.heard(actor);

@@ -47,7 +47,8 @@ pub struct ActorsArgs {
 
 /// Runs until the learner says stop, until asked to, or until an actor cannot work at all.
 pub fn run(args: &ActorsArgs, process: &Process) -> Result<(), Failure> {
-    let mut flags = args.config.clone();
+    // as `up` takes them: of a robot alone both have its preset
+    let mut flags = flags::of_robot(&args.config);
     let endpoints = format!("transport.zenoh_connect={:?}", args.connect);
     flags.overrides.extend(["transport.kind=zenoh".to_owned(), endpoints]);
     let config = flags.load().or_exit(ExitCode::BadConfig)?;

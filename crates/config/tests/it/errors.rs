@@ -207,7 +207,7 @@ fn the_hash_covers_what_decides_training_and_nothing_else() {
     }
 }
 
-/// An actor on another machine may have lanes and threads of its own, but no reward of its own.
+/// An actor on another machine may have a vector width and threads of its own, but no reward of its own.
 #[test]
 fn two_machines_have_one_world_where_policies_meet_the_same() {
     let world = |assignment: &str| load_with(assignment).unwrap().world();

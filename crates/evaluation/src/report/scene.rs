@@ -64,8 +64,7 @@ struct FootScene {
 }
 
 impl RobotScene {
-    /// The shapes that are to be looked at: shells (they collide with nothing) and feet; a link without
-    /// shells shows all it has.
+    /// The shapes that are to be looked at: shells ([`has_shell`]) and feet; a link without shells shows all it has.
     pub fn of(model: &RobotModel) -> Self {
         let links = model.links().iter().enumerate();
         Self {

@@ -16,6 +16,6 @@ pub struct ImportOptions {
 pub struct Weld {
     /// Its name in the file.
     pub joint: String,
-    /// Where, rad or m; default: where the nominal pose has it.
+    /// Where, rad or m; default: where the file's pose has it, else 0.
     pub at: Option<f64>,
 }

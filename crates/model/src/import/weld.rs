@@ -13,7 +13,9 @@ use crate::types::JointMotion;
 /// Takes the joints of `welds` out, so that their bodies become part of their parents.
 pub(super) fn weld(robot: &mut Robot, welds: &[Weld], root: &Element, remarks: &mut Remarks) {
     for weld in welds {
-        let body = robot.bodies.iter().position(|b| b.joints.iter().any(|j| j.name == weld.joint));
+        // by its name in the file, or as that is rewritten
+        let is = |j: &Joint| j.name == weld.joint || word(&j.name) == weld.joint;
+        let body = robot.bodies.iter().position(|b| b.joints.iter().any(is));
         let Some(body) = body else {
             let names: Vec<&str> = robot.joints().map(|j| j.name.as_str()).collect();
             let message =
@@ -21,10 +23,17 @@ pub(super) fn weld(robot: &mut Robot, welds: &[Weld], root: &Element, remarks: &
             remarks.refuse(root, message);
             continue;
         };
-        let k = robot.bodies[body].joints.iter().position(|j| j.name == weld.joint).unwrap_or(0);
+        let k = robot.bodies[body].joints.iter().position(is).unwrap_or(0);
         let at = weld.at.unwrap_or_else(|| nominal(robot, &robot.bodies[body].joints[k]));
         let body = &mut robot.bodies[body];
-        let moved = motion(&body.joints.remove(k), at);
+        let joint = body.joints.remove(k);
+        if let Some((low, high)) = joint.range.filter(|(low, high)| !(*low..=*high).contains(&at)) {
+            let message = format!(
+                "is welded at {at}, outside of its range ({low} to {high}): positions are in rad (m)"
+            );
+            remarks.refuse(&joint.element, message);
+        }
+        let moved = motion(&joint, at);
         // the others of the body that move before it see it the other way round
         let back = moved.inverse();
         for before in &mut body.joints[..k] {
@@ -32,8 +41,8 @@ pub(super) fn weld(robot: &mut Robot, welds: &[Weld], root: &Element, remarks: &
             before.anchor_m = back.point(before.anchor_m);
         }
         body.parent_from_body = body.parent_from_body.compose(&moved);
-        robot.actuators.retain(|a| a.joint != weld.joint);
-        robot.home.remove(&weld.joint);
+        robot.actuators.retain(|a| a.joint != joint.name);
+        robot.home.remove(&joint.name);
     }
 }
 

@@ -465,7 +465,7 @@ fn what_is_welded_stays_where_it_is() {
     let text = r#"<mujoco model="dog"><compiler angle="radian"/><worldbody><body name="trunk" pos="0 0 0.3"><freejoint/>
       <geom type="box" size="0.2 0.1 0.05" mass="5"/>
       <body name="arm" pos="0.1 0 0.1">
-        <joint name="sway" axis="0 0 1" pos="0 0.02 0" range="-1 1"/><joint name="lift" axis="0 1 0" pos="0.01 0 0" range="-1 1"/>
+        <joint name="z1/sway" axis="0 0 1" pos="0 0.02 0" range="-1 1" ref="0.2"/><joint name="lift" axis="0 1 0" pos="0.01 0 0" range="-1 1"/>
         <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.02" mass="0.4"/>
         <body name="hand" pos="0.2 0 0"><joint name="grip" type="slide" axis="1 0 0" range="0 0.03"/>
           <geom type="sphere" size="0.02" mass="0.1"/></body>
@@ -482,10 +482,10 @@ fn what_is_welded_stays_where_it_is() {
     };
     let plain = made(Vec::new()).unwrap();
     let told = |made: &Imported, what: &str| made.notes.iter().any(|n| n.message.contains(what));
-    assert!(told(&plain, "--weld sway lift grip"), "{:?}", plain.notes);
+    assert!(told(&plain, "--weld z1_sway lift grip"), "{:?}", plain.notes);
     let [swayed, welded] = [
         vec![weld("lift", Some(0.5))],
-        vec![weld("lift", Some(0.5)), weld("sway", Some(0.0)), weld("grip", Some(0.01))],
+        vec![weld("lift", Some(0.5)), weld("z1/sway", Some(0.3)), weld("grip", Some(0.01))],
     ]
     .map(|welds| made(welds).unwrap());
     assert!(!told(&welded, "--weld"), "{:?}", welded.notes);
@@ -499,12 +499,17 @@ fn what_is_welded_stays_where_it_is() {
         let places = robot.kinematics(&Pose::IDENTITY, &robot.full_pos_rad(&pos).unwrap()).unwrap();
         robot.centre_of_mass_m(&places)
     };
-    let want = com(&plain, &[("lift", 0.5), ("grip", 0.01)]);
+    let want = com(&plain, &[("z1_sway", 0.3), ("lift", 0.5), ("grip", 0.01)]);
     let got = com(&welded, &[]);
     (0..3).for_each(|k| near("centre of mass", got[k], want[k], 1e-9));
-    let want = com(&plain, &[("sway", 0.4), ("lift", 0.5)]);
-    let got = com(&swayed, &[("sway", 0.4)]);
+    let want = com(&plain, &[("z1_sway", 0.4), ("lift", 0.5)]);
+    let got = com(&swayed, &[("z1_sway", 0.4)]);
     (0..3).for_each(|k| near("centre of mass", got[k], want[k], 1e-9));
     let none = made(vec![weld("tail", None)]).unwrap_err().to_string();
-    assert!(none.contains("has no joint `tail` to weld; it has sway, lift, grip, hip"), "{none}");
+    assert!(
+        none.contains("has no joint `tail` to weld; it has z1/sway, lift, grip, hip"),
+        "{none}"
+    );
+    let degrees = made(vec![weld("z1_sway", Some(90.0))]).unwrap_err().to_string();
+    assert!(degrees.contains("outside of its range (-1 to 1)"), "{degrees}");
 }
