@@ -24,12 +24,20 @@ pub(super) fn weld(robot: &mut Robot, welds: &[Weld], root: &Element, remarks: &
             continue;
         };
         let k = robot.bodies[body].joints.iter().position(is).unwrap_or(0);
-        let at = weld.at.unwrap_or_else(|| nominal(robot, &robot.bodies[body].joints[k]));
+        let drawn_at = robot.bodies[body].joints[k].drawn_at;
+        // here positions count from where the file draws the joint, in the file from its `ref`
+        let at = match weld.at {
+            Some(at) => at - drawn_at,
+            None => nominal(robot, &robot.bodies[body].joints[k]),
+        };
         let body = &mut robot.bodies[body];
         let joint = body.joints.remove(k);
         if let Some((low, high)) = joint.range.filter(|(low, high)| !(*low..=*high).contains(&at)) {
             let message = format!(
-                "is welded at {at}, outside of its range ({low} to {high}): positions are in rad (m)"
+                "is welded at {}, outside of its range ({} to {}): positions are in rad (m)",
+                at + drawn_at,
+                low + drawn_at,
+                high + drawn_at
             );
             remarks.refuse(&joint.element, message);
         }
@@ -46,9 +54,8 @@ pub(super) fn weld(robot: &mut Robot, welds: &[Weld], root: &Element, remarks: &
     }
 }
 
-/// How a joint at position `at`, rad or m, moves its body.
-fn motion(joint: &Joint, at: f64) -> Pose {
-    let way = at - joint.drawn_at;
+/// How a joint that is `way`, rad or m, from where it is drawn has moved its body.
+fn motion(joint: &Joint, way: f64) -> Pose {
     match joint.motion {
         JointMotion::Hinge => {
             let turn = Pose {
