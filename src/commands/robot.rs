@@ -55,7 +55,7 @@ pub struct ImportArgs {
     #[arg(long, value_enum, value_name = "WORD")]
     base: Option<BaseWord>,
     /// Weld these joints (of an arm, a head): in the file's pose, else at 0, or at so many rad (m)
-    #[arg(long, value_name = "JOINT[=POSITION]", num_args = 1.., value_parser = weld)]
+    #[arg(long, value_name = "JOINT[=POSITION]", num_args = 1..)]
     weld: Vec<Weld>,
     /// Overwrite files that are there
     #[arg(long)]
@@ -363,15 +363,6 @@ fn import(args: &ImportArgs) -> Result<(), Failure> {
         say::line(format!("      caudata train --robot {robot}"));
     }
     Ok(())
-}
-
-/// `JOINT` or `JOINT=POSITION`.
-fn weld(text: &str) -> Result<Weld, String> {
-    let (joint, at) = text.rsplit_once('=').map_or((text, None), |(joint, at)| (joint, Some(at)));
-    let number = |at: &str| at.parse().ok().filter(|at| f64::is_finite(*at));
-    let wrong = |at: &str| format!("`{at}` is no number of radians or metres");
-    let at = at.map(|at| number(at).ok_or_else(|| wrong(at))).transpose()?;
-    Ok(Weld { joint: joint.to_owned(), at })
 }
 
 /// Refuses to overwrite a file; the one that is imported even with `--force`.

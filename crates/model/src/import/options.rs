@@ -19,3 +19,17 @@ pub struct Weld {
     /// Where, rad or m; default: where the file's pose has it, else 0.
     pub at: Option<f64>,
 }
+
+/// `JOINT` or `JOINT=POSITION`.
+impl std::str::FromStr for Weld {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (joint, at) =
+            text.rsplit_once('=').map_or((text, None), |(joint, at)| (joint, Some(at)));
+        let number = |at: &str| at.parse().ok().filter(|at| f64::is_finite(*at));
+        let wrong = |at: &str| format!("`{at}` is no number of radians or metres");
+        let at = at.map(|at| number(at).ok_or_else(|| wrong(at))).transpose()?;
+        Ok(Self { joint: joint.to_owned(), at })
+    }
+}
