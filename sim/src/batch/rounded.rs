@@ -7,7 +7,7 @@
 //! [`super::pairs`] (see [`super::cores`]).
 
 use caudata_model::pose::sub;
-use caudata_model::{Geom, Kinematics, Pose, RobotModel, Shape};
+use caudata_model::{Geom, Kinematics, Pose, RobotModel, Shape, has_shell};
 
 use super::place::{Part, Place};
 use super::vec3::{V3, add_scaled, dot};
@@ -119,7 +119,7 @@ fn apart(model: &RobotModel, links: (usize, usize)) -> usize {
 fn candidates(model: &RobotModel, shells: bool) -> Vec<Candidate> {
     let mut out = Vec::new();
     for (l, link) in model.links().iter().enumerate() {
-        let has_shell = link.geoms.iter().any(|g| !g.collides());
+        let has_shell = has_shell(&link.geoms);
         for (g, geom) in link.geoms.iter().enumerate() {
             let foot = model.foot_of(l, g);
             let shown = !has_shell || !geom.collides() || foot.is_some();
