@@ -4,13 +4,13 @@ use std::time::{Duration, Instant};
 
 use caudata_config::LearnerConfig;
 use caudata_proto::RolloutChunk;
+use caudata_telemetry::StopFlag;
 use caudata_telemetry::now_ns;
 use caudata_telemetry::spans::{Laps, Part};
-use caudata_telemetry::{Pulse, StopFlag};
 use caudata_transport::{Frame, LearnerLink};
 
 use super::fleet::Fleet;
-use super::metrics::LearnerMetrics;
+use super::report::Reporter;
 use super::traces::Traces;
 use crate::LearnerError;
 use crate::batch::{Collector, Outcome};
@@ -36,7 +36,7 @@ pub(super) fn collect(
     mut fleet: Option<&mut Fleet>,
     config: &LearnerConfig,
     stop: &StopFlag,
-    (metrics, pulse): (&LearnerMetrics, &Pulse),
+    reporter: &mut Reporter,
     traces: &Traces,
 ) -> Result<Collected, LearnerError> {
     let started = Instant::now();
@@ -44,7 +44,7 @@ pub(super) fn collect(
     let starved = Duration::from_secs_f64(config.starve_timeout_s);
     let mut stopping: Option<Instant> = None;
     loop {
-        pulse.beat();
+        reporter.pulse.beat();
         if collector.is_ready() {
             return Ok(Collected::Batch(collector.take()));
         }
@@ -60,18 +60,18 @@ pub(super) fn collect(
             return Ok(Collected::Stopped);
         }
         if let Some(frame) = link.recv(SLICE)? {
-            take_in(collector, frame, traces, metrics);
+            take_in(collector, frame, traces, reporter);
         } else if let Some(fleet) = fleet.as_deref_mut() {
             // Only when nothing is left to read: an actor's last frames come before its end.
             fleet.check()?;
         }
-        metrics.waiting.set(collector.waiting() as i64);
-        metrics.actors.set(collector.present() as i64);
+        reporter.metrics.waiting.set(collector.waiting() as i64);
+        reporter.metrics.actors.set(collector.present() as i64);
     }
 }
 
 /// A frame of bytes, or a chunk of an actor in this process as it is.
-fn take_in(collector: &mut Collector, frame: Frame, traces: &Traces, metrics: &LearnerMetrics) {
+fn take_in(collector: &mut Collector, frame: Frame, traces: &Traces, reporter: &mut Reporter) {
     let (began_ns, mut laps) = (now_ns(), Laps::new());
     let bytes = frame.bytes.len() + frame.value.as_ref().map_or(0, |value| value.bytes);
     let value = frame.value.map(|value| value.content.downcast::<RolloutChunk>());
@@ -83,7 +83,7 @@ fn take_in(collector: &mut Collector, frame: Frame, traces: &Traces, metrics: &L
     };
     laps.lap(Part::Encoding);
     traces.received(identity, bytes, began_ns, word(&outcome));
-    tell(&outcome, metrics);
+    tell(&outcome, reporter);
 }
 
 /// Takes what still comes after the stop, until every actor has said goodbye or the time is up.
@@ -91,15 +91,15 @@ pub(super) fn drain(
     collector: &mut Collector,
     link: &mut dyn LearnerLink,
     fleet: Option<&Fleet>,
-    (metrics, pulse): (&LearnerMetrics, &Pulse),
+    reporter: &mut Reporter,
     traces: &Traces,
 ) {
     let deadline = Instant::now() + BYE_PATIENCE;
     collector.close();
     while Instant::now() < deadline {
-        pulse.beat();
+        reporter.pulse.beat();
         match link.recv(SLICE) {
-            Ok(Some(frame)) => take_in(collector, frame, traces, metrics),
+            Ok(Some(frame)) => take_in(collector, frame, traces, reporter),
             // Nothing waits: done when nobody is left to send.
             Ok(None) if collector.all_gone() || fleet.is_some_and(Fleet::is_gone) => return,
             Ok(None) => {}
@@ -124,21 +124,21 @@ fn word(outcome: &Outcome) -> &'static str {
     }
 }
 
-fn tell(outcome: &Outcome, metrics: &LearnerMetrics) {
+fn tell(outcome: &Outcome, reporter: &mut Reporter) {
     match outcome {
         Outcome::Hello((actor, incarnation)) => {
             tracing::info!(actor, incarnation, "an actor is here");
-            metrics.frame(word(outcome));
+            reporter.metrics.frame(word(outcome));
         }
         Outcome::Bye((actor, incarnation)) => {
             tracing::info!(actor, incarnation, "an actor left");
-            metrics.frame(word(outcome));
+            reporter.metrics.frame(word(outcome));
         }
         Outcome::Waiting(_) => {
-            metrics.frame(word(outcome));
+            reporter.metrics.frame(word(outcome));
         }
         Outcome::Duplicate((actor, incarnation)) => {
-            let count = metrics.frame(word(outcome));
+            let count = reporter.metrics.frame(word(outcome));
             if count.is_power_of_two() {
                 tracing::warn!(
                     actor,
@@ -150,13 +150,21 @@ fn tell(outcome: &Outcome, metrics: &LearnerMetrics) {
         }
         Outcome::Dropped((actor, incarnation), reason) => {
             tracing::debug!(actor, incarnation, reason = reason.name(), "a chunk is not used");
-            metrics.frame(word(outcome));
+            reporter.metrics.frame(word(outcome));
         }
         Outcome::Rejected(actor, reason, message) => {
-            let count = metrics.frame(reason);
+            let count = reporter.metrics.frame(reason);
             // The 1st, 2nd, 4th, 8th, …: whoever floods the learner shall not flood its log.
             if count.is_power_of_two() {
-                tracing::warn!(?actor, reason, count, message, "a frame is refused");
+                let from = match actor {
+                    Some((actor, incarnation)) => {
+                        format!("of actor {actor} (incarnation {incarnation})")
+                    }
+                    None => "of an unknown sender".to_owned(),
+                };
+                reporter.warn(format!(
+                    "a frame {from} is refused ({reason}, {count} so far): {message}"
+                ));
             }
         }
     }

@@ -72,9 +72,8 @@ impl Run<'_> {
             control: Control::Stop,
         };
         note(self.link.publish_policy(stop).map_err(LearnerError::from));
-        let (link, told) = (self.link.as_mut(), self.reporter.told());
-        let fleet = self.fleet.as_ref();
-        drain(&mut self.collector, link, fleet, told, &self.traces);
+        let (link, fleet) = (self.link.as_mut(), self.fleet.as_ref());
+        drain(&mut self.collector, link, fleet, &mut self.reporter, &self.traces);
         self.fleet = None;
         if let Some(versions) = &mut self.versions {
             note(versions.at_the_end(state.policy.metadata().version));

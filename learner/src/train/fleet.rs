@@ -52,6 +52,8 @@ impl Fleet {
         for id in 0..config.actors.count {
             let incarnation = accounting.next_incarnation(id);
             let mut actor = ActorSettings::from_config(config, &settings.run_id, id, incarnation);
+            // A learner in the same process is never gone while its actors live, however slow the machine is.
+            actor.policy_timeout = Duration::MAX;
             // Kept here too: a run that is killed and goes on knows what was sent after its last checkpoint.
             actor.traces = tracer.clone();
             actor.retunes = retunes.clone();

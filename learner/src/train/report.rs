@@ -26,7 +26,7 @@ pub(super) struct Reporter {
     tensorboard: Option<EventFile>,
     pub metrics: LearnerMetrics,
     /// Beats while the run makes progress, or waits for what it needs.
-    pulse: Pulse,
+    pub pulse: Pulse,
     advisor: Advisor,
     /// Chunks received and dropped until the last iteration.
     counted: (u64, u64),
@@ -92,11 +92,6 @@ impl Reporter {
             Err(error) => reporter.failed("the TensorBoard file", &error.to_string()),
         }
         reporter
-    }
-
-    /// What those tell who wait for actors.
-    pub fn told(&self) -> (&LearnerMetrics, &Pulse) {
-        (&self.metrics, &self.pulse)
     }
 
     /// Puts the settings of the run where TensorBoard shows them.

@@ -131,7 +131,7 @@ impl Run<'_> {
             let chunks = {
                 let _span = tracing::info_span!("collect").entered();
                 let (link, fleet) = (self.link.as_mut(), self.fleet.as_mut());
-                let (learner, told) = (&self.config.learner, self.reporter.told());
+                let (learner, told) = (&self.config.learner, &mut self.reporter);
                 collect(&mut self.collector, link, fleet, learner, self.stop, told, &self.traces)?
             };
             let Collected::Batch(chunks) = chunks else { return Ok(self.stop_reason()) };

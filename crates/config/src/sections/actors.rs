@@ -32,7 +32,8 @@ settings! {
         /// Threads that step one actor's environments. 1 to 256. Results do not depend on it.
         pub threads: u32 = 1,
         /// Seconds an actor waits for a new policy before it gives up (exit code 75). Above 0, to 86,400.
-        /// Must be longer than the learner's longest pause (update, checkpoint, restart).
+        /// Must be longer than the learner's longest pause (update, checkpoint, restart). Not for actors inside
+        /// the learner's process: they wait as long as it lives.
         pub policy_timeout_s: f64 = 300.0,
         /// Seconds an actor spends at its end on handing over what it has sent. Above 0, to 600.
         pub flush_timeout_s: f64 = 10.0,
