@@ -4,6 +4,7 @@ use std::f64::consts::{PI, TAU};
 
 use caudata_model::RobotModel;
 
+use super::legs::Leg;
 use super::limits::JointLimits;
 use super::wave::Wave;
 
@@ -18,8 +19,7 @@ const SHORTER_PER_RAD: f64 = 3.3;
 pub(super) struct Body<'a> {
     pub limits: &'a [JointLimits],
     rate_hz: f64,
-    /// By foot: the joints that only this leg has, from the trunk outwards (policy order indices).
-    legs: Vec<Vec<usize>>,
+    legs: Vec<Leg>,
     /// Joints that belong to no leg, head to tail.
     spine: Vec<usize>,
     /// Whether one of them turns some legs against others.
@@ -31,24 +31,11 @@ pub(super) struct Body<'a> {
 
 impl<'a> Body<'a> {
     pub fn new(robot: &RobotModel, limits: &'a [JointLimits], rate_hz: f64) -> Self {
-        let carries: Vec<Vec<usize>> = robot
-            .feet()
-            .iter()
-            .map(|foot| {
-                let links = robot.links();
-                let chain = std::iter::successors(Some(foot.link), |&l| links[l].parent);
-                let carrying: Vec<usize> = chain.collect();
-                let on_chain =
-                    |a: &usize| carrying.contains(&robot.joints()[robot.actuated()[*a]].child_link);
-                (0..limits.len()).filter(on_chain).collect()
-            })
-            .collect();
+        let carries = carried(robot);
         let beyond = |a: usize| carries.iter().filter(|c| c.contains(&a)).count();
-        let shared = |a: usize| beyond(a) != 1;
-        // with one foot nothing is shared, and with none there is no leg
-        let legs: Vec<Vec<usize>> =
-            carries.iter().map(|c| c.iter().copied().filter(|&a| !shared(a)).collect()).collect();
-        let spine = (0..limits.len()).filter(|a| !legs.iter().any(|l| l.contains(a))).collect();
+        let legs = Leg::all(robot);
+        let spine =
+            (0..limits.len()).filter(|a| !legs.iter().any(|l| l.joints.contains(a))).collect();
         let bends = (0..limits.len()).any(|a| (2..carries.len()).contains(&beyond(a)));
         let nominal = robot.nominal_pos_rad().to_vec();
         Self { limits, rate_hz, legs, spine, bends, rows: vec![nominal.clone()], nominal }
@@ -149,13 +136,11 @@ impl<'a> Body<'a> {
     pub fn rock(&mut self, roll: bool) {
         for hz in [0.3, 0.8, 1.6] {
             self.play(6.0, |b, t, fade, row| {
-                for (i, leg) in b.legs.iter().enumerate() {
-                    // feet stand in the order front left, front right, hind left, hind right
-                    let (left, front) = (i % 2 == 0, i < b.legs.len() / 2);
-                    let up = if if roll { left } else { front } { 1.0 } else { -1.0 };
-                    if let Some(&knee) = leg.last() {
-                        row[knee] += fade * up * b.sine(knee, 0.3, hz) * (TAU * hz * t).sin();
-                    }
+                for leg in &b.legs {
+                    let up = if if roll { leg.left } else { leg.front } { 1.0 } else { -1.0 };
+                    let knee = leg.lift.joint;
+                    let stretch = -leg.lift.sign * b.sine(knee, 0.3, hz);
+                    row[knee] += fade * up * stretch * (TAU * hz * t).sin();
                 }
             });
         }
@@ -165,9 +150,8 @@ impl<'a> Body<'a> {
     pub fn lift_feet(&mut self) {
         for i in 0..self.legs.len() {
             self.play(3.0, |b, _, fade, row| {
-                if let Some(&knee) = b.legs[i].last() {
-                    row[knee] -= 0.7 * b.limits[knee].per_radian * fade;
-                }
+                let lift = b.legs[i].lift;
+                row[lift.joint] += lift.sign * 0.7 * b.limits[lift.joint].per_radian * fade;
             });
             self.hold(0.5);
         }
@@ -180,15 +164,15 @@ impl<'a> Body<'a> {
         let shorter = if self.bends { 0.0 } else { SHORTER_PER_RAD * bend_rad };
         self.play(s, |b, t, fade, row| {
             let phase = TAU * hz * t;
-            for (i, leg) in b.legs.iter().enumerate() {
-                let diagonal = if i % 2 == i / 2 % 2 { 0.0 } else { PI };
-                let (swing, lift) = ((phase + diagonal).sin(), (phase + diagonal).cos().max(0.0));
-                if let (Some(&hip), Some(&knee)) = (leg.first(), leg.last()) {
-                    let stride = if i % 2 == 0 { 1.0 - shorter } else { 1.0 };
-                    row[hip] += fade * stride * b.sine(hip, HIP_SWING_RAD, hz) * swing;
-                    let low = (height - 1.0) * row[knee].abs();
-                    row[knee] += fade * (low - 0.35 * b.limits[knee].per_radian * lift);
-                }
+            for leg in &b.legs {
+                let phase = if leg.with_first { phase } else { phase + PI };
+                let (hip, knee) = (leg.swing.joint, leg.lift.joint);
+                let stride = if leg.left { 1.0 - shorter } else { 1.0 };
+                let swing = stride * b.sine(hip, HIP_SWING_RAD, hz) * phase.sin();
+                row[hip] += fade * leg.swing.sign * swing;
+                let low = (1.0 - height) * row[knee].abs();
+                let lift = low + 0.35 * b.limits[knee].per_radian * phase.cos().max(0.0);
+                row[knee] += fade * leg.lift.sign * lift;
             }
             for &a in b.trunk() {
                 let bend = bend_rad * b.limits[a].per_radian;
@@ -212,9 +196,9 @@ impl<'a> Body<'a> {
                 row[a] += fade * size * (TAU * (hz * t - x)).sin();
             }
             for leg in &b.legs {
-                if let Some(&hip) = leg.first() {
-                    row[hip] += fade * (b.limits[hip].range_rad.0 - row[hip]) * 0.9;
-                }
+                let (hip, range) = (leg.swing.joint, b.limits[leg.swing.joint].range_rad);
+                let back = if leg.swing.sign > 0.0 { range.0 } else { range.1 };
+                row[hip] += fade * (back - row[hip]) * 0.9;
             }
         });
     }
@@ -223,9 +207,8 @@ impl<'a> Body<'a> {
         for _ in 0..4 {
             self.play(1.0, |b, _, fade, row| {
                 for leg in &b.legs {
-                    if let Some(&knee) = leg.last() {
-                        row[knee] -= 0.6 * b.limits[knee].per_radian * fade;
-                    }
+                    let lift = leg.lift;
+                    row[lift.joint] += lift.sign * 0.6 * b.limits[lift.joint].per_radian * fade;
                 }
             });
             self.hold(3.0);
@@ -233,6 +216,18 @@ impl<'a> Body<'a> {
     }
 
     pub fn has_legs(&self) -> bool {
-        self.legs.iter().any(|l| !l.is_empty())
+        !self.legs.is_empty()
     }
+}
+
+/// By foot the joints that it hangs from, from the trunk outwards, policy order. `[F]`
+pub(super) fn carried(robot: &RobotModel) -> Vec<Vec<usize>> {
+    let carrying = |foot: &caudata_model::Foot| -> Vec<usize> {
+        let links = robot.links();
+        let chain: Vec<usize> =
+            std::iter::successors(Some(foot.link), |&l| links[l].parent).collect();
+        let on_chain = |a: &usize| chain.contains(&robot.joints()[robot.actuated()[*a]].child_link);
+        (0..robot.actuated().len()).filter(on_chain).collect()
+    };
+    robot.feet().iter().map(carrying).collect()
 }

@@ -7,6 +7,7 @@
 //! `cmd.<joint>`, and `on.<joint>` where a joint is let go).
 
 mod body;
+mod legs;
 mod limits;
 mod recipes;
 mod wave;
