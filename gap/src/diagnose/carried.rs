@@ -5,7 +5,7 @@ use super::extend::{entry, parameters};
 use super::fits::{fitted, penalised, single};
 use super::folds::jackknife;
 use super::gates::{self, Worth};
-use super::joints::{Angles, mean_abs};
+use super::joints::{Angles, Joints, mean_abs};
 use super::levels::BUILT;
 use super::naming::Named;
 use super::search::Found;
@@ -69,8 +69,10 @@ fn keep_what_matters(context: &Context, named: &State, model: &mut Model) -> Res
     let fewer: Vec<Variant> = (0..=small.len()).map(|n| of(without(n))).collect();
     let angles = Angles::of(context, &context.fit.data);
     let off = angles.residuals(&fewer)?;
-    let errors: Vec<f64> = off.iter().map(|off| angles.mean(|a| mean_abs(&off[a]))).collect();
-    let left_out = (0..errors.len()).rev().find(|&n| HARDLY * errors[n] <= errors[0]).unwrap_or(0);
+    let errors = |off: &Vec<Vec<f32>>| -> Vec<f64> { off.iter().map(|r| mean_abs(r)).collect() };
+    let errors: Vec<Vec<f64>> = off.iter().map(errors).collect();
+    let hardly = |n: &usize| errors[*n].iter().zip(&errors[0]).all(|(is, was)| HARDLY * is <= *was);
+    let left_out = (0..errors.len()).rev().find(hardly).unwrap_or(0);
     if left_out > 0 {
         let deviations = |k: &usize| model.deviations.get(*k).cloned();
         model.deviations = without(left_out).iter().filter_map(deviations).collect();
@@ -91,11 +93,9 @@ fn supported_most(
         return Ok(of_search);
     };
     let angles = Angles::of(context, &context.fit.data);
-    let off = angles.residuals(std::slice::from_ref(&of_search.state.terms))?.swap_remove(0);
-    let mean_rad = angles.mean(|a| mean_abs(&off[a]));
-    if built.cross_rad >= BUILT * mean_rad {
-        return Ok(of_search);
-    }
+    let joints = Joints::of(context.replayer.model().actuated().len(), &of_search.state.terms);
+    let crossed = angles.cross(&joints, &angles.linear(&joints, None)?);
+    let search_cross_rad = angles.mean(|a| crossed[a].error);
     // what has a name stays, and what angles do not show they have nothing to say of
     let unseen = |t: &Term| t.effect.layer == Layer::Sensing && !t.effect.id.starts_with("encoder");
     let own = of_search.state.terms.iter();
@@ -108,6 +108,9 @@ fn supported_most(
     if model.cross_rad * BUILT >= built.cross_rad {
         // angles contradict the names: the model does without, and the summary says so
         model = around(&[])?;
+    }
+    if model.cross_rad >= search_cross_rad {
+        return Ok(of_search);
     }
     let built = model;
     let whole = built.joints.fixed.iter().chain(&built.joints.shared);

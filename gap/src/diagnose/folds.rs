@@ -92,6 +92,16 @@ impl Folds {
         self.left_out_with(columns, residual, free).0
     }
 
+    /// What each fold adds to the mean absolute value of `left`: they sum up to it. `[F]`
+    pub fn shares(&self, left: &[f32]) -> Vec<f64> {
+        let mut shares = vec![0.0; self.count];
+        for (range, fold) in &self.spans {
+            let sum: f64 = left[range.clone()].iter().map(|v| f64::from(v.abs())).sum();
+            shares[*fold] += sum / left.len() as f64;
+        }
+        shares
+    }
+
     /// The same with the change of the parameters without each fold, in steps. `([N], [F][P])`
     pub fn left_out_with(
         &self,
@@ -133,6 +143,18 @@ impl Folds {
         }
         (out, shifts)
     }
+}
+
+/// Whether what `before` sums up to falls to that of `after` by more than its standard error over the folds (the rule of
+/// one standard error, for paired errors: L. Breiman et al., Classification and Regression Trees, 1984, section 3.4.3).
+/// What falls in one fold only does not. `[F]`, `[F]`
+pub fn falls(before: &[f64], after: &[f64]) -> bool {
+    let by: Vec<f64> = before.iter().zip(after).map(|(b, a)| b - a).collect();
+    let folds = by.len() as f64;
+    let (sum, square) = by.iter().fold((0.0, 0.0), |(s, q), d| (s + d, q + d * d));
+    let variance = folds / f64::max(folds - 1.0, 1.0) * (square - sum * sum / folds);
+    // a hair more: all in one fold is exactly one standard error
+    sum > 1.001 * variance.max(0.0).sqrt()
 }
 
 /// Standard deviations of parameters by the jackknife over folds, SI, from their `shifts` without each fold, in
@@ -191,6 +213,18 @@ mod tests {
         assert!((left[4] - (5.0 - 1.946)).abs() < 2e-3, "{left:?}");
         // the first by the others: (2·2 + 2·5)/(4 + 1/9) = 3.405
         assert!((left[0] - (2.0 - 3.405)).abs() < 2e-3, "{left:?}");
+    }
+
+    #[test]
+    fn what_falls_in_one_fold_only_does_not_fall() {
+        assert_eq!(folds(3, 2).shares(&[1.0, -2.0, 0.0, 0.0, 0.0, 3.0]), [0.5, 0.0, 0.5]);
+        let before = [1.0; 4];
+        assert!(!falls(&before, &[0.2, 1.0, 1.0, 1.0]));
+        assert!(falls(&before, &[0.9; 4]));
+        // by 0.5, 0.3, 0.1 and −0.1: 0.8 in all, its standard error √(4/3·(0.36 − 0.16)) = 0.516
+        assert!(falls(&before, &[0.5, 0.7, 0.9, 1.1]));
+        // by 0.5, 0.1, −0.1 and −0.1: 0.4 in all, its standard error √(4/3·(0.28 − 0.04)) = 0.566
+        assert!(!falls(&before, &[0.5, 0.9, 1.1, 1.1]));
     }
 
     #[test]

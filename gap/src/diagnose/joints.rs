@@ -16,6 +16,7 @@ use super::product::dot;
 use super::refine::{TRIES, moved};
 use super::state::{Context, frees, up_and_down};
 use crate::check::series::median;
+use crate::effects::Domain;
 use crate::error::GapError;
 use crate::replay::{Data, Term, Variant};
 use crate::trial::Kind;
@@ -42,6 +43,18 @@ impl Joints {
     /// As given, with so many joints.
     pub fn as_given(joints: usize) -> Self {
         Self { own: vec![Vec::new(); joints], ..Self::default() }
+    }
+
+    /// `terms` by the joint that each is at; those of several joints are shared.
+    pub fn of(joints: usize, terms: &[Term]) -> Self {
+        let mut model = Self::as_given(joints);
+        for term in terms {
+            match (term.place.domain, term.place.items.as_slice()) {
+                (Domain::Joints, [a]) => model.own[*a].push(term.clone()),
+                _ => model.shared.push(term.clone()),
+            }
+        }
+        model
     }
 
     /// As a candidate. Terms at different joints do not meet, so that their order says nothing.
@@ -390,11 +403,9 @@ impl<'a> Angles<'a> {
         self.context.replayer.model().per_radian(a)
     }
 
-    /// Mean absolute error of each joint in cross-validation, rad, and the standard deviation of each of its
-    /// parameters by the jackknife over the folds, SI. `[A]`, `[A][P]`
-    pub fn cross(&self, model: &Joints, linear: &Linear) -> (Vec<f64>, Vec<Vec<f64>>) {
-        let (mut errors, mut deviations) = (Vec::new(), Vec::new());
-        for (a, of) in self.of.iter().enumerate() {
+    /// Each joint in cross-validation. `[A]`
+    pub fn cross(&self, model: &Joints, linear: &Linear) -> Vec<Cross> {
+        let joint = |(a, of): (usize, &OfJoint)| {
             let free = frees(&self.context.replayer, &model.own[a], &linear.steps[a]);
             // in units of about the noise, so that the prior weighs what it should
             let noise = scale(&linear.residual[a], self.per_radian(a)) as f32;
@@ -402,11 +413,26 @@ impl<'a> Angles<'a> {
             let columns: Vec<Vec<f32>> = linear.columns[a].iter().map(|c| scaled(c)).collect();
             let (left, shifts) =
                 (of.folds).left_out_with(&columns, &scaled(&linear.residual[a]), &free);
-            errors.push(f64::from(noise) * mean_abs(&left));
-            deviations.push(jackknife(&shifts, &linear.steps[a]));
-        }
-        (errors, deviations)
+            let left: Vec<f32> = left.iter().map(|v| v * noise).collect();
+            Cross {
+                error: mean_abs(&left),
+                shares: of.folds.shares(&left),
+                deviations: jackknife(&shifts, &linear.steps[a]),
+            }
+        };
+        self.of.iter().enumerate().map(joint).collect()
     }
+}
+
+/// A joint's angle in cross-validation.
+#[derive(Debug, Clone)]
+pub struct Cross {
+    /// Mean absolute error, rad.
+    pub error: f64,
+    /// What each fold adds to it. `[F]`
+    pub shares: Vec<f64>,
+    /// Standard deviation of each of the joint's parameters by the jackknife over the folds, SI. `[P]`
+    pub deviations: Vec<f64>,
 }
 
 /// Mean absolute value.

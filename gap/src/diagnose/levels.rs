@@ -10,6 +10,5 @@ pub const MANY_JOINTS: usize = 5;
 /// Misfit below which nothing is left to explain. 1 is what the tolerances allow; careful labs stay below 0.3
 /// (nulls of the benchmark).
 pub const NOTHING_LEFT: f64 = 0.8;
-/// What a model must leave at most of what another leaves to be carried in its place, and of a standard model's
-/// error of angles to be nearer.
+/// What a model must leave at most of what another leaves for one to speak of it as better.
 pub const BUILT: f64 = 0.95;

@@ -16,11 +16,11 @@ use caudata_runlog::BaseHold;
 
 use super::alike::look_alike;
 use super::doubt::{meet, sizes};
-use super::joints::{Angles, Joints, Linear, mean_abs, scale, weights};
-use super::levels::BUILT;
+use super::folds::falls;
+use super::joints::{Angles, Cross, Joints, Linear, mean_abs, scale, weights};
 use super::product::{dot, project, widen};
 use super::request::{Progress, Stage};
-use super::state::{Context, builds_up};
+use super::state::Context;
 use crate::effects::{self, Domain, Effect, Place};
 use crate::error::GapError;
 use crate::replay::{Term, Variant};
@@ -168,7 +168,8 @@ impl Tracking {
     }
 
     /// Builds the model that each joint's runs support, if the robot as given has a `gap` or a standard model is
-    /// nearer to the angles. Nothing where the robot is not held: there joints move each other through its body.
+    /// nearer to the angles. Where the robot is not held that is the best standard model: there joints move each
+    /// other through its body, and nothing is added joint by joint.
     ///
     /// # Errors
     /// As [`crate::replay::Replayer::predict`].
@@ -178,10 +179,6 @@ impl Tracking {
         gap: bool,
         progress: &mut dyn FnMut(Progress),
     ) -> Result<(), GapError> {
-        let mut runs = context.fit.data.trials.iter();
-        if runs.any(|t| t.base != BaseHold::Fixed) {
-            return Ok(());
-        }
         let first = (self.standard.iter()).min_by(|a, b| a.cross_rad.total_cmp(&b.cross_rad));
         let Some(first) = first.cloned() else {
             return Ok(());
@@ -191,15 +188,19 @@ impl Tracking {
         let robot = context.replayer.model();
         let lsb_rad = |a: usize| robot.servo(a).encoder_lsb_rad();
         let is_off = |a: usize, error: f64| angles.measured(a) && error >= COUNTS * lsb_rad(a);
-        let nearer = first.cross_rad < BUILT * angles.mean(|a| mean_abs(&off[a]));
+        let nearer = first.cross_rad < angles.mean(|a| mean_abs(&off[a]));
         if !(gap || nearer && (0..off.len()).any(|a| is_off(a, mean_abs(&off[a])))) {
             return Ok(());
         }
         let mut model = first.joints;
         let mut linear = angles.linear(&model, None)?;
-        let (mut errors, _) = angles.cross(&model, &linear);
+        let mut crossed = angles.cross(&model, &linear);
         self.keep(&angles, &model, &linear);
-        let mut open: Vec<bool> = (0..errors.len()).map(|a| is_off(a, errors[a])).collect();
+        if context.fit.data.trials.iter().any(|t| t.base != BaseHold::Fixed) {
+            return Ok(());
+        }
+        let joints = crossed.len();
+        let mut open: Vec<bool> = (0..joints).map(|a| is_off(a, crossed[a].error)).collect();
         let mut pool: Option<Vec<BTreeSet<&str>>> = None;
         for depth in 1..=MOST_ADDED {
             progress(Progress::new(Stage::Tracking, depth, "joint by joint"));
@@ -208,27 +209,27 @@ impl Tracking {
                 let ids = |r: &Vec<Term>| r.iter().take(POOL).map(|t| t.effect.id).collect();
                 pool = Some(ranked.iter().map(ids).collect());
             }
-            let mut best: Vec<Option<(f64, Variant)>> = vec![None; errors.len()];
+            let mut best: Vec<Option<(Cross, Variant)>> = vec![None; joints];
             for t in 0..TRIED {
                 let mut with = model.clone();
-                for a in (0..errors.len()).filter(|&a| open[a]) {
+                for a in (0..joints).filter(|&a| open[a]) {
                     with.own[a].extend(ranked[a].get(t).cloned());
                 }
                 // what the others can do hardly changes with one more, and is worked out once more for the
                 // one that stays
                 let fitted = angles.fit(&mut with, ROUNDS_MORE, Some(&linear))?;
-                let (after, _) = angles.cross(&with, &fitted);
-                for a in 0..errors.len() {
-                    if best[a].as_ref().is_none_or(|b| after[a] < b.0) {
-                        best[a] = Some((after[a], with.own[a].clone()));
+                for (a, after) in angles.cross(&with, &fitted).into_iter().enumerate() {
+                    if best[a].as_ref().is_none_or(|b| after.error < b.0.error) {
+                        best[a] = Some((after, with.own[a].clone()));
                     }
                 }
             }
-            for a in 0..errors.len() {
+            let earns = |was: &Cross, is: &Cross| {
+                is.error < EARNS * was.error && falls(&was.shares, &is.shares)
+            };
+            for a in 0..joints {
                 match best[a].take() {
-                    Some((error, terms)) if open[a] && error < EARNS * errors[a] => {
-                        model.own[a] = terms;
-                    }
+                    Some((is, terms)) if open[a] && earns(&crossed[a], &is) => model.own[a] = terms,
                     _ => open[a] = false,
                 }
             }
@@ -236,9 +237,9 @@ impl Tracking {
                 break;
             }
             linear = angles.fit(&mut model, 1, None)?;
-            errors = angles.cross(&model, &linear).0;
-            for a in 0..errors.len() {
-                open[a] &= is_off(a, errors[a]);
+            crossed = angles.cross(&model, &linear);
+            for a in 0..joints {
+                open[a] &= is_off(a, crossed[a].error);
             }
             self.keep(&angles, &model, &linear);
         }
@@ -296,8 +297,10 @@ impl Tracking {
 }
 
 fn judged(angles: &Angles<'_>, name: &str, joints: Joints, linear: &Linear) -> Model {
-    let (errors, deviations) = angles.cross(&joints, linear);
-    Model { name: name.to_owned(), joints, cross_rad: angles.mean(|a| errors[a]), deviations }
+    let crossed = angles.cross(&joints, linear);
+    let cross_rad = angles.mean(|a| crossed[a].error);
+    let deviations = crossed.into_iter().map(|c| c.deviations).collect();
+    Model { name: name.to_owned(), joints, cross_rad, deviations }
 }
 
 /// For each joint that is `open` the effects that its angle asks for, each with the size that promises most,
@@ -318,10 +321,9 @@ fn ranked(
             && (effect.unseen)(&context.excitation, &Place::of_joint(robot, a)).is_none()
             && pool.is_none_or(|p| p[a].contains(effect.id))
     };
-    // what builds up over a session says nothing of the next one
     let of_joints = || {
         let all = context.effects.iter().copied();
-        all.filter(|e| e.domain == Domain::Joints && !builds_up(e))
+        all.filter(|e| e.domain == Domain::Joints && !e.drifts)
     };
     // each joint tries its own effects: joints hardly move each other
     let plan = |a: usize| -> Vec<(&'static Effect, usize)> {

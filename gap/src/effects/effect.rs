@@ -93,6 +93,8 @@ pub struct Effect {
     /// Whether its trace starts with a threshold (gap, stop, limit), so that a derivative at nothing says
     /// nothing.
     pub hinge: bool,
+    /// Changes as a run or a session goes on, so that what one shows of it says nothing of the next.
+    pub drifts: bool,
     /// Whether at one joint of a held robot it moves the others so much that it is looked for there with few others.
     pub apart: bool,
     /// Whether its parameters are the lowest and the highest position of a joint: where the joint came to is tried too.
@@ -298,6 +300,7 @@ pub(super) const PLAIN: Effect = Effect {
     parameters: &[],
     grid: &[],
     hinge: false,
+    drifts: false,
     apart: false,
     ends: false,
     of_servo: |_| true,

@@ -194,6 +194,7 @@ pub static FRICTION_DRIFT: Effect = Effect {
             run_in.time_s = v[2].max(0.05);
         }
     },
+    drifts: true,
     look_alikes: "thermal_derating coulomb_friction",
     unseen: |e, place| {
         if e.runs < 3 && e.longest_s < 5.0 {

@@ -77,6 +77,7 @@ pub static THERMAL_DERATING: Effect = Effect {
             plant.lane.joints[a].thermal_time_s = (v[1] as f32).clamp(0.1, 1e5);
         }
     },
+    drifts: true,
     look_alikes: "winding_resistance friction_drift kp_error",
     unseen: |e, place| {
         if e.longest_s < 5.0 {
