@@ -4,14 +4,14 @@ use std::path::Path;
 
 use caudata_evaluation::SuiteResult;
 use caudata_proto::registry::StreamName;
-use caudata_registry_client::{RegistryClient, manifest_of};
+use caudata_registry_client::RegistryClient;
 use caudata_studies::adapt::{self, Adapted, Named};
 use caudata_studies::files;
-use caudata_telemetry::{ExitCode, Failure, FailureExt, Process, unix_ms};
+use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use clap::Args;
 
 use crate::commands::gap_diagnose::steps;
-use crate::commands::policy_calls::block_on;
+use crate::commands::policy_publish::publish;
 use crate::say::{self, WithJson};
 
 #[derive(Debug, Args)]
@@ -32,7 +32,9 @@ pub fn run(args: &AdaptArgs, process: &Process) -> Result<(), Failure> {
     let old = files::policy(&plan.policy)?.metadata().version;
     let publish = |path: &Path| {
         let server = args.publish.as_deref().unwrap_or_default();
-        publish(server, &args.stream, path)
+        let stream = StreamName::new(&args.stream).or_exit(ExitCode::BadConfig)?;
+        let published = publish(path, stream, None, || RegistryClient::new(server))?;
+        Ok(published.version)
     };
     let publish: &dyn Fn(&Path) -> Result<u64, Failure> = &publish;
     let steps = steps(*json, process, "the same command goes on from here")?;
@@ -46,18 +48,6 @@ pub fn run(args: &AdaptArgs, process: &Process) -> Result<(), Failure> {
         .hint("train longer (--iterations), or look at the evaluations in the output folder")),
         _ => Ok(()),
     }
-}
-
-/// The version that it has on the server.
-fn publish(server: &str, stream: &str, path: &Path) -> Result<u64, Failure> {
-    let stream = StreamName::new(stream).or_exit(ExitCode::BadConfig)?;
-    let file = files::policy(path)?;
-    let manifest = manifest_of(stream, &file, unix_ms()).or_exit(ExitCode::BadInput)?;
-    block_on(async {
-        let mut client = RegistryClient::new(server)?;
-        client.publish(manifest, file.bytes()).await
-    })?;
-    Ok(file.metadata().version)
 }
 
 fn tell(adapted: &Adapted, old: u64) {

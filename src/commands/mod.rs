@@ -28,6 +28,7 @@ mod policy_average;
 mod policy_calls;
 mod policy_join;
 pub mod policy_people;
+pub mod policy_publish;
 pub mod policy_sign;
 pub mod robot;
 pub mod runs;

@@ -12,7 +12,7 @@ use serde_json::json;
 
 use crate::commands::policy_calls::{ServerArgs, as_json};
 pub use crate::commands::policy_calls::{block_on, hex};
-use crate::commands::{policy_average, policy_join, policy_people, policy_sign};
+use crate::commands::{policy_average, policy_join, policy_people, policy_publish, policy_sign};
 use crate::say;
 
 #[derive(Debug, Subcommand)]
@@ -55,6 +55,8 @@ pub enum PolicyCommand {
     Keygen(policy_sign::KeygenArgs),
     /// Sign the trust file that follows the one robots have: other keys, by root keys
     TrustNext(policy_sign::TrustNextArgs),
+    /// Publish a policy file: an averaged or joined one, or one of another server
+    Publish(policy_publish::PublishArgs),
     /// Publish a policy of one stream into another, signed
     Release(policy_sign::ReleaseArgs),
     /// Move a label such as `canary` or `stable` to a version, or show where labels lead
@@ -88,6 +90,7 @@ pub fn run(command: &PolicyCommand) -> Result<(), Failure> {
         PolicyCommand::Join(args) => policy_join::join(args),
         PolicyCommand::Keygen(args) => policy_sign::keygen(args),
         PolicyCommand::TrustNext(args) => policy_sign::trust_next(args),
+        PolicyCommand::Publish(args) => policy_publish::run(args),
         PolicyCommand::Release(args) => policy_sign::release(args),
         PolicyCommand::Label(args) => policy_people::label(args),
         PolicyCommand::Revert(args) => policy_people::revert(args),

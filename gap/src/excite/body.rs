@@ -4,7 +4,7 @@ use std::f64::consts::{PI, TAU};
 
 use caudata_model::RobotModel;
 
-use super::legs::Leg;
+use super::legs::{Leg, carried};
 use super::limits::JointLimits;
 use super::wave::Wave;
 
@@ -218,16 +218,4 @@ impl<'a> Body<'a> {
     pub fn has_legs(&self) -> bool {
         !self.legs.is_empty()
     }
-}
-
-/// By foot the joints that it hangs from, from the trunk outwards, policy order. `[F]`
-pub(super) fn carried(robot: &RobotModel) -> Vec<Vec<usize>> {
-    let carrying = |foot: &caudata_model::Foot| -> Vec<usize> {
-        let links = robot.links();
-        let chain: Vec<usize> =
-            std::iter::successors(Some(foot.link), |&l| links[l].parent).collect();
-        let on_chain = |a: &usize| chain.contains(&robot.joints()[robot.actuated()[*a]].child_link);
-        (0..robot.actuated().len()).filter(on_chain).collect()
-    };
-    robot.feet().iter().map(carrying).collect()
 }

@@ -1,6 +1,6 @@
 //! Which joint of a leg swings its foot and which lifts it, from where the foot is in the nominal pose.
 
-use caudata_model::{Kinematics, Pose, RobotModel};
+use caudata_model::{Foot, JointMotion, Kinematics, Pose, RobotModel, Site};
 
 /// A joint's motion by a radian (of a slide, by a metre) as a trial needs it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,7 +74,7 @@ fn nominal(robot: &RobotModel) -> Option<Kinematics> {
 /// Horizontal unit vector of the heading; x where the robot file has none.
 fn forward(robot: &RobotModel, at: &Kinematics) -> [f64; 3] {
     let line = robot.heading_sites().map(|(hind, front)| {
-        let of = |s: &caudata_model::Site| at.links[s.link].point(s.link_from_site.pos_m);
+        let of = |s: &Site| at.links[s.link].point(s.link_from_site.pos_m);
         let (from, to) = (of(hind), of(front));
         [to[0] - from[0], to[1] - from[1]]
     });
@@ -83,9 +83,21 @@ fn forward(robot: &RobotModel, at: &Kinematics) -> [f64; 3] {
     if length > 1e-9 { [x / length, y / length, 0.0] } else { [1.0, 0.0, 0.0] }
 }
 
+/// By foot the joints that it hangs from, from the trunk outwards, policy order. `[F]`
+pub(super) fn carried(robot: &RobotModel) -> Vec<Vec<usize>> {
+    let carrying = |foot: &Foot| -> Vec<usize> {
+        let links = robot.links();
+        let chain: Vec<usize> =
+            std::iter::successors(Some(foot.link), |&l| links[l].parent).collect();
+        let on_chain = |a: &usize| chain.contains(&robot.joints()[robot.actuated()[*a]].child_link);
+        (0..robot.actuated().len()).filter(on_chain).collect()
+    };
+    robot.feet().iter().map(carrying).collect()
+}
+
 /// By foot the joints that no other foot hangs from. `[F]`
 fn own_joints(robot: &RobotModel) -> Vec<Vec<usize>> {
-    let feet = super::body::carried(robot);
+    let feet = carried(robot);
     let beyond = |a: &usize| feet.iter().filter(|c| c.contains(a)).count();
     feet.iter().map(|c| c.iter().copied().filter(|a| beyond(a) == 1).collect()).collect()
 }
@@ -94,7 +106,7 @@ fn own_joints(robot: &RobotModel) -> Vec<Vec<usize>> {
 fn per_radian(robot: &RobotModel, at: &Kinematics, a: usize, foot_m: [f64; 3]) -> [f64; 3] {
     let j = robot.actuated()[a];
     let frame = &at.joints[j];
-    if robot.joints()[j].motion == caudata_model::JointMotion::Slide {
+    if robot.joints()[j].motion == JointMotion::Slide {
         return frame.axis;
     }
     let [x, y, z] = frame.axis;

@@ -290,9 +290,10 @@ settings! {
         /// Environment steps of the whole run after which costs count in full, and guides (`guides_at_start`)
         /// once. Default 0: from the start.
         pub costs_full_after_env_steps: u64 = 0,
-        /// Factor on `phase` and `body_wave` at the start of a run, 1 to 10; it falls to 1 in proportion over
-        /// `costs_full_after_env_steps`, and does nothing where that is 0. Default 1. Where many commands are slow, or go both ways, stepping does not pay at first, and some
-        /// seeds settle for standing; 2.3 makes them step in place before they follow a command.
+        /// Factor on guides (`phase`, `in_step`, `body_wave`) at the start of a run, 1 to 10; it falls to 1 in
+        /// proportion over `costs_full_after_env_steps`, and does nothing where that is 0. Default 1. Where many
+        /// commands are slow, or go both ways, stepping does not pay at first, and some seeds settle for standing; 2.3
+        /// makes them step in place before they follow a command.
         pub guides_at_start: f32 = 1.0,
         /// Terms of one's own, beside the built-in ones. Default none.
         pub term: Vec<OwnTerm>,

@@ -9,6 +9,7 @@ mod faults_actors;
 mod gap_policies;
 mod gap_session;
 mod live;
+mod publish;
 mod refusals;
 mod siege;
 mod tidy;

@@ -8,7 +8,7 @@
 mod bits;
 mod clocks;
 mod deaths;
-mod lab;
+pub mod lab;
 mod lies;
 mod owners;
 mod peers;

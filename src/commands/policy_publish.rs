@@ -1,0 +1,80 @@
+//! `caudata policy publish`: a policy file into a stream of a policy server.
+
+use std::path::{Path, PathBuf};
+
+use caudata_proto::registry::{Manifest, StreamName};
+use caudata_registry_client::{ClientError, RegistryClient, manifest_of};
+use caudata_signing::ReleaseKey;
+use caudata_studies::files;
+use caudata_telemetry::{ExitCode, Failure, FailureExt, unix_ms};
+use serde_json::json;
+
+use crate::commands::policy_calls::{ServerArgs, as_json, block_on};
+use crate::commands::policy_sign::unusable;
+use crate::say;
+
+/// Flags of `publish`.
+#[derive(Debug, clap::Args)]
+pub struct PublishArgs {
+    /// The policy; it gets the version that it bears
+    #[arg(value_name = "P.onnx")]
+    file: PathBuf,
+    #[command(flatten)]
+    server: ServerArgs,
+    /// Secret key, for streams whose robots trust keys
+    #[arg(long, value_name = "FILE", requires = "key_id")]
+    key: Option<PathBuf>,
+    /// Name of the key
+    #[arg(long, value_name = "ID", requires = "key")]
+    key_id: Option<String>,
+    /// One JSON object on the last line
+    #[arg(long)]
+    json: bool,
+}
+
+/// Publishes a policy file.
+pub fn run(args: &PublishArgs) -> Result<(), Failure> {
+    let stream = args.server.one_stream()?;
+    let key = match (&args.key, &args.key_id) {
+        (Some(path), Some(id)) => Some(ReleaseKey::read(path, id).map_err(unusable)?),
+        _ => None,
+    };
+    let manifest = publish(&args.file, stream, key.as_ref(), || args.server.client())?;
+    if args.json {
+        let mut object = as_json(&manifest);
+        object["signed"] = json!(!manifest.signatures.is_empty());
+        return say::json(&object);
+    }
+    say::line(format!("{} version {}", manifest.stream, manifest.version));
+    if manifest.signatures.is_empty() {
+        say::line("it is not signed: robots that trust keys will not take it (--key, --key-id)");
+    }
+    Ok(())
+}
+
+/// Publishes the policy in `path` into `stream`, signed if there is a key; what the server then has.
+pub fn publish(
+    path: &Path,
+    stream: StreamName,
+    key: Option<&ReleaseKey>,
+    client: impl FnOnce() -> Result<RegistryClient, ClientError>,
+) -> Result<Manifest, Failure> {
+    let file = files::policy(path)?;
+    let mut manifest = manifest_of(stream, &file, unix_ms()).or_exit(ExitCode::BadInput)?;
+    if let Some(key) = key {
+        key.sign(&mut manifest);
+    }
+    let wanted = manifest.signatures.clone();
+    let published = block_on(async { client()?.publish(manifest, file.bytes()).await })?.manifest;
+    if published.signatures != wanted {
+        return Err(Failure::message(
+            ExitCode::PolicyRefused,
+            format!(
+                "{} version {} was there already, with other words or signatures: it stays as it is",
+                published.stream, published.version
+            ),
+        )
+        .hint("publish it into another stream"));
+    }
+    Ok(published)
+}

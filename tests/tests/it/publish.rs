@@ -1,0 +1,41 @@
+//! Policy files into a server's own store, and back.
+
+use std::fs;
+
+use caudata_tests::{command, finish};
+
+use crate::siege::lab::started;
+
+#[test]
+fn a_policy_file_is_published_signed_and_comes_back_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).display().to_string();
+    let server = started(
+        "caudata-policy-server",
+        "policy_server",
+        &["--data", &at("data"), "--addr", "127.0.0.1:0"],
+    )
+    .unwrap();
+    let address = server.address.to_string();
+    let policy = |args: &[&str]| {
+        let all = [&["policy"], args, &["--server", &address, "--stream", "mine"]].concat();
+        finish(command("caudata", &all).unwrap()).unwrap()
+    };
+    let made = ["policy", "keygen", "--key-id", "k", "--out", &at("k.key"), "--trust", &at("t")];
+    assert_eq!(finish(command("caudata", &made).unwrap()).unwrap().code, Some(0));
+    let signed = ["publish", "policies/flat.onnx", "--key", &at("k.key"), "--key-id", "k"];
+    let first = policy(&signed);
+    assert_eq!(first.code, Some(0), "{}", first.stderr);
+    assert!(first.stdout.starts_with("mine version "), "{}", first.stdout);
+    assert!(!first.stdout.contains("not signed"), "{}", first.stdout);
+    // A version that is there stays as it is: with its signature, which says when it was made.
+    for again in [&signed[..], &signed[..2]] {
+        let again = policy(again);
+        assert_eq!(again.code, Some(77), "{}", again.stderr);
+        assert!(again.stderr.contains("was there already"), "{}", again.stderr);
+    }
+    let back = policy(&["pull", "--out", &at("back.onnx")]);
+    assert_eq!(back.code, Some(0), "{}", back.stderr);
+    let shipped = caudata_tests::repository_root().join("policies/flat.onnx");
+    assert_eq!(fs::read(at("back.onnx")).unwrap(), fs::read(shipped).unwrap());
+}
