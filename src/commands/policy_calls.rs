@@ -40,6 +40,7 @@ pub fn client_failure(error: ClientError) -> Failure {
         | ClientError::Certificates { .. } => ExitCode::BadConfig,
         _ if error.is_not_found() => ExitCode::NoInput,
         ClientError::Unreachable { .. } => ExitCode::Unavailable,
+        _ if error.is_of_the_policy() => ExitCode::PolicyRefused,
         _ if error.is_lost_race() => ExitCode::TempFail,
         ClientError::TimedOut { .. } | ClientError::TooSlow => ExitCode::TempFail,
         ClientError::BadAnswer(_)

@@ -10,7 +10,7 @@ use caudata_telemetry::{ExitCode, Failure, FailureExt, unix_ms};
 use serde_json::json;
 
 use crate::commands::policy_calls::{ServerArgs, as_json, block_on};
-use crate::commands::policy_sign::unusable;
+use crate::commands::policy_sign::{as_signed, unusable};
 use crate::say;
 
 /// Flags of `publish`.
@@ -52,7 +52,8 @@ pub fn run(args: &PublishArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Publishes the policy in `path` into `stream`, signed if there is a key; what the server then has.
+/// Publishes the policy in `path` into `stream`, signed if there is a key; what the server then has. The same again is
+/// the same version, as it was made.
 pub fn publish(
     path: &Path,
     stream: StreamName,
@@ -61,20 +62,18 @@ pub fn publish(
 ) -> Result<Manifest, Failure> {
     let file = files::policy(path)?;
     let mut manifest = manifest_of(stream, &file, unix_ms()).or_exit(ExitCode::BadInput)?;
-    if let Some(key) = key {
-        key.sign(&mut manifest);
-    }
-    let wanted = manifest.signatures.clone();
-    let published = block_on(async { client()?.publish(manifest, file.bytes()).await })?.manifest;
-    if published.signatures != wanted {
-        return Err(Failure::message(
-            ExitCode::PolicyRefused,
-            format!(
-                "{} version {} was there already, with other words or signatures: it stays as it is",
-                published.stream, published.version
-            ),
-        )
-        .hint("publish it into another stream"));
-    }
-    Ok(published)
+    let (wanted, published) = block_on(async {
+        let mut client = client()?;
+        match client.manifest(&manifest.stream, Some(manifest.version)).await {
+            Ok(there) => manifest.created_unix_ms = there.created_unix_ms,
+            Err(error) if error.is_not_found() => {}
+            Err(error) => return Err(error),
+        }
+        if let Some(key) = key {
+            key.sign(&mut manifest);
+        }
+        let wanted = manifest.signatures.clone();
+        Ok((wanted, client.publish(manifest, file.bytes()).await?.manifest))
+    })?;
+    as_signed(published, &wanted)
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use caudata_durable::read_text_at_most;
 use caudata_evaluation::Summary;
-use caudata_proto::registry::{LabelName, Manifest, StreamName};
+use caudata_proto::registry::{LabelName, Manifest, Signature, StreamName};
 use caudata_signing::{
     ReleaseKey, SigningError, Trust, add_signature, read_signatures, successor_path,
 };
@@ -91,6 +91,19 @@ pub struct ReleaseArgs {
 pub fn unusable(error: SigningError) -> Failure {
     let code = if error.is_of_reading() { ExitCode::NoInput } else { ExitCode::BadInput };
     Failure::new(code, error)
+}
+
+/// What a server has after a publication, which must bear these signatures: a version that was there stays as it was.
+pub fn as_signed(published: Manifest, signatures: &[Signature]) -> Result<Manifest, Failure> {
+    if published.signatures == signatures {
+        return Ok(published);
+    }
+    let message = format!(
+        "{} version {} was there already with other words or signatures: it stays as it is",
+        published.stream, published.version
+    );
+    Err(Failure::message(ExitCode::PolicyRefused, message)
+        .hint("put it into another stream, or take another version"))
 }
 
 /// Makes a key.
@@ -203,14 +216,8 @@ pub fn release(args: &ReleaseArgs) -> Result<(), Failure> {
         let mut client = args.server.client()?;
         client.publish(manifest, &bytes).await
     })?;
-    let (stream, version) = (published.manifest.stream.to_string(), published.manifest.version);
-    if published.manifest.signatures != signed {
-        let message = format!(
-            "{stream} version {version} was there already with other words or signatures: nothing was signed"
-        );
-        return Err(Failure::message(ExitCode::PolicyRefused, message)
-            .hint("release it into another stream, or release another version"));
-    }
+    let published = as_signed(published.manifest, &signed)?;
+    let (stream, version) = (published.stream.to_string(), published.version);
     if args.json {
         return say::json(&json!({"stream": stream, "version": version, "key_id": args.key_id}));
     }

@@ -78,6 +78,11 @@ impl ClientError {
         matches!(self, Self::Refused { code: Code::Aborted, .. })
     }
 
+    /// True where the server will not have this policy, or not there: it was quarantined, has another contract.
+    pub fn is_of_the_policy(&self) -> bool {
+        matches!(self, Self::Refused { code: Code::FailedPrecondition, .. })
+    }
+
     /// True where the server does not hold what was asked for.
     pub fn is_not_found(&self) -> bool {
         matches!(self, Self::Refused { code: Code::NotFound, .. })

@@ -10,16 +10,15 @@ use super::levels::BUILT;
 use super::naming::Named;
 use super::search::Found;
 use super::state::{Context, State};
-use super::tracking::Tracking;
+use super::tracking::{Tracking, judged};
 use crate::effects::Layer;
 use crate::error::GapError;
 use crate::extension::ExtensionEffect;
 use crate::replay::{Term, Variant};
 use crate::report::{Carried, Cause};
 
-/// What the angles' error must at least be of that without small terms for these to be left out: a tenth of what
-/// another model must be nearer by to be carried in its place.
-const HARDLY: f64 = 1.0 - 0.1 * (1.0 - BUILT);
+/// What each joint's error must at least be of that without small terms for these to be left out.
+const HARDLY: f64 = 0.995;
 /// Why a model is refused at last.
 pub const NO_NEARER: &str = "held-out runs are no nearer with it than as given";
 
@@ -93,23 +92,22 @@ fn supported_most(
         return Ok(of_search);
     };
     let angles = Angles::of(context, &context.fit.data);
-    let joints = Joints::of(context.replayer.model().actuated().len(), &of_search.state.terms);
-    let crossed = angles.cross(&joints, &angles.linear(&joints, None)?);
-    let search_cross_rad = angles.mean(|a| crossed[a].error);
     // what has a name stays, and what angles do not show they have nothing to say of
     let unseen = |t: &Term| t.effect.layer == Layer::Sensing && !t.effect.id.starts_with("encoder");
-    let own = of_search.state.terms.iter();
-    let (shown, rest): (Vec<&Term>, Vec<&Term>) = own.partition(|t| !unseen(t));
-    let around = |shown: &[&Term]| {
-        let named = shown.iter().filter(|t| is_among(t, &named.terms));
-        built.around(context, &angles, named.chain(&rest).map(|t| (*t).clone()).collect())
+    let terms = &of_search.state.terms;
+    let those = |of: &dyn Fn(&Term) -> bool| -> Variant {
+        terms.iter().filter(|&t| of(t)).cloned().collect()
     };
-    let mut model = around(&shown)?;
+    let kept = those(&|t| unseen(t) || is_among(t, &named.terms));
+    let joints = Joints::of(context.replayer.model().actuated().len(), terms, kept.clone());
+    let linear = angles.linear(&joints, None)?;
+    let search = judged(&angles, "", joints, &linear);
+    let mut model = built.around(context, &angles, kept)?;
     if model.cross_rad * BUILT >= built.cross_rad {
         // angles contradict the names: the model does without, and the summary says so
-        model = around(&[])?;
+        model = built.around(context, &angles, those(&unseen))?;
     }
-    if model.cross_rad >= search_cross_rad {
+    if model.cross_rad >= search.cross_rad {
         return Ok(of_search);
     }
     let built = model;

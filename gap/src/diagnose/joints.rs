@@ -45,10 +45,11 @@ impl Joints {
         Self { own: vec![Vec::new(); joints], ..Self::default() }
     }
 
-    /// `terms` by the joint that each is at; those of several joints are shared.
-    pub fn of(joints: usize, terms: &[Term]) -> Self {
-        let mut model = Self::as_given(joints);
-        for term in terms {
+    /// `terms` by the joint that each is at; those of several joints are shared. Those of `fixed` stay as they are.
+    pub fn of(joints: usize, terms: &[Term], fixed: Variant) -> Self {
+        let others = terms.iter().filter(|t| !fixed.iter().any(|f| f.same(t)));
+        let mut model = Self { fixed: fixed.clone(), ..Self::as_given(joints) };
+        for term in others {
             match (term.place.domain, term.place.items.as_slice()) {
                 (Domain::Joints, [a]) => model.own[*a].push(term.clone()),
                 _ => model.shared.push(term.clone()),
@@ -403,7 +404,7 @@ impl<'a> Angles<'a> {
         self.context.replayer.model().per_radian(a)
     }
 
-    /// Each joint in cross-validation. `[A]`
+    /// Each joint in cross-validation: its own terms are left out with each fold, shared and fixed ones stay. `[A]`
     pub fn cross(&self, model: &Joints, linear: &Linear) -> Vec<Cross> {
         let joint = |(a, of): (usize, &OfJoint)| {
             let free = frees(&self.context.replayer, &model.own[a], &linear.steps[a]);

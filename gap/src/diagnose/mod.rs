@@ -237,7 +237,7 @@ fn explore(
     let gap = gates::worst(context, &found.base) >= levels::NOTHING_LEFT;
     ended(tracking.build(context, gap, progress))?;
     context.replayer.set_go_on(options.go_on.until(searching));
-    let built = tracking.built.as_ref().map(|m| &m.joints);
+    let built = tracking.joint_by_joint(context);
     ended(search::search(context, found, built, progress))?;
     found.supported = found.best.clone();
     progress(Progress::new(Stage::Naming, 0, &found.best.label()));

@@ -1,6 +1,7 @@
 //! What a search carries along: the runs with their metric, and a candidate with its predictions.
 
 use caudata_model::RobotModel;
+use caudata_runlog::BaseHold;
 
 use super::folds::{Folds, Free};
 use super::judge::Judge;
@@ -142,6 +143,11 @@ pub struct Derivatives {
 }
 
 impl Context {
+    /// Whether the robot is held in all runs that are fitted: there joints hardly move each other.
+    pub fn is_held(&self) -> bool {
+        self.fit.data.trials.iter().all(|t| t.base == BaseHold::Fixed)
+    }
+
     /// Derivatives by the parameters of `terms`.
     ///
     /// # Errors

@@ -12,7 +12,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use caudata_model::RobotModel;
-use caudata_runlog::BaseHold;
 
 use super::alike::look_alike;
 use super::doubt::{meet, sizes};
@@ -103,9 +102,6 @@ impl Model {
         angles: &Angles<'_>,
         fixed: Variant,
     ) -> Result<Self, GapError> {
-        if fixed.is_empty() {
-            return Ok(self.clone());
-        }
         let said = |t: &Term, how: fn(&Effect, &Effect) -> bool| {
             let mut here = fixed.iter().filter(|f| meet(&f.place, &t.place));
             here.any(|f| how(f.effect, t.effect))
@@ -180,7 +176,7 @@ impl Tracking {
         progress: &mut dyn FnMut(Progress),
     ) -> Result<(), GapError> {
         let first = (self.standard.iter()).min_by(|a, b| a.cross_rad.total_cmp(&b.cross_rad));
-        let Some(first) = first.cloned() else {
+        let Some(mut model) = first.map(|m| m.joints.clone()) else {
             return Ok(());
         };
         let angles = Angles::of(context, &context.first_look().data);
@@ -188,21 +184,19 @@ impl Tracking {
         let robot = context.replayer.model();
         let lsb_rad = |a: usize| robot.servo(a).encoder_lsb_rad();
         let is_off = |a: usize, error: f64| angles.measured(a) && error >= COUNTS * lsb_rad(a);
-        let nearer = first.cross_rad < angles.mean(|a| mean_abs(&off[a]));
+        let mut linear = angles.linear(&model, None)?;
+        let mut crossed = angles.cross(&model, &linear);
+        let nearer = angles.mean(|a| crossed[a].error) < angles.mean(|a| mean_abs(&off[a]));
         if !(gap || nearer && (0..off.len()).any(|a| is_off(a, mean_abs(&off[a])))) {
             return Ok(());
         }
-        let mut model = first.joints;
-        let mut linear = angles.linear(&model, None)?;
-        let mut crossed = angles.cross(&model, &linear);
         self.keep(&angles, &model, &linear);
-        if context.fit.data.trials.iter().any(|t| t.base != BaseHold::Fixed) {
-            return Ok(());
-        }
         let joints = crossed.len();
-        let mut open: Vec<bool> = (0..joints).map(|a| is_off(a, crossed[a].error)).collect();
+        let held = context.is_held();
+        let mut open: Vec<bool> =
+            (0..joints).map(|a| held && is_off(a, crossed[a].error)).collect();
         let mut pool: Option<Vec<BTreeSet<&str>>> = None;
-        for depth in 1..=MOST_ADDED {
+        for depth in (1..=MOST_ADDED).take_while(|_| held) {
             progress(Progress::new(Stage::Tracking, depth, "joint by joint"));
             let ranked = ranked(context, &angles, (&model, &linear), &open, pool.as_deref())?;
             if pool.is_none() {
@@ -219,17 +213,15 @@ impl Tracking {
                 // one that stays
                 let fitted = angles.fit(&mut with, ROUNDS_MORE, Some(&linear))?;
                 for (a, after) in angles.cross(&with, &fitted).into_iter().enumerate() {
-                    if best[a].as_ref().is_none_or(|b| after.error < b.0.error) {
+                    let earns = earns(&crossed[a], &after);
+                    if earns && best[a].as_ref().is_none_or(|b| after.error < b.0.error) {
                         best[a] = Some((after, with.own[a].clone()));
                     }
                 }
             }
-            let earns = |was: &Cross, is: &Cross| {
-                is.error < EARNS * was.error && falls(&was.shares, &is.shares)
-            };
             for a in 0..joints {
                 match best[a].take() {
-                    Some((is, terms)) if open[a] && earns(&crossed[a], &is) => model.own[a] = terms,
+                    Some((_, terms)) if open[a] => model.own[a] = terms,
                     _ => open[a] = false,
                 }
             }
@@ -247,6 +239,11 @@ impl Tracking {
         let linear = whole.fit(&mut model, ROUNDS_MORE, None)?;
         self.keep(&whole, &model, &linear);
         Ok(())
+    }
+
+    /// The one that was built, where joints of it were looked at by themselves: of a held robot.
+    pub fn joint_by_joint(&self, context: &Context) -> Option<&Joints> {
+        self.built.as_ref().filter(|_| context.is_held()).map(|m| &m.joints)
     }
 
     /// Takes `model` for the one that was built.
@@ -296,11 +293,17 @@ impl Tracking {
     }
 }
 
-fn judged(angles: &Angles<'_>, name: &str, joints: Joints, linear: &Linear) -> Model {
+/// `joints` in cross-validation.
+pub fn judged(angles: &Angles<'_>, name: &str, joints: Joints, linear: &Linear) -> Model {
     let crossed = angles.cross(&joints, linear);
     let cross_rad = angles.mean(|a| crossed[a].error);
     let deviations = crossed.into_iter().map(|c| c.deviations).collect();
     Model { name: name.to_owned(), joints, cross_rad, deviations }
+}
+
+/// Whether a joint's error falls by enough in cross-validation for one more effect.
+fn earns(was: &Cross, is: &Cross) -> bool {
+    is.error < EARNS * was.error && falls(&was.shares, &is.shares)
 }
 
 /// For each joint that is `open` the effects that its angle asks for, each with the size that promises most,

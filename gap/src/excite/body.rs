@@ -11,6 +11,8 @@ use super::wave::Wave;
 /// Swing of the hips in a walk, rad. Feet that stand pass it on to the trunk, which works harder for it than
 /// the hips do: at 0.3 rad a spine joint of the salamander is at 48 % of its torque.
 const HIP_SWING_RAD: f64 = 0.25;
+/// How far the joint that lifts a foot does, rad.
+const LIFT_RAD: f64 = 0.35;
 /// Share that strides of one side are shorter by where the trunk would be bent by a radian: 40 % at the 0.12 rad of
 /// the turning trial.
 const SHORTER_PER_RAD: f64 = 3.3;
@@ -170,8 +172,9 @@ impl<'a> Body<'a> {
                 let stride = if leg.left { 1.0 - shorter } else { 1.0 };
                 let swing = stride * b.sine(hip, HIP_SWING_RAD, hz) * phase.sin();
                 row[hip] += fade * leg.swing.sign * swing;
-                let low = (1.0 - height) * row[knee].abs();
-                let lift = low + 0.35 * b.limits[knee].per_radian * phase.cos().max(0.0);
+                let least = LIFT_RAD * b.limits[knee].per_radian;
+                let low = (1.0 - height) * row[knee].abs().max(least);
+                let lift = low + least * phase.cos().max(0.0);
                 row[knee] += fade * leg.lift.sign * lift;
             }
             for &a in b.trunk() {

@@ -2,7 +2,10 @@
 
 use caudata_model::{Foot, JointMotion, Kinematics, Pose, RobotModel, Site};
 
-/// A joint's motion by a radian (of a slide, by a metre) as a trial needs it.
+/// A foot that moves by less as a joint does is not moved by it, m per what counts as a radian.
+const HARDLY_M: f64 = 1e-3;
+
+/// A joint's motion as a trial needs it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Way {
     /// Policy order.
@@ -49,15 +52,16 @@ impl Leg {
             let moved = |&a: &usize| per_radian(robot, &at, a, feet[i]);
             let swing = farthest(&joints, |a| dot(moved(a), forward))?;
             let others: Vec<usize> = joints.iter().copied().filter(|&a| a != swing.joint).collect();
-            let lift = farthest(&others, |a| moved(a)[2]).unwrap_or(swing);
-            let ahead =
-                (0..feet.len()).filter(|&o| is_left(o) == is_left(i) && along(o) > along(i));
+            let lifts = farthest(&others, |a| moved(a)[2]);
+            let lift = lifts.filter(|l| moved(&l.joint)[2].abs() > HARDLY_M).unwrap_or(swing);
+            let ahead = (0..feet.len())
+                .filter(|&o| is_left(o) == is_left(i) && along(o) > along(i) + HARDLY_M);
             Some(Self {
                 joints,
                 swing,
                 lift,
                 left: is_left(i),
-                front: along(i) > middle,
+                front: along(i) > middle + HARDLY_M,
                 with_first: is_left(i) == ahead.count().is_multiple_of(2),
             })
         };
@@ -102,12 +106,12 @@ fn own_joints(robot: &RobotModel) -> Vec<Vec<usize>> {
     feet.iter().map(|c| c.iter().copied().filter(|a| beyond(a) == 1).collect()).collect()
 }
 
-/// What a foot at `foot_m` moves by as joint `a` turns by a radian, m.
+/// What a foot at `foot_m` moves by as joint `a` moves by what counts as a radian, m.
 fn per_radian(robot: &RobotModel, at: &Kinematics, a: usize, foot_m: [f64; 3]) -> [f64; 3] {
     let j = robot.actuated()[a];
     let frame = &at.joints[j];
     if robot.joints()[j].motion == JointMotion::Slide {
-        return frame.axis;
+        return frame.axis.map(|x| x * robot.per_radian(a));
     }
     let [x, y, z] = frame.axis;
     let [rx, ry, rz] = std::array::from_fn(|k| foot_m[k] - frame.anchor_m[k]);
@@ -160,6 +164,13 @@ mod tests {
         // legs hang down: about an axis to the left a positive turn brings what is below backward
         let of = ["FL", "FR", "HL", "HR"].map(|l| format!("-{l}_thigh -{l}_calf"));
         assert_eq!(ways("quadruped"), of);
+    }
+
+    #[test]
+    fn an_insects_leg_swings_about_its_coxa_and_is_lifted_by_its_femur() {
+        let of = |l: &String| l.contains("_coxa ") && l.ends_with("_femur");
+        let ways = ways("hexapod");
+        assert!(ways.len() == 6 && ways.iter().all(of), "{ways:?}");
     }
 
     #[test]

@@ -6,6 +6,7 @@ use caudata_config::LearnerConfig;
 use caudata_proto::RolloutChunk;
 use caudata_telemetry::StopFlag;
 use caudata_telemetry::now_ns;
+use caudata_telemetry::progress::{Event, Warning};
 use caudata_telemetry::spans::{Laps, Part};
 use caudata_transport::{Frame, LearnerLink};
 
@@ -162,9 +163,10 @@ fn tell(outcome: &Outcome, reporter: &mut Reporter) {
                     }
                     None => "of an unknown sender".to_owned(),
                 };
-                reporter.warn(format!(
-                    "a frame {from} is refused ({reason}, {count} so far): {message}"
-                ));
+                tracing::warn!(?actor, reason, count, message, "a frame is refused");
+                let message =
+                    format!("a frame {from} is refused ({reason}, {count} so far): {message}");
+                reporter.event(&Event::Warning(Warning { message }));
             }
         }
     }
