@@ -102,7 +102,15 @@ fn supported_most(
     let joints = Joints::of(context.replayer.model().actuated().len(), terms, kept.clone());
     let linear = angles.linear(&joints, None)?;
     let search = judged(&angles, "", joints, &linear);
-    let mut model = built.around(context, &angles, kept)?;
+    // what drifts is not built in: where it has a name, the others are asked for anew beside it
+    let anew = match kept.iter().any(|t| t.effect.drifts) {
+        true => tracking.anew(context, kept.clone())?,
+        false => None,
+    };
+    let mut model = match anew {
+        Some(model) => model,
+        None => built.around(context, &angles, kept)?,
+    };
     if model.cross_rad * BUILT >= built.cross_rad {
         // angles contradict the names: the model does without, and the summary says so
         model = built.around(context, &angles, those(&unseen))?;

@@ -175,21 +175,50 @@ impl Tracking {
         gap: bool,
         progress: &mut dyn FnMut(Progress),
     ) -> Result<(), GapError> {
-        let first = (self.standard.iter()).min_by(|a, b| a.cross_rad.total_cmp(&b.cross_rad));
-        let Some(mut model) = first.map(|m| m.joints.clone()) else {
+        let Some(first) = self.best_standard().cloned() else {
             return Ok(());
         };
         let angles = Angles::of(context, &context.first_look().data);
         let off = angles.residuals(&[Variant::new()])?.swap_remove(0);
-        let robot = context.replayer.model();
-        let lsb_rad = |a: usize| robot.servo(a).encoder_lsb_rad();
-        let is_off = |a: usize, error: f64| angles.measured(a) && error >= COUNTS * lsb_rad(a);
-        let mut linear = angles.linear(&model, None)?;
-        let mut crossed = angles.cross(&model, &linear);
-        let nearer = angles.mean(|a| crossed[a].error) < angles.mean(|a| mean_abs(&off[a]));
-        if !(gap || nearer && (0..off.len()).any(|a| is_off(a, mean_abs(&off[a])))) {
+        let nearer = first.cross_rad < angles.mean(|a| mean_abs(&off[a]));
+        let is_off = |a: usize| is_off(context, &angles, a, mean_abs(&off[a]));
+        if !(gap || nearer && (0..off.len()).any(is_off)) {
             return Ok(());
         }
+        self.grow(context, first.joints, progress)
+    }
+
+    /// What each joint's runs support beside the terms `fixed`, which stay as they are; built anew, with what they
+    /// explain taken off. Nothing without standard models.
+    ///
+    /// # Errors
+    /// As [`crate::replay::Replayer::predict`].
+    pub fn anew(&self, context: &Context, fixed: Variant) -> Result<Option<Model>, GapError> {
+        let Some(first) = self.best_standard() else {
+            return Ok(None);
+        };
+        let angles = Angles::of(context, &context.first_look().data);
+        let around = first.around(context, &angles, fixed)?;
+        let mut built = Self::default();
+        built.grow(context, around.joints, &mut |_| {})?;
+        Ok(built.built)
+    }
+
+    fn best_standard(&self) -> Option<&Model> {
+        self.standard.iter().min_by(|a, b| a.cross_rad.total_cmp(&b.cross_rad))
+    }
+
+    /// Adds effects to each joint of `model` as long as one earns its place.
+    fn grow(
+        &mut self,
+        context: &Context,
+        mut model: Joints,
+        progress: &mut dyn FnMut(Progress),
+    ) -> Result<(), GapError> {
+        let angles = Angles::of(context, &context.first_look().data);
+        let is_off = |a: usize, error: f64| is_off(context, &angles, a, error);
+        let mut linear = angles.linear(&model, None)?;
+        let mut crossed = angles.cross(&model, &linear);
         self.keep(&angles, &model, &linear);
         let joints = crossed.len();
         let held = context.is_held();
@@ -301,6 +330,12 @@ pub fn judged(angles: &Angles<'_>, name: &str, joints: Joints, linear: &Linear) 
     Model { name: name.to_owned(), joints, cross_rad, deviations }
 }
 
+/// Whether joint `a` has an angle and `error`, rad, is an error that counts.
+fn is_off(context: &Context, angles: &Angles<'_>, a: usize, error: f64) -> bool {
+    let lsb_rad = context.replayer.model().servo(a).encoder_lsb_rad();
+    angles.measured(a) && error >= COUNTS * lsb_rad
+}
+
 /// Whether a joint's error falls by enough in cross-validation for one more effect.
 fn earns(was: &Cross, is: &Cross) -> bool {
     is.error < EARNS * was.error && falls(&was.shares, &is.shares)
@@ -317,8 +352,12 @@ fn ranked(
 ) -> Result<Vec<Vec<Term>>, GapError> {
     let robot = context.replayer.model();
     let joints = open.len();
+    let has = |terms: &[Term], effect: &Effect, a: usize| {
+        terms.iter().any(|t| t.effect == effect && meet(&t.place, &Place::of_joint(robot, a)))
+    };
     let may = |effect: &Effect, a: usize| {
         open[a]
+            && !has(&model.fixed, effect, a)
             && !model.own[a].iter().any(|t| t.effect == effect)
             && effect.may_be(robot, &Place::of_joint(robot, a))
             && (effect.unseen)(&context.excitation, &Place::of_joint(robot, a)).is_none()
