@@ -1,15 +1,12 @@
 //! `caudata policy label|revert|quarantine|audit`, and what `show` says about a version on a server.
 
-use std::path::PathBuf;
-
 use caudata_proto::registry::{LabelName, Manifest, Overview, SetLabel, reverting};
 use caudata_registry_client::ClientError;
-use caudata_signing::ReleaseKey;
 use caudata_telemetry::{ExitCode, Failure, unix_ms};
 use serde_json::json;
 
 use crate::commands::policy_calls::{ServerArgs, as_json, block_on};
-use crate::commands::policy_sign::unusable;
+use crate::commands::policy_sign::{KeyArgs, say_if_unsigned};
 use crate::say;
 
 /// Flags of `label`.
@@ -45,12 +42,8 @@ pub struct RevertArgs {
     /// Why; written down
     #[arg(long, value_name = "REASON")]
     reason: String,
-    /// Secret key, for streams whose robots trust keys
-    #[arg(long, value_name = "FILE", requires = "key_id")]
-    key: Option<PathBuf>,
-    /// Name of the key
-    #[arg(long, value_name = "ID", requires = "key")]
-    key_id: Option<String>,
+    #[command(flatten)]
+    key: KeyArgs,
     /// One JSON object on the last line
     #[arg(long)]
     json: bool,
@@ -143,10 +136,7 @@ fn show_labels(args: &LabelArgs) -> Result<(), Failure> {
 /// Publishes an older version again under a higher number.
 pub fn revert(args: &RevertArgs) -> Result<(), Failure> {
     let stream = args.server.one_stream()?;
-    let key = match (&args.key, &args.key_id) {
-        (Some(path), Some(id)) => Some(ReleaseKey::read(path, id).map_err(unusable)?),
-        _ => None,
-    };
+    let key = args.key.read()?;
     let published = block_on(async {
         let mut client = args.server.client()?;
         let old = client.manifest(&stream, Some(args.version)).await?;
@@ -165,9 +155,7 @@ pub fn revert(args: &RevertArgs) -> Result<(), Failure> {
         }));
     }
     say::line(format!("{stream} version {version} is version {} again", args.version));
-    if published.manifest.signatures.is_empty() {
-        say::line("it is not signed: robots that trust keys will not take it (--key, --key-id)");
-    }
+    say_if_unsigned(&published.manifest);
     Ok(())
 }
 

@@ -10,7 +10,7 @@ use caudata_telemetry::{ExitCode, Failure, FailureExt, unix_ms};
 use serde_json::json;
 
 use crate::commands::policy_calls::{ServerArgs, as_json, block_on};
-use crate::commands::policy_sign::{as_signed, unusable};
+use crate::commands::policy_sign::{KeyArgs, as_signed, say_if_unsigned};
 use crate::say;
 
 /// Flags of `publish`.
@@ -21,12 +21,8 @@ pub struct PublishArgs {
     file: PathBuf,
     #[command(flatten)]
     server: ServerArgs,
-    /// Secret key, for streams whose robots trust keys
-    #[arg(long, value_name = "FILE", requires = "key_id")]
-    key: Option<PathBuf>,
-    /// Name of the key
-    #[arg(long, value_name = "ID", requires = "key")]
-    key_id: Option<String>,
+    #[command(flatten)]
+    key: KeyArgs,
     /// One JSON object on the last line
     #[arg(long)]
     json: bool,
@@ -35,10 +31,7 @@ pub struct PublishArgs {
 /// Publishes a policy file.
 pub fn run(args: &PublishArgs) -> Result<(), Failure> {
     let stream = args.server.one_stream()?;
-    let key = match (&args.key, &args.key_id) {
-        (Some(path), Some(id)) => Some(ReleaseKey::read(path, id).map_err(unusable)?),
-        _ => None,
-    };
+    let key = args.key.read()?;
     let manifest = publish(&args.file, stream, key.as_ref(), || args.server.client())?;
     if args.json {
         let mut object = as_json(&manifest);
@@ -46,9 +39,7 @@ pub fn run(args: &PublishArgs) -> Result<(), Failure> {
         return say::json(&object);
     }
     say::line(format!("{} version {}", manifest.stream, manifest.version));
-    if manifest.signatures.is_empty() {
-        say::line("it is not signed: robots that trust keys will not take it (--key, --key-id)");
-    }
+    say_if_unsigned(&manifest);
     Ok(())
 }
 

@@ -87,6 +87,32 @@ pub struct ReleaseArgs {
     json: bool,
 }
 
+/// Flags of what may be signed.
+#[derive(Debug, clap::Args)]
+pub struct KeyArgs {
+    /// Secret key, for streams whose robots trust keys
+    #[arg(long, value_name = "FILE", requires = "key_id")]
+    key: Option<PathBuf>,
+    /// Name of the key
+    #[arg(long, value_name = "ID", requires = "key")]
+    key_id: Option<String>,
+}
+
+impl KeyArgs {
+    /// The key, where one was given.
+    pub fn read(&self) -> Result<Option<ReleaseKey>, Failure> {
+        let (Some(path), Some(id)) = (&self.key, &self.key_id) else { return Ok(None) };
+        ReleaseKey::read(path, id).map(Some).map_err(unusable)
+    }
+}
+
+/// Says so where nothing signs what was published.
+pub fn say_if_unsigned(manifest: &Manifest) {
+    if manifest.signatures.is_empty() {
+        say::line("it is not signed: robots that trust keys will not take it (--key, --key-id)");
+    }
+}
+
 /// What a key or trust file that cannot be used ends with.
 pub fn unusable(error: SigningError) -> Failure {
     let code = if error.is_of_reading() { ExitCode::NoInput } else { ExitCode::BadInput };

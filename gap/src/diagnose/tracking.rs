@@ -222,8 +222,7 @@ impl Tracking {
         self.keep(&angles, &model, &linear);
         let joints = crossed.len();
         let held = context.is_held();
-        let mut open: Vec<bool> =
-            (0..joints).map(|a| held && is_off(a, crossed[a].error)).collect();
+        let mut open: Vec<bool> = (0..joints).map(|a| is_off(a, crossed[a].error)).collect();
         let mut pool: Option<Vec<BTreeSet<&str>>> = None;
         for depth in (1..=MOST_ADDED).take_while(|_| held) {
             progress(Progress::new(Stage::Tracking, depth, "joint by joint"));

@@ -1,5 +1,6 @@
 //! Which joint of a leg swings its foot and which lifts it, from where the foot is in the nominal pose.
 
+use caudata_model::pose::{cross, dot, sub};
 use caudata_model::{Foot, JointMotion, Kinematics, Pose, RobotModel, Site};
 
 /// A foot that moves by less as a joint does is not moved by it, m per what counts as a radian.
@@ -113,9 +114,7 @@ fn per_radian(robot: &RobotModel, at: &Kinematics, a: usize, foot_m: [f64; 3]) -
     if robot.joints()[j].motion == JointMotion::Slide {
         return frame.axis.map(|x| x * robot.per_radian(a));
     }
-    let [x, y, z] = frame.axis;
-    let [rx, ry, rz] = std::array::from_fn(|k| foot_m[k] - frame.anchor_m[k]);
-    [y * rz - z * ry, z * rx - x * rz, x * ry - y * rx]
+    cross(frame.axis, sub(foot_m, frame.anchor_m))
 }
 
 /// The joint of which `of` is largest either way; of equals the first.
@@ -123,10 +122,6 @@ fn farthest(joints: &[usize], of: impl Fn(&usize) -> f64) -> Option<Way> {
     let size = |a: &&usize| of(a).abs();
     let joint = joints.iter().rev().max_by(|a, b| size(a).total_cmp(&size(b)))?;
     Some(Way { joint: *joint, sign: if of(joint) < 0.0 { -1.0 } else { 1.0 } })
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    (0..3).map(|k| a[k] * b[k]).sum()
 }
 
 #[cfg(test)]
