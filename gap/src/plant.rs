@@ -165,32 +165,8 @@ impl Plant {
         carry(model, &trial.meta.payload, lane);
         if let Some(volt) = trial.supply_v {
             lane.supply_v = volt as f32;
-            // the envelope's speeds go with the supply by themselves; its torques are given for one supply
-            for a in 0..plant.lane.torque_scale.len() {
-                let share = volt / model.servo(a).reference_supply_v;
-                if share < 1.0 {
-                    plant.less_voltage(a, share as f32);
-                }
-            }
         }
         plant
-    }
-
-    /// Torque limits of joint `a` where the motor gets `share` of its voltage: the line through stall torque
-    /// and speed without load moves in parallel (the speeds are the caller's). Against the motion, back-EMF
-    /// helps the bridge, so that the motor brakes harder than it drives, but not harder than its current
-    /// limit for braking allows.
-    pub(crate) fn less_voltage(&mut self, a: usize, share: f32) {
-        /// Braking torque over stall torque: back-EMF is about half the voltage where a joint begins to
-        /// brake.
-        const BRAKING: f64 = 1.5;
-        let servo = self.model.servo(a);
-        let before = self.lane.torque_scale[a];
-        self.lane.torque_scale[a] *= share;
-        let joint = &mut self.lane.joints[a];
-        let allowed_nm = servo.tau_brake_max_nm as f32 * before * joint.brake_scale;
-        let possible_nm = (BRAKING * servo.tau_max_nm) as f32 * before * share;
-        joint.brake_scale *= allowed_nm.min(possible_nm) / (allowed_nm * share).max(1e-9);
     }
 }
 

@@ -98,15 +98,14 @@ class Servo:
     def __init__(self, p):
         get = lambda key: np.array([s[key] for s in p], dtype=float)
         self.kp, self.kd = get("kp"), get("kd")
-        self.flat, self.qd_flat, self.slope = get("tau_max"), get("qd_tau_max"), get("slope")
+        self.flat, self.stall, self.taper = get("tau_max"), get("stall"), get("taper")
         self.brake = get("tau_brake_max")
 
     def torque(self, target, q, qd):
         tau = self.kp * (target - q) - self.kd * qd
-        drive = np.maximum(self.flat + self.slope * np.maximum(np.abs(qd) - self.qd_flat, 0.0), -self.brake)
-        up = np.where(qd > 0, drive, np.where(qd < 0, self.brake, self.flat))
-        down = np.where(qd > 0, self.brake, np.where(qd < 0, drive, self.flat))
-        return np.clip(tau, -down, up)
+        up = np.minimum(np.where(qd < 0, self.brake, self.flat), self.stall - self.taper * qd)
+        down = np.minimum(np.where(qd > 0, self.brake, self.flat), self.stall + self.taper * qd)
+        return np.clip(tau, np.minimum(-down, self.brake), np.maximum(up, -self.brake))
 
 
 def gaits(req):

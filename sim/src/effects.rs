@@ -108,8 +108,10 @@ effects! {
         /// Delay between what the loop wants and what the motor gives, s (computing time). At most
         /// [`MAX_LOOP_DELAY_S`]. Nominal 0.
         loop_delay_s: 0.0, MAX_LOOP_DELAY_S => 0.0;
-        /// Factor on both speeds of the envelope (a lower back-EMF constant is a faster motor). Nominal 1.
+        /// Factor on the motor's speed without load (a lower back-EMF constant is a faster motor). Nominal 1.
         speed_scale: 0.05, 20.0 => 1.0;
+        /// Share of the bus voltage that the motor gets at most. Nominal 1.
+        voltage_share: 0.01, 20.0 => 1.0;
         /// Factor on the limit of torque against the motion, on top of `torque_scale`. Nominal 1.
         brake_scale: 0.0, 100.0 => 1.0;
         /// Winding resistance over the nominal one: divides the loop's torque and the sloping part of the

@@ -32,11 +32,18 @@ impl Envelope {
     fn of(model: &RobotModel, joint: usize) -> Self {
         let servo = model.servo(joint);
         let supply_v = model.supply_v();
-        let scale = supply_v / servo.reference_supply_v;
+        let fall = (servo.tau_max_nm - servo.tau_qd_max_nm)
+            / (servo.qd_max_radps - servo.qd_tau_max_radps);
+        // the line moves in parallel, by its speed without load at each volt
+        let free_radps = servo.qd_tau_max_radps + servo.tau_max_nm / fall;
+        let faster_radps = match fall > 0.0 {
+            true => (supply_v / servo.reference_supply_v - 1.0) * free_radps,
+            false => 0.0,
+        };
         Self {
             tau_max_nm: servo.tau_max_nm,
-            flat_to_radps: scale * servo.qd_tau_max_radps,
-            taper_at_radps: scale * servo.qd_max_radps,
+            flat_to_radps: servo.qd_tau_max_radps + faster_radps,
+            taper_at_radps: servo.qd_max_radps + faster_radps,
             tau_there_nm: servo.tau_qd_max_nm,
             tau_brake_max_nm: servo.tau_brake_max_nm,
             supply_v,

@@ -26,7 +26,7 @@ pub enum EncoderSide {
 ///
 /// Envelope after ToddlerBot v2: the motor torque is limited to `tau_max_nm` up to the speed
 /// `qd_tau_max_radps`, then linearly down to `tau_qd_max_nm` at `qd_max_radps`; torque against the motion is
-/// limited to `tau_brake_max_nm`. Speeds are those at `reference_supply_v` and scale with the supply.
+/// limited to `tau_brake_max_nm`. The line is that at `reference_supply_v` and moves in parallel with the supply.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ServoParams {

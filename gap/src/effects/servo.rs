@@ -171,12 +171,7 @@ pub static VOLTAGE_LIMIT: Effect = Effect {
     parameters: &[parameter("duty", "", 1.05, (0.1, 1.3), 0.03, One)],
     grid: &one(&[0.15, 0.22, 0.3, 0.38, 0.46, 0.54, 0.62, 0.7, 0.8, 0.9, 1.2]),
     hinge: true,
-    apply: |plant, place, v| {
-        for &a in &place.items {
-            plant.less_voltage(a, v[0] as f32);
-            plant.lane.joints[a].speed_scale *= v[0] as f32;
-        }
-    },
+    apply: |plant, place, v| place.each(|a| plant.lane.joints[a].voltage_share *= v[0] as f32),
     look_alikes: "supply_level torque_limit profile_limit supply_sag",
     corrects: "qd_tau_max_radps qd_max_radps tau_qd_max_nm",
     unseen: needs_motion,

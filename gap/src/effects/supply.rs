@@ -3,7 +3,6 @@
 use super::effect::Reference::One;
 use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
 use crate::place::Domain;
-use crate::plant::Plant;
 
 const OF_THE_SUPPLY: Effect =
     Effect { layer: Layer::Actuation, domain: Domain::Robot, unseen: needs_motion, ..PLAIN };
@@ -25,7 +24,7 @@ pub static SUPPLY_LEVEL: Effect = Effect {
     parameters: &[parameter("scale", "", 1.0, (0.3, 2.0), 0.03, One)],
     grid: &one(&[0.5, 0.7, 0.85, 1.15, 1.4]),
     hinge: true,
-    apply: |plant, _, v| supply(plant, v[0] as f32),
+    apply: |plant, _, v| plant.lane.supply_v *= v[0] as f32,
     look_alikes: "voltage_limit supply_sag profile_limit duty_supply",
     corrects: "supply.default_v reference_supply_v qd_tau_max_radps qd_max_radps tau_qd_max_nm",
     trial: "steps_large",
@@ -40,8 +39,8 @@ pub static DUTY_SUPPLY: Effect = Effect {
     hinge: false,
     apply: |plant, _, v| {
         let share = v[0] as f32;
-        supply(plant, share);
         let lane = &mut plant.lane;
+        lane.supply_v *= share;
         let gains = lane.kp_nm_per_rad.iter_mut().chain(&mut lane.kd_nms_per_rad);
         gains.for_each(|gain| *gain *= share);
     },
@@ -50,18 +49,6 @@ pub static DUTY_SUPPLY: Effect = Effect {
     signature: "gain, torque and speed of all joints are lower by one share, and so are the currents",
     ..SUPPLY_LEVEL
 };
-
-/// All servos at `share` of their supply.
-fn supply(plant: &mut Plant, share: f32) {
-    // speeds of the envelope go with the supply by themselves; so does the torque at stall, as long as no
-    // current limit comes first
-    plant.lane.supply_v *= share;
-    if share < 1.0 {
-        for a in 0..plant.lane.torque_scale.len() {
-            plant.less_voltage(a, share);
-        }
-    }
-}
 
 pub static THERMAL_DERATING: Effect = Effect {
     id: "thermal_derating",

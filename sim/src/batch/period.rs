@@ -24,7 +24,7 @@ use crate::drive::loop_delay::Loop;
 use crate::drive::loss::LossMemory;
 use crate::drive::passive::StopAt;
 use crate::drive::step;
-use crate::drive::supply::{self, Bus};
+use crate::drive::supply;
 use crate::real::Mask;
 use crate::simd::{Kernel, Lanes};
 
@@ -234,7 +234,7 @@ fn load_joints<R: Lanes>(
     let qdd = &x[lay.qdd()..lay.qdd() + n];
     let step = &shared.step;
     let since = R::splat(shared.dt_s * f64::from(substep));
-    let bus = Bus::at(x[Layout::BUS]);
+    let bus_v = x[Layout::BUS];
     let mut current = R::zero();
     let late = params.features.loop_delay;
     if late {
@@ -252,7 +252,7 @@ fn load_joints<R: Lanes>(
                 &mut drives[a],
                 if late { wanted.joint(a) } else { Loop::direct() },
                 step,
-                &bus,
+                bus_v,
                 command,
                 q[i],
                 qd[i],

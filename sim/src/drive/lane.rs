@@ -7,7 +7,7 @@ use crate::drive::command::Scheduled;
 use crate::drive::loss::LossMemory;
 use crate::drive::passive::{self, StopAt};
 use crate::drive::step::{self, Driven, Step};
-use crate::drive::supply::{self, Bus, Supply};
+use crate::drive::supply::{self, Supply};
 use crate::drive::{
     CommandHistory, DriveFeatures, ImplicitTorque, JointMemory, JointPassive, ServoDrive,
     WantedTorques, friction, loop_memory_steps,
@@ -169,7 +169,7 @@ impl LaneDrive {
         memory: &mut DriveMemory,
         since_command_s: f64,
     ) {
-        let bus = Bus::at(memory.bus_v);
+        let bus_v = memory.bus_v;
         let mut current_a = 0.0;
         memory.wanted.begin_step();
         for (j, model_joint) in model.joints().iter().enumerate() {
@@ -190,7 +190,7 @@ impl LaneDrive {
                         &mut memory.servos[index],
                         memory.wanted.joint(index),
                         &self.step,
-                        &bus,
+                        bus_v,
                         command,
                         at.pos,
                         at.vel,

@@ -26,6 +26,7 @@ impl ServoDrive<f64> {
         let scale = wide(params.torque_scale[a]);
         let span = (servo.qd_max_radps - servo.qd_tau_max_radps).max(1e-6);
         let slope = ((servo.tau_max_nm - servo.tau_qd_max_nm) / span).max(0.0);
+        let stall_nm = servo.tau_max_nm + slope * servo.qd_tau_max_radps;
         let speed = wide(e.speed_scale);
         let soft = e.gear_half_gap_rad > 0.0 || e.gear_stiffness_nm_per_rad > 0.0;
         let motor_encoder = if soft { wide(e.motor_encoder) } else { 0.0 };
@@ -55,8 +56,8 @@ impl ServoDrive<f64> {
             kd_min_nms_per_rad: wide(e.kd_min_nms_per_rad),
             tau_max_nm: servo.tau_max_nm * scale,
             tau_brake_max_nm: servo.tau_brake_max_nm * scale * wide(e.brake_scale),
-            flat_speed_per_volt: servo.qd_tau_max_radps / servo.reference_supply_v * speed,
-            taper_nms_v_per_rad: slope * servo.reference_supply_v / speed * scale,
+            stall_nm_per_volt: stall_nm / servo.reference_supply_v * scale * wide(e.voltage_share),
+            taper_nms_per_rad: slope / speed * scale,
             back_drive_kp_ratio: wide(e.back_drive_kp_ratio),
             per_torque_constant_a_per_nm: 1.0 / constant,
             current_dead_band_a: wide(e.current_dead_band_a),

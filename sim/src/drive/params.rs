@@ -39,10 +39,10 @@ per_lane! {
         pub tau_max_nm: R,
         /// Limit against the motion, N·m.
         pub tau_brake_max_nm: R,
-        /// Speed up to which the limit is flat, per volt of bus, rad/s/V.
-        pub flat_speed_per_volt: R,
-        /// Torque lost per speed beyond, times bus voltage, N·m·s·V/rad.
-        pub taper_nms_v_per_rad: R,
+        /// Torque at rest where nothing but the voltage limits it, per volt of bus, N·m/V.
+        pub stall_nm_per_volt: R,
+        /// What it loses with speed, N·m·s/rad.
+        pub taper_nms_per_rad: R,
         /// Factor on Kp while driven back.
         pub back_drive_kp_ratio: R,
         /// 1/k_t: current per torque beyond the dead band, A/(N·m).

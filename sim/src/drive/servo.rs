@@ -14,15 +14,16 @@
 //!  −τ_brake_max ──────────╰────────    against the motion: separate limit
 //! ```
 //!
-//! Both speeds scale with the bus voltage over the voltage at which they were identified. Where ToddlerBot
-//! jumps to full braking beyond q̇_max, the line here just goes on: that is the same motor at full duty, has
-//! no jump, and stays a function of joint speed and torque alone.
+//! The line is the motor's at full duty, `k·(V/k_e − q̇)`: its slope is the winding's and stays, and it moves in
+//! parallel with the bus voltage over the one at which it was identified. So less voltage leaves less torque at
+//! rest once the line's end is below τ_max. Against the motion, back-EMF helps the bridge: there the same line
+//! goes on upwards until the braking limit. Where ToddlerBot jumps to full braking beyond q̇_max, it just goes
+//! on: that is the same motor, has no jump, and stays a function of joint speed and torque alone.
 //!
 //! A winding whose resistance is ρ times its nominal one gives 1/ρ of the torque at the same voltage: the
 //! position loop and the sloping part of the envelope are divided by ρ, the flat current limit stays.
 
 use super::ServoDrive;
-use super::supply::Bus;
 use crate::real::Real;
 
 /// Speed over which a separate limit of the current against the motion fades in, rad/s.
@@ -50,30 +51,23 @@ pub fn back_drive_factor<R: Real>(ratio: R, error_rad: R, qd_radps: R) -> R {
     R::one() + (ratio - R::one()) * share
 }
 
-/// Largest torque in the direction of motion at `speed_radps` (≥ 0), N·m. Negative beyond the no-load speed,
-/// never below −τ_brake_max. `per_rho`: nominal over present winding resistance.
-#[inline(always)]
-pub fn driving_limit_nm<R: Real>(p: &ServoDrive<R>, bus: &Bus<R>, per_rho: R, speed_radps: R) -> R {
-    let over = speed_radps - p.flat_speed_per_volt * bus.volt_v;
-    let line = per_rho * (p.tau_max_nm - p.taper_nms_v_per_rad * bus.per_volt * over);
-    p.tau_max_nm.min(line).max(-p.tau_brake_max_nm)
-}
-
-/// Clamps a wanted torque to what the motor can give at motor speed `speed_radps`, N·m.
+/// Clamps a wanted torque to what the motor can give at motor speed `speed_radps` on a bus of `bus_v`, N·m.
+/// Beyond the no-load speed it brakes. `per_rho`: nominal over present winding resistance.
 #[inline(always)]
 pub fn clamp_nm<R: Real>(
     p: &ServoDrive<R>,
-    bus: &Bus<R>,
+    bus_v: R,
     per_rho: R,
     torque_nm: R,
     speed_radps: R,
 ) -> R {
-    let driving = driving_limit_nm(p, bus, per_rho, speed_radps.abs());
-    let forward = R::zero().lt(speed_radps);
-    let backward = speed_radps.lt(R::zero());
-    let rest = p.tau_max_nm;
-    let high = R::select(forward, driving, R::select(backward, p.tau_brake_max_nm, rest));
-    let low = R::select(backward, -driving, R::select(forward, -p.tau_brake_max_nm, -rest));
+    let stall_nm = per_rho * p.stall_nm_per_volt * bus_v;
+    let fall_nm = per_rho * p.taper_nms_per_rad * speed_radps;
+    let brake = p.tau_brake_max_nm;
+    let up = R::select(speed_radps.lt(R::zero()), brake, p.tau_max_nm);
+    let down = R::select(R::zero().lt(speed_radps), brake, p.tau_max_nm);
+    let high = up.min(stall_nm - fall_nm).max(-brake);
+    let low = (-down).max(-stall_nm - fall_nm).min(brake);
     torque_nm.clamp(low, high)
 }
 
@@ -151,9 +145,9 @@ pub(crate) mod tests {
         ServoDrive {
             tau_max_nm: 1.94 * scale,
             tau_brake_max_nm: 2.2 * scale,
-            flat_speed_per_volt: 0.8 / 12.0,
-            // (1.94 − 0.40)/(7.6 − 0.8) at 12 V
-            taper_nms_v_per_rad: 1.54 / 6.8 * 12.0 * scale,
+            // (1.94 − 0.40)/(7.6 − 0.8), and 0.8 rad/s of it above 1.94 at 12 V
+            taper_nms_per_rad: 1.54 / 6.8 * scale,
+            stall_nm_per_volt: (1.94 + 0.8 * 1.54 / 6.8) / 12.0 * scale,
             per_torque_constant_a_per_nm: 1.0 / 1.11,
             current_dead_band_a: 0.145,
             ..ServoDrive::default()
@@ -164,8 +158,9 @@ pub(crate) mod tests {
         assert!((got - want).abs() < 1e-5, "got {got}, want {want}");
     }
 
+    /// The most that drives at `speed`.
     fn limit(volt: f64, speed: f64) -> f64 {
-        driving_limit_nm(&envelope(1.0), &Bus::at(volt), 1.0, speed)
+        clamp_nm(&envelope(1.0), volt, 1.0, 100.0, speed)
     }
 
     #[test]
@@ -206,24 +201,31 @@ pub(crate) mod tests {
 
     #[test]
     fn saturates_by_direction() {
-        let clamp = |torque, speed| clamp_nm(&envelope(1.0), &Bus::at(12.0), 1.0, torque, speed);
+        let clamp = |torque, speed| clamp_nm(&envelope(1.0), 12.0, 1.0, torque, speed);
         check(clamp(15.0, 0.0), 1.94);
         check(clamp(13.6, 4.2), 1.17);
         check(clamp(16.4, -4.2), 2.2); // brakes
         check(clamp(-16.4, 4.2), -2.2);
         check(clamp(-16.4, -4.2), -1.17);
         check(clamp(0.3, 4.2), 0.3);
+        // slowly backward the line, 2.1212 + 0.1·0.2265, is below the braking limit
+        check(clamp(16.4, -0.1), 2.143_824);
     }
 
     #[test]
-    fn speeds_scale_with_supply_and_torques_with_the_scale() {
-        // 14 V: flat to 0.8·14/12 = 0.9333, ends at 8.8667 with 0.40 N·m
-        check(limit(14.0, 0.9333), 1.94);
-        check(limit(14.0, 8.866_667), 0.40);
-        check(limit(14.0, 4.9), 1.17);
+    fn the_line_moves_in_parallel_with_the_supply_and_torques_with_the_scale() {
+        // 14 V: 1/6 of the speed without load, 9.36623/6 = 1.56104 rad/s, further: flat to 2.36104
+        check(limit(14.0, 2.361), 1.94);
+        check(limit(14.0, 4.2 + 1.561_039), 1.17);
+        // 6 V: half of 2.121176 N·m at rest, half of the speed without load; and half, and 0.4529 more, against
+        // 2 rad/s
+        check(limit(6.0, 0.0), 1.060_588);
+        check(limit(6.0, 4.683_117), 0.0);
+        check(limit(6.0, -2.0), 1.513_529);
+        check(clamp_nm(&envelope(1.0), 6.0, 1.0, -100.0, 0.0), -1.060_588);
         let weak = envelope(0.5);
-        check(driving_limit_nm(&weak, &Bus::at(12.0), 1.0, 4.2), 0.585);
-        check(clamp_nm(&weak, &Bus::at(12.0), 1.0, -9.0, 1.0), -1.1);
+        check(clamp_nm(&weak, 12.0, 1.0, 9.0, 4.2), 0.585);
+        check(clamp_nm(&weak, 12.0, 1.0, -9.0, 1.0), -1.1);
     }
 
     #[test]
@@ -231,8 +233,8 @@ pub(crate) mod tests {
         // ρ = 1.25: at 4.2 rad/s the line is 1.17/1.25 = 0.936; at rest 1.94 + 0.8·0.2265 = 2.1212 over 1.25
         // = 1.697 < 1.94
         let p = envelope(1.0);
-        check(driving_limit_nm(&p, &Bus::at(12.0), 0.8, 4.2), 0.936);
-        check(driving_limit_nm(&p, &Bus::at(12.0), 0.8, 0.0), 1.696_941);
+        check(clamp_nm(&p, 12.0, 0.8, 9.0, 4.2), 0.936);
+        check(clamp_nm(&p, 12.0, 0.8, 9.0, 0.0), 1.696_941);
     }
 
     #[test]
@@ -273,8 +275,8 @@ pub(crate) mod tests {
         #[test]
         fn symmetric_and_bounded(torque in -30.0_f64..30.0, speed in -20.0_f64..20.0, volt in 5.0_f64..15.0, rho in 0.5_f64..2.0) {
             let p = envelope(1.0);
-            let got = clamp_nm(&p, &Bus::at(volt), 1.0 / rho, torque, speed);
-            proptest::prop_assert_eq!(got, -clamp_nm(&p, &Bus::at(volt), 1.0 / rho, -torque, -speed));
+            let got = clamp_nm(&p, volt, 1.0 / rho, torque, speed);
+            proptest::prop_assert_eq!(got, -clamp_nm(&p, volt, 1.0 / rho, -torque, -speed));
             proptest::prop_assert!(got.abs() <= 2.2);
             // along the motion it is never above the flat limit
             proptest::prop_assert!(got * speed.signum() <= 1.94);

@@ -4,7 +4,6 @@ use std::f64::consts::TAU;
 
 use super::loop_delay::Loop;
 use super::passive::{self, StopAt};
-use super::supply::Bus;
 use super::{DriveFeatures, ImplicitTorque, JointPassive, ServoDrive};
 use super::{filter, friction, gear, servo, thermal};
 use crate::per_lane::per_lane;
@@ -139,7 +138,7 @@ pub fn start<R: Real>(
     m: &mut JointMemory<R>,
     on_its_way: Loop<'_, R>,
     step: &Step<R>,
-    bus: &Bus<R>,
+    bus_v: R,
     command_rad: R,
     q_rad: R,
     qd_radps: R,
@@ -166,7 +165,7 @@ pub fn start<R: Real>(
         m,
         on_its_way,
         step,
-        bus,
+        bus_v,
         target_rad - seen_rad,
         seen_radps + seen_ahead_radps,
         motor_radps + motor_ahead_radps,
@@ -303,7 +302,7 @@ fn motor<R: Real>(
     m: &mut JointMemory<R>,
     on_its_way: Loop<'_, R>,
     step: &Step<R>,
-    bus: &Bus<R>,
+    bus_v: R,
     error_rad: R,
     qd_radps: R,
     motor_radps: R,
@@ -329,7 +328,7 @@ fn motor<R: Real>(
         per_rho = thermal::per_rho(p, m.rise_k);
         wanted_nm = wanted_nm * per_rho;
     }
-    let mut given_nm = servo::clamp_nm(p, bus, per_rho, wanted_nm, motor_radps);
+    let mut given_nm = servo::clamp_nm(p, bus_v, per_rho, wanted_nm, motor_radps);
     if f.current_limit {
         given_nm = servo::limit_current_nm(p, given_nm, motor_radps);
     }

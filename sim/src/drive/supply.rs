@@ -23,23 +23,6 @@ per_lane! {
     }
 }
 
-/// The bus during one physics step.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Bus<R> {
-    /// Voltage, V.
-    pub volt_v: R,
-    /// Its inverse, 1/V.
-    pub per_volt: R,
-}
-
-impl<R: Real> Bus<R> {
-    /// A bus at `volt_v` (> 0).
-    #[inline(always)]
-    pub fn at(volt_v: R) -> Self {
-        Self { volt_v, per_volt: R::one() / volt_v }
-    }
-}
-
 /// Bus voltage after a step in which the motors together drew `current_a` (Σ|i|), V.
 #[inline(always)]
 pub fn settle_v<R: Real>(p: &Supply<R>, bus_v: R, current_a: R) -> R {

@@ -2,7 +2,7 @@
 
 use super::passive::{self, StopAt};
 use super::step::{self, Step};
-use super::supply::{self, Bus, Supply};
+use super::supply::{self, Supply};
 use super::*;
 use crate::per_lane::PerLane;
 use crate::stop::Stop;
@@ -21,6 +21,7 @@ fn servo() -> ServoDrive<f64> {
         kd_nms_per_rad: 0.3,
         tau_max_nm: 1e3,
         tau_brake_max_nm: 1e3,
+        stall_nm_per_volt: 1e3,
         back_drive_kp_ratio: 1.0,
         per_torque_constant_a_per_nm: 1.0,
         current_limit_nm: params::NO_LIMIT,
@@ -82,7 +83,6 @@ impl Rig {
     fn step(&mut self, command: f64, load: f64) {
         let f = DriveFeatures::of(&self.servo);
         let dt = Step::new(DT, self.centred);
-        let bus = Bus::at(self.volt);
         let m = &mut self.memory;
         self.wanted.begin_step();
         let stop = StopAt { law: &self.stop, free_radps2: self.free };
@@ -93,7 +93,7 @@ impl Rig {
             m,
             self.wanted.joint(0),
             &dt,
-            &bus,
+            self.volt,
             command,
             self.q,
             self.qd,
@@ -440,14 +440,14 @@ fn ripple_repeats_with_the_angle() {
 
 #[test]
 fn working_neighbours_slow_a_joint_down() {
-    // Envelope of the XM430 at 12 V with kd_min 0 runs free at 9.366 rad/s (taper line's end); 4 A of
+    // Envelope of the XM430 at 12 V with kd_min 0 runs free at 9.366 rad/s (the line's end); 4 A of
     // neighbours through 0.5 Ω leave 10 V: 7.805 rad/s
     let p = ServoDrive {
         kd_nms_per_rad: 0.0,
         tau_max_nm: 1.94,
         tau_brake_max_nm: 2.2,
-        flat_speed_per_volt: 0.8 / 12.0,
-        taper_nms_v_per_rad: 1.54 / 6.8 * 12.0,
+        stall_nm_per_volt: (1.94 + 0.8 * 1.54 / 6.8) / 12.0,
+        taper_nms_per_rad: 1.54 / 6.8,
         ..servo()
     };
     let supply = Supply { open_v: 12.0, resistance_ohm: 0.5, share: filter::lag_share(0.005, DT) };
@@ -492,7 +492,7 @@ fn a_lane_that_does_not_need_a_stage_is_not_touched_by_it() {
         damping_nms_per_rad: 0.0064,
         ..hinge()
     });
-    let (dt, bus) = (Step::<f32>::new(DT, false), Bus::at(12.0_f32));
+    let (dt, bus_v) = (Step::<f32>::new(DT, false), 12.0_f32);
     let stop = Stop::new(&Default::default(), 1.0 / 0.0122);
     let mut memories: [JointMemory<f32>; 2] = [PerLane::splat(&JointMemory::rest(0.0, 0.0)); 2];
     let mut at = [(0.0_f32, 0.0_f32); 2];
@@ -505,7 +505,7 @@ fn a_lane_that_does_not_need_a_stage_is_not_touched_by_it() {
             let (q, qd) = at[i];
             let m = &mut memories[i];
             let stop = StopAt { law: &stop, free_radps2: 0.0 };
-            let d = step::start(f, &p, &h, m, late.joint(0), &dt, &bus, command, q, qd, 0.0, stop);
+            let d = step::start(f, &p, &h, m, late.joint(0), &dt, bus_v, command, q, qd, 0.0, stop);
             let t = d.torque;
             let next = (0.0122 * qd + dt.dt_s * t.now_nm)
                 / (0.0122 + dt.dt_s * (t.damping_nms_per_rad + dt.dt_s * t.stiffness_nm_per_rad));

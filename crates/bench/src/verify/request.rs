@@ -58,14 +58,15 @@ fn servos(model: &RobotModel) -> Vec<Value> {
     (0..model.actuated().len())
         .map(|a| {
             let s = model.servo(a);
-            let speed = model.supply_v() / s.reference_supply_v;
-            let (flat, end) = (s.qd_tau_max_radps * speed, s.qd_max_radps * speed);
+            let supply = model.supply_v() / s.reference_supply_v;
+            let span = s.qd_max_radps - s.qd_tau_max_radps;
+            let taper = ((s.tau_max_nm - s.tau_qd_max_nm) / span).max(0.0);
             json!({
                 "kp": model.kp_nm_per_rad(a),
                 "kd": model.kd_nm_s_per_rad(a) + s.kd_min_nm_s_per_rad,
                 "tau_max": s.tau_max_nm,
-                "qd_tau_max": flat,
-                "slope": ((s.tau_qd_max_nm - s.tau_max_nm) / (end - flat)).min(0.0),
+                "stall": supply * (s.tau_max_nm + taper * s.qd_tau_max_radps),
+                "taper": taper,
                 "tau_brake_max": s.tau_brake_max_nm,
             })
         })
