@@ -257,9 +257,9 @@ impl DeployError {
             Self::NothingFits { .. } => Some(
                 "`caudata policy list` shows what the server has, `caudata-robot status` what this robot refused",
             ),
-            Self::Unfit { .. } => {
-                Some("`caudata-robot doctor` shows every check; `--fix` sets servos right")
-            }
+            Self::Unfit { .. } => Some(
+                "`caudata-robot doctor` shows every check, `doctor --fix` sets registers right; what is WRONG after that is to be mended by hand, or said otherwise in the wiring file",
+            ),
             _ => None,
         }
     }

@@ -34,7 +34,7 @@ pub fn run(args: &AdaptArgs, process: &Process) -> Result<(), Failure> {
         let server = args.publish.as_deref().unwrap_or_default();
         let stream = StreamName::new(&args.stream).or_exit(ExitCode::BadConfig)?;
         let published = publish(path, stream, None, || RegistryClient::new(server))?;
-        Ok(published.version)
+        Ok(published.manifest.version)
     };
     let publish: &dyn Fn(&Path) -> Result<u64, Failure> = &publish;
     let steps = steps(*json, process, "the same command goes on from here")?;

@@ -32,15 +32,26 @@ pub struct PublishArgs {
 pub fn run(args: &PublishArgs) -> Result<(), Failure> {
     let stream = args.server.one_stream()?;
     let key = args.key.read()?;
-    let manifest = publish(&args.file, stream, key.as_ref(), || args.server.client())?;
+    let Published { manifest, was_there } =
+        publish(&args.file, stream, key.as_ref(), || args.server.client())?;
     if args.json {
         let mut object = as_json(&manifest);
         object["signed"] = json!(!manifest.signatures.is_empty());
+        object["was_there"] = json!(was_there);
         return say::json(&object);
     }
-    say::line(format!("{} version {}", manifest.stream, manifest.version));
+    let again = if was_there { ", which was there already" } else { "" };
+    say::line(format!("{} version {}{again}", manifest.stream, manifest.version));
     say_if_unsigned(&manifest);
     Ok(())
+}
+
+/// What a server has of a policy after it was published.
+pub struct Published {
+    /// How the server announces it.
+    pub manifest: Manifest,
+    /// Whether the server had it before.
+    pub was_there: bool,
 }
 
 /// Publishes the policy in `path` into `stream`, signed if there is a key; what the server then has. The same again is
@@ -50,21 +61,22 @@ pub fn publish(
     stream: StreamName,
     key: Option<&ReleaseKey>,
     client: impl FnOnce() -> Result<RegistryClient, ClientError>,
-) -> Result<Manifest, Failure> {
+) -> Result<Published, Failure> {
     let file = files::policy(path)?;
     let mut manifest = manifest_of(stream, &file, unix_ms()).or_exit(ExitCode::BadInput)?;
-    let (wanted, published) = block_on(async {
+    let (was_there, wanted, published) = block_on(async {
         let mut client = client()?;
-        match client.manifest(&manifest.stream, Some(manifest.version)).await {
-            Ok(there) => manifest.created_unix_ms = there.created_unix_ms,
-            Err(error) if error.is_not_found() => {}
+        let before = match client.manifest(&manifest.stream, Some(manifest.version)).await {
+            Ok(there) => Some(there.created_unix_ms),
+            Err(error) if error.is_not_found() => None,
             Err(error) => return Err(error),
-        }
+        };
+        manifest.created_unix_ms = before.unwrap_or(manifest.created_unix_ms);
         if let Some(key) = key {
             key.sign(&mut manifest);
         }
         let wanted = manifest.signatures.clone();
-        Ok((wanted, client.publish(manifest, file.bytes()).await?.manifest))
+        Ok((before.is_some(), wanted, client.publish(manifest, file.bytes()).await?.manifest))
     })?;
-    as_signed(published, &wanted)
+    Ok(Published { manifest: as_signed(published, &wanted)?, was_there })
 }

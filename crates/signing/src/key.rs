@@ -93,15 +93,20 @@ impl ReleaseKey {
         Self { id: id.to_owned(), key: SigningKey::from_bytes(seed) }
     }
 
-    /// Reads a key file: 64 hexadecimal digits.
+    /// Reads a key file: 64 hexadecimal digits and the key's name, which older files do not have.
     ///
     /// # Errors
-    /// [`SigningError`], also where others may use the file ([`check_private`]).
+    /// [`SigningError`], also where others may use the file ([`check_private`]) or the key has another name.
     pub fn read(path: &Path, id: &str) -> Result<Self, SigningError> {
         check_private(path)?;
         let text = read_small(path)?;
-        let seed = from_hex(text.trim());
+        let text = text.trim();
+        let (seed, name) = text.split_once(' ').unwrap_or((text, id));
+        let seed = from_hex(seed);
         let seed = seed.ok_or_else(|| content(path, "a key is 64 hexadecimal digits"))?;
+        if name != id {
+            return Err(content(path, format!("this key's name is `{name}`, not `{id}`")));
+        }
         Ok(Self::from_seed(id, &seed))
     }
 
@@ -116,7 +121,7 @@ impl ReleaseKey {
             .mode(0o600)
             .open(path)
             .map_err(file_error(path))?;
-        let text = format!("{}\n", hex(&self.key.to_bytes()));
+        let text = format!("{} {}\n", hex(&self.key.to_bytes()), self.id);
         file.write_all(text.as_bytes()).map_err(file_error(path))
     }
 

@@ -496,6 +496,20 @@ pub mod tests {
     }
 
     #[test]
+    fn a_key_is_read_by_its_own_name_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("release.key");
+        key(1).write(&path).unwrap();
+        let other = ReleaseKey::read(&path, "k2").map(drop).unwrap_err().to_string();
+        assert!(other.ends_with("this key's name is `k1`, not `k2`"), "{other}");
+        // Older files have no name: what is said counts.
+        let text = std::fs::read_to_string(&path).unwrap();
+        std::fs::write(&path, text.split(' ').next().unwrap()).unwrap();
+        let expected = ReleaseKey::from_seed("k2", &[1; 32]).trust_file();
+        assert_eq!(ReleaseKey::read(&path, "k2").unwrap().trust_file(), expected);
+    }
+
+    #[test]
     fn a_revert_is_bound_and_a_manifest_without_one_is_signed_as_before() {
         let (mut plain, mut back) = (manifest(), manifest());
         back.reverts_to = Some(3);

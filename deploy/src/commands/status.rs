@@ -33,6 +33,11 @@ fn print(state: &RobotState) {
     };
     line("active", &state.active);
     line("last good", &state.last_good);
+    if state.active != state.last_good {
+        say(
+            "          the active one is not through its trial: a robot that runs may not have it yet",
+        );
+    }
     if state.trust_version > 0 {
         say(&format!("trusts    trust file version {}", state.trust_version));
     }

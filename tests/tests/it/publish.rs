@@ -29,7 +29,13 @@ fn a_policy_file_is_published_signed_and_comes_back_the_same() {
     assert!(first.stdout.starts_with("mine version "), "{}", first.stdout);
     assert!(!first.stdout.contains("not signed"), "{}", first.stdout);
     // The same again is the same version; with other signatures it is another one, of the same number.
-    assert_eq!(policy(&signed).stdout, first.stdout);
+    let again = policy(&signed).stdout;
+    assert_eq!(again.trim(), format!("{}, which was there already", first.stdout.trim()));
+    // A key under another's name signs nothing.
+    let misnamed =
+        policy(&["publish", "policies/flat.onnx", "--key", &at("k.key"), "--key-id", "x"]);
+    assert_eq!(misnamed.code, Some(65), "{}", misnamed.stderr);
+    assert!(misnamed.stderr.contains("this key's name is `k`, not `x`"), "{}", misnamed.stderr);
     let unsigned = policy(&signed[..2]);
     assert_eq!(unsigned.code, Some(77), "{}", unsigned.stderr);
     assert!(unsigned.stderr.contains("was there already"), "{}", unsigned.stderr);
