@@ -36,6 +36,14 @@ pub enum LearnerError {
     /// The run folder is another process's.
     #[error(transparent)]
     Owner(#[from] caudata_durable::OwnerError),
+    /// A run is to go on from a checkpoint that it does not have.
+    #[error("the run has no checkpoint {name}")]
+    NoSuchCheckpoint {
+        /// What was asked for.
+        name: String,
+        /// Those that it has.
+        there: Vec<String>,
+    },
     /// A run is to go on, and what it would go on from is gone.
     #[error("{path} holds no checkpoint, though this run has got further than its start")]
     CheckpointsGone { path: PathBuf },
@@ -131,6 +139,7 @@ impl LearnerError {
             Self::ActorLost { .. } | Self::NotFinite { .. } => ExitCode::Internal,
             Self::Starved { .. } => ExitCode::TempFail,
             Self::CheckpointContract { .. } => ExitCode::PolicyRefused,
+            Self::NoSuchCheckpoint { .. } => ExitCode::NoInput,
             Self::CheckpointDamaged { .. } | Self::CheckpointsGone { .. } => {
                 ExitCode::CheckpointDamaged
             }
@@ -153,6 +162,9 @@ impl LearnerError {
                 "wait until that process has ended, or stop it; kill -9 where it stands still"
                     .to_owned(),
             ),
+            Self::NoSuchCheckpoint { there, .. } if !there.is_empty() => {
+                Some(format!("it has {}", there.join(", ")))
+            }
             Self::CheckpointsGone { .. } => {
                 Some("put the checkpoints back, or begin a new run in another folder".to_owned())
             }

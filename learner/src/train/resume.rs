@@ -25,6 +25,10 @@ pub(super) fn load(
             }
             loaded => loaded,
         },
+        Resume::Named(name) if !store.names().contains(name) => {
+            let (name, there) = (name.clone(), store.names());
+            return Err(LearnerError::NoSuchCheckpoint { name, there });
+        }
         Resume::Named(name) => Some(store.load(name)?),
     };
     let Some((folder, files)) = loaded else { return Ok(None) };

@@ -94,6 +94,14 @@ fn a_truncated_checkpoint_is_refused_and_the_good_one_named() {
     assert!(failure.hint_text().unwrap().contains("--resume-from iter_000002"));
     assert!(quiet.events().is_empty(), "nothing was started");
 
+    let mistyped = Resume::Named("iter_000003".into());
+    let failure = run(folder, config(6, &[]), mistyped, &quiet, None).unwrap_err().into_failure();
+    assert_eq!(
+        (failure.code().number(), failure.to_string().as_str()),
+        (66, "the run has no checkpoint iter_000003")
+    );
+    assert_eq!(failure.hint_text(), Some("it has iter_000002, iter_000004"));
+
     let named = Resume::Named("iter_000002".into());
     let finished = run(folder, config(6, &[]), named, &quiet, None).unwrap();
     assert_eq!(finished.iteration, 6);
