@@ -11,7 +11,7 @@ use crate::error::Remark;
 use crate::parts::{Actuator, Joint, Robot, UNSAID_DAMPING_S};
 use crate::pose::{self, Pose};
 use crate::tree::{Element, Remarks};
-use crate::types::JointMotion;
+use crate::types::{Geom, JointMotion};
 
 /// Gains that are written where the MJCF commands torque: the whole torque at this error, as legged robots of
 /// 12 to 50 kg are run (Unitree, ANYmal), and [`UNSAID_DAMPING_S`] for it.
@@ -20,6 +20,10 @@ const UNSAID_ERROR_RAD: f64 = 0.7;
 /// which it has all.
 const UNSAID_SPEED_RADPS: f64 = 30.0;
 const FULL_TORQUE_SHARE: f64 = 2.0 / 3.0;
+
+/// Friction of a shape of which the file says nothing: MuJoCo's; and what stands for that of a trunk.
+const DEFAULT_FRICTION: f64 = 1.0;
+const UNSAID_FRICTION: f64 = 0.5;
 
 /// What is taken for a foot.
 pub(super) struct Foot {
@@ -75,10 +79,14 @@ pub(super) fn write(name: &str, file: &Path, robot: &Robot, notes: &[Remark]) ->
     drives(w, &driven, &types, &of);
     let feet = feet(robot);
     let foot_friction = feet.first().map_or(0.8, |f| f.friction);
+    let (body_friction, of_body) = match body_friction(robot, &feet) {
+        Some(said) => (said, "mjcf"),
+        None => (UNSAID_FRICTION, "ours"),
+    };
     let _ = writeln!(
         w,
         "\n[supply]                       # [ours]\ndefault_v = 24.0\nbench_v = 24.0\nbattery_full_v = 25.2\n\
-         battery_nominal_v = 22.2\n\n[contact]\nfoot_friction = {foot_friction:?}\nbody_friction = 0.5           # [ours]"
+         battery_nominal_v = 22.2\n\n[contact]\nfoot_friction = {foot_friction:?}\nbody_friction = {body_friction:?}           # [{of_body}]"
     );
     if !feet.is_empty() {
         let _ = writeln!(
@@ -100,6 +108,18 @@ pub(super) fn write(name: &str, file: &Path, robot: &Robot, notes: &[Remark]) ->
     frames(w, robot);
     passive(w, robot, &joints);
     out
+}
+
+/// Friction that the file says of what touches the ground and is no foot: wheels, else the trunk. MuJoCo's own default
+/// says nothing.
+fn body_friction(robot: &Robot, feet: &[Foot]) -> Option<f64> {
+    let of_a_foot = |g: &Geom| {
+        let name = g.name.as_ref();
+        name.is_some_and(|name| feet.iter().any(|f| f.geoms.contains(name)))
+    };
+    let wheels = robot.bodies.iter().filter(|b| wheel(b));
+    let shapes = wheels.chain(robot.bodies.first()).flat_map(reaching).filter(|g| !of_a_foot(g));
+    shapes.map(|g| g.friction).find(|&f| f != DEFAULT_FRICTION)
 }
 
 fn quoted(text: &str) -> String {
@@ -141,7 +161,9 @@ fn assumed(robot: &Robot, types: &[DriveType]) -> Vec<String> {
     }
     let supply = ["default_v", "bench_v", "battery_full_v", "battery_nominal_v"];
     out.extend(supply.map(|key| format!("supply.{key}")));
-    out.push("contact.body_friction".to_owned());
+    if body_friction(robot, &feet(robot)).is_none() {
+        out.push("contact.body_friction".to_owned());
+    }
     out
 }
 

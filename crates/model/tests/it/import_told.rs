@@ -134,6 +134,11 @@ fn wheels_are_no_feet_and_a_damping_ratio_becomes_a_gain() {
     assert!(told(&made, "a wheel and no foot") && told(&made, "dampratio"), "{:?}", made.notes);
     let m = model(&made);
     assert!(m.feet().is_empty() && !m.rolls(0) && m.rolls(1) && m.rolls(2) && m.balances());
+    // what the file says of a wheel's friction is the ground's; of the rest it says nothing
+    assert_eq!(m.contact().body_friction, 0.5);
+    let grips =
+        text(position, velocity).replace("size=\"0.1 0.02\"", "size=\"0.1 0.02\" friction=\"0.9\"");
+    assert_eq!(model(&read("cart.xml", &grips).unwrap()).contact().body_friction, 0.9);
     // on a castor, or a belly that lies on the ground, it stands
     for (z_m, balances) in [(-0.07, false), (-0.03, true)] {
         let castor = format!("<freejoint/><geom size=\"0.025\" pos=\"-0.2 0 {z_m}\"/>");
