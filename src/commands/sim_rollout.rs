@@ -40,7 +40,8 @@ const MISSED: f64 = 0.25;
 
 #[derive(Debug, Args)]
 pub struct RolloutArgs {
-    /// Columns `t` (s) and `cmd.<joint>` (rad); a joint without a column holds its nominal position
+    /// Columns `t` (s), `cmd.<joint>` (rad), `on.<joint>` (0: lets go); a joint without a column holds its nominal
+    /// position
     #[arg(long, value_name = "C.csv")]
     commands: PathBuf,
     /// Where the signals go; the circumstances of the run go beside it, as T.toml
@@ -255,6 +256,8 @@ struct Commands {
     time_s: Vec<f64>,
     /// One row of all actuated joints per time.
     rows: Vec<Vec<f32>>,
+    /// Likewise whether each has torque; empty where nothing says so.
+    on: Vec<Vec<bool>>,
     /// A command counts as reached this long before its time, s. Grid times are sums of periods, so never 0.
     early_s: f64,
 }
@@ -265,7 +268,7 @@ impl Commands {
         let joints = model.actuated_names();
         let bad = |message: String| Err(Failure::message(ExitCode::BadInput, message));
         for signal in table.signals() {
-            if let Signal::Command(joint) = signal
+            if let Signal::Command(joint) | Signal::Enabled(joint) = signal
                 && !joints.contains(&joint.as_str())
             {
                 return bad(format!("the robot has no actuated joint `{joint}`"));
@@ -301,7 +304,7 @@ impl Commands {
             }
             rows.push(row.clone());
         }
-        Ok(Self { time_s: table.time_s().to_vec(), rows, early_s: 1e-9 })
+        Ok(Self { time_s: table.time_s().to_vec(), rows, on: on(table, &joints), early_s: 1e-9 })
     }
 
     /// Refuses commands that come faster than the engine takes them: all but the last of a control period would
@@ -350,11 +353,49 @@ impl Commands {
         [mean_s, steps.fold(f64::INFINITY, f64::min)]
     }
 
+    /// The row in force from `t_s` on.
+    fn row(&self, t_s: f64) -> usize {
+        let reached = self.time_s.partition_point(|&t| t <= t_s + self.early_s);
+        reached.saturating_sub(1)
+    }
+
     /// What is commanded from `t_s` on.
     fn at(&self, t_s: f64) -> &[f32] {
-        let reached = self.time_s.partition_point(|&t| t <= t_s + self.early_s);
-        &self.rows[reached.saturating_sub(1)]
+        &self.rows[self.row(t_s)]
     }
+
+    /// Which joints have torque from `t_s` on.
+    fn on_at(&self, t_s: f64) -> &[bool] {
+        self.on.get(self.row(t_s)).map_or(&[], Vec::as_slice)
+    }
+}
+
+/// Which of `joints` have torque, by `on.<joint>`; an empty cell holds. Empty where there is no such column.
+fn on(table: &Table, joints: &[&str]) -> Vec<Vec<bool>> {
+    let column = |joint: &&str| table.column(&Signal::Enabled((*joint).to_owned()));
+    let columns: Vec<_> = joints.iter().map(column).collect();
+    if columns.iter().all(Option::is_none) {
+        return Vec::new();
+    }
+    let mut row = vec![true; joints.len()];
+    let rows = (0..table.len()).map(|at| {
+        for (on, column) in row.iter_mut().zip(&columns) {
+            *on = column.and_then(|c| c[at]).map_or(*on, |said| said != 0.0);
+        }
+        row.clone()
+    });
+    rows.collect()
+}
+
+/// `nominal` without what drives the joints that are not `on`: they turn freely.
+fn with_torque(nominal: &LaneParams, on: &[bool]) -> LaneParams {
+    let mut params = nominal.clone();
+    for (joint, _) in on.iter().enumerate().filter(|(_, on)| !**on) {
+        params.torque_scale[joint] = 0.0;
+        params.kp_nm_per_rad[joint] = 0.0;
+        params.kd_nms_per_rad[joint] = 0.0;
+    }
+    params
 }
 
 /// Steps through the commands and writes one row per control period: the command from that time on, and the
@@ -371,12 +412,15 @@ fn simulate(
         files::make_folder(folder)?;
     }
     let file = File::create(out).or_exit_with(ExitCode::CannotCreate, cannot_write)?;
-    let signals = signals(engine.model());
+    let lets_go = !commands.on.is_empty();
+    let signals = signals(engine.model(), lets_go);
     let mut table = TableWriter::new(BufWriter::new(file), &signals, 0.5)
         .or_exit_with(ExitCode::IoError, cannot_write)?;
     let period_s = engine.config().control_period_s() * f64::from(steps);
     let first = commands.time_s[0];
     let mut values = Vec::with_capacity(signals.len());
+    let nominal = engine.params(0).clone();
+    let mut on: &[bool] = &[];
     for period in 0..=periods {
         if stop.is_set() {
             return Err(stopped(stop));
@@ -386,6 +430,11 @@ fn simulate(
         values.clear();
         values.extend(command.iter().map(|&x| Some(f64::from(x))));
         push_state(&mut values, engine.model(), engine.state());
+        if commands.on_at(t_s) != on {
+            on = commands.on_at(t_s);
+            engine.set_params(0, &with_torque(&nominal, on)).or_exit(ExitCode::Internal)?;
+        }
+        values.extend(on.iter().map(|&on| Some(f64::from(u8::from(on)))));
         table.row(t_s, &values).or_exit_with(ExitCode::IoError, cannot_write)?;
         if period == periods {
             break;
@@ -399,8 +448,8 @@ fn simulate(
     Ok(rows)
 }
 
-/// The columns, in the order of [`push_state`].
-fn signals(model: &RobotModel) -> Vec<Signal> {
+/// The columns, in the order of [`push_state`], and whether each joint has torque where one of them `lets_go`.
+fn signals(model: &RobotModel, lets_go: bool) -> Vec<Signal> {
     let joints = model.actuated_names();
     let feet = || model.feet().iter().map(|foot| foot.name.clone());
     let of_joints: [fn(String) -> Signal; 4] =
@@ -413,6 +462,9 @@ fn signals(model: &RobotModel) -> Vec<Signal> {
     signals.extend(Axis::ALL.map(Signal::BaseVelocity));
     signals.extend(feet().flat_map(|leg| Axis::ALL.map(|axis| Signal::Foot(leg.clone(), axis))));
     signals.extend(feet().map(Signal::Contact));
+    if lets_go {
+        signals.extend(joints.iter().map(|joint| Signal::Enabled((*joint).to_owned())));
+    }
     signals
 }
 
@@ -462,6 +514,20 @@ mod tests {
         let hip = |t| commands.at(t)[8];
         assert_eq!((hip(0.0), hip(0.15), hip(0.2), hip(9.0)), (0.1, 0.1, 0.3, 0.3));
         assert!((commands.at(0.0)[9] - 36f32.to_radians()).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_joint_that_is_off_has_no_torque_until_it_is_on() {
+        let commands =
+            commands("t,cmd.FL_hip,on.FL_hip\n0,0,\n0.1,0,0\n0.2,0,\n0.3,0,1\n").unwrap();
+        let on = |t_s: f64| commands.on_at(t_s)[8];
+        assert_eq!([0.0, 0.1, 0.25, 0.3].map(on), [true, false, false, true]);
+        assert!(commands.on_at(0.1)[9]);
+        let nominal = LaneParams::nominal(&model());
+        let off = with_torque(&nominal, commands.on_at(0.1));
+        assert_eq!((off.torque_scale[8], off.kp_nm_per_rad[8]), (0.0, 0.0));
+        assert_eq!(off.kp_nm_per_rad[9], nominal.kp_nm_per_rad[9]);
+        assert_eq!(with_torque(&nominal, commands.on_at(0.3)), nominal);
     }
 
     #[test]

@@ -306,6 +306,9 @@ fn base(run: &Run<'_>, out: &mut Vec<Finding>) {
     }
 }
 
+/// A torque that is at most this share of what the loop asks for is in another unit.
+const SMALL: f64 = 0.01;
+
 /// The largest of finite values, either way.
 fn largest<'a>(values: impl Iterator<Item = &'a f64>) -> f64 {
     values.filter(|x| x.is_finite()).fold(0.0, |most, x| most.max(x.abs()))
@@ -347,5 +350,21 @@ fn plain_ranges(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
             );
             out.push(joint.fatal("unit", "tau", detail));
         }
+        if let Some(asked) =
+            asked_nm(run, joint).filter(|&asked| 0.0 < most && most < SMALL * asked)
+        {
+            let detail = format!(
+                "reaches {most:.1e} where gain and error ask for {asked:.2} N·m; is it in another unit?"
+            );
+            out.push(joint.fatal("unit", "tau", detail));
+        }
     }
+}
+
+/// Torque that a joint's loop asks for at most, as far as the servo can give it, N·m.
+fn asked_nm(run: &Run<'_>, joint: &Channels) -> Option<f64> {
+    let (cmd, pos) = (joint.cmd.as_ref()?, joint.pos.as_ref()?);
+    let error: Vec<f64> = cmd.iter().zip(pos).map(|(u, q)| u - q).collect();
+    let asked_nm = run.gains(joint.index).0 * largest(error.iter());
+    Some(asked_nm.min(run.robot.servo(joint.index).tau_max_nm))
 }

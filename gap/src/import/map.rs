@@ -218,11 +218,19 @@ impl SignalColumn {
         Ok((self.scale * factor, self.scale * shift + self.offset))
     }
 
-    /// Only slides have lengths.
+    /// Joints are the robot's, and only slides have lengths.
     fn goes_with(&self, signal: &Signal, robot: &RobotModel) -> Result<(), String> {
+        let names = robot.actuated_names();
+        if let Some(joint) = signal.joint().filter(|joint| !names.contains(joint)) {
+            let names = names.join(", ");
+            return Err(format!(
+                "{}: the robot has no joint `{joint}`; it has {names}",
+                self.signal
+            ));
+        }
         let (Some(want), Ok((_, of))) = (measured(signal), unit(&self.unit)) else { return Ok(()) };
         let named = |name: &&str| signal.joint() == Some(*name);
-        let joint = robot.actuated_names().iter().position(named);
+        let joint = names.iter().position(named);
         let slide = joint.is_some_and(|joint| robot.per_radian(joint) != 1.0);
         match !slide && of_slide(of, want) {
             true => Err(format!(

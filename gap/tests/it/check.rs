@@ -184,6 +184,27 @@ fn other_units_are_found() {
     }
 }
 
+#[test]
+fn a_torque_in_another_unit_is_found() {
+    let robot = robot("polymander");
+    let log = &logs(&robot, "chirp_medium", &[5])[0];
+    let at = |name: &str| -> Signal { name.parse().unwrap() };
+    let column = |name: &str| log.table.column(&at(name)).unwrap();
+    let (cmd, pos) = (column("cmd.FL_knee"), column("pos.FL_knee"));
+    let with_torque = |by: f64| {
+        let signals = [log.table.signals(), &[at("tau.FL_knee")]].concat();
+        rebuilt(log, &signals, |k, t| {
+            let torque = cmd[k].zip(pos[k]).map(|(u, q)| by * 15.0 * (u - q));
+            (t, [log.table.row(k).unwrap(), vec![torque]].concat())
+        })
+    };
+    let faults = one(&robot, &with_torque(1.0)).faults;
+    assert!(faults.iter().all(|f| f.kind != "unit"), "{faults:#?}");
+    for by in [1e-3, 1e3] {
+        found(&one(&robot, &with_torque(by)), "unit", "tau.FL_knee");
+    }
+}
+
 /// The knee's range ends at −1.26 rad; so far off the zero may be right.
 #[test]
 fn an_angle_past_the_end_stop_is_noted() {
