@@ -99,9 +99,12 @@ fn supported_most(
         terms.iter().filter(|&t| of(t)).cloned().collect()
     };
     let kept = those(&|t| unseen(t) || is_among(t, &named.terms));
-    let joints = Joints::of(context.replayer.model().actuated().len(), terms, kept.clone());
-    let linear = angles.linear(&joints, None)?;
-    let search = judged(&angles, "", joints, &linear);
+    let judge = |kept: &Variant| -> Result<_, GapError> {
+        let joints = Joints::of(context.replayer.model().actuated().len(), terms, kept.clone());
+        let linear = angles.linear(&joints, None)?;
+        Ok(judged(&angles, "", joints, &linear))
+    };
+    let mut search = judge(&kept)?;
     // what drifts is not built in: where it has a name, the others are asked for anew beside it
     let anew = match kept.iter().any(|t| t.effect.drifts) {
         true => tracking.anew(context, kept.clone())?,
@@ -112,8 +115,11 @@ fn supported_most(
         None => built.around(context, &angles, kept)?,
     };
     if model.cross_rad * BUILT >= built.cross_rad {
-        // angles contradict the names: the model does without, and the summary says so
-        model = built.around(context, &angles, those(&unseen))?;
+        // angles contradict the names: the model does without, and the summary says so; those of the search are
+        // then fitted without each fold like all others
+        let kept = those(&unseen);
+        model = built.around(context, &angles, kept.clone())?;
+        search = judge(&kept)?;
     }
     if model.cross_rad >= search.cross_rad {
         return Ok(of_search);

@@ -208,13 +208,14 @@ impl Tracking {
         self.standard.iter().min_by(|a, b| a.cross_rad.total_cmp(&b.cross_rad))
     }
 
-    /// Adds effects to each joint of `model` as long as one earns its place.
+    /// Adds effects to each joint of `first` as long as one earns its place.
     fn grow(
         &mut self,
         context: &Context,
-        mut model: Joints,
+        mut first: Joints,
         progress: &mut dyn FnMut(Progress),
     ) -> Result<(), GapError> {
+        let mut model = first.clone();
         let angles = Angles::of(context, &context.first_look().data);
         let is_off = |a: usize, error: f64| is_off(context, &angles, a, error);
         let mut linear = angles.linear(&model, None)?;
@@ -264,6 +265,13 @@ impl Tracking {
             self.keep(&angles, &model, &linear);
         }
         let whole = Angles::of(context, &context.fit.data);
+        let grown = whole.fit(&mut model, ROUNDS_MORE, None)?;
+        let begun = whole.fit(&mut first, ROUNDS_MORE, None)?;
+        // what was added looked at a part of the runs: where all of them do without it, it goes
+        let (with, without) = (whole.cross(&model, &grown), whole.cross(&first, &begun));
+        for a in (0..joints).filter(|&a| without[a].error <= with[a].error) {
+            model.own[a].clone_from(&first.own[a]);
+        }
         let linear = whole.fit(&mut model, ROUNDS_MORE, None)?;
         self.keep(&whole, &model, &linear);
         Ok(())
