@@ -53,16 +53,25 @@ impl Envelope {
     /// Largest torque in the direction of motion at `speed_radps` (≥ 0), N·m; negative beyond the no-load
     /// speed.
     pub fn driving_limit_nm(&self, speed_radps: f64) -> f64 {
+        self.line_nm(speed_radps).clamp(-self.tau_brake_max_nm, self.tau_max_nm)
+    }
+
+    /// Largest torque against the motion at `speed_radps` (≥ 0), N·m.
+    pub fn braking_limit_nm(&self, speed_radps: f64) -> f64 {
+        self.line_nm(-speed_radps).min(self.tau_brake_max_nm)
+    }
+
+    /// What the voltage allows in one direction at a speed in that direction, N·m.
+    fn line_nm(&self, speed_radps: f64) -> f64 {
         let fall =
             (self.tau_max_nm - self.tau_there_nm) / (self.taper_at_radps - self.flat_to_radps);
-        let line = self.tau_max_nm - fall * (speed_radps - self.flat_to_radps);
-        line.clamp(-self.tau_brake_max_nm, self.tau_max_nm)
+        self.tau_max_nm - fall * (speed_radps - self.flat_to_radps)
     }
 
     /// Whether a motor that gives `torque_nm` at `speed_radps` gives all it can.
     pub fn is_reached(&self, torque_nm: f64, speed_radps: f64) -> bool {
         let limit_nm = match torque_nm * speed_radps < 0.0 {
-            true => self.tau_brake_max_nm,
+            true => self.braking_limit_nm(speed_radps.abs()),
             false => self.driving_limit_nm(speed_radps.abs()),
         };
         // beyond the no-load speed nothing drives: the least torque is all there is
@@ -98,6 +107,8 @@ pub(crate) mod tests {
         // 95 % of 1.17 is 1.1115
         assert!(W210.is_reached(1.12, 4.2) && W210.is_reached(-1.12, -4.2));
         assert!(!W210.is_reached(1.10, 4.2));
+        // slowly against the motion the line, 1.94 + 0.2265·(0.8 + 0.1) = 2.1438, is below the limit of 2.2
+        assert!((W210.braking_limit_nm(0.1) - 2.143_824).abs() < 1e-6);
         // braking: 95 % of 2.2 is 2.09
         assert!(!W210.is_reached(-1.9, 4.2) && W210.is_reached(-2.1, 4.2));
         assert!(!W210.is_reached(0.0, 12.0));

@@ -104,7 +104,7 @@ impl ReleaseKey {
         let (seed, name) = text.split_once(' ').unwrap_or((text, id));
         let seed = from_hex(seed);
         let seed = seed.ok_or_else(|| content(path, "a key is 64 hexadecimal digits"))?;
-        if name != id {
+        if name != id.trim() {
             return Err(content(path, format!("this key's name is `{name}`, not `{id}`")));
         }
         Ok(Self::from_seed(id, &seed))

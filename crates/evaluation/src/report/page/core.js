@@ -145,11 +145,11 @@ caudata.groundHeight = (film, x, y) => {
     : h(0, 0) + u * (h(1, 1) - h(0, 1)) + v * (h(0, 1) - h(0, 0));
 };
 
-// Largest torque in the direction of motion at a speed, N·m.
+// Largest torque in a direction at a speed in that direction, N·m; against the motion where the speed is negative.
 caudata.drivingLimit = (servo, speed) => {
   const slope = (servo.tau_max_nm - servo.tau_there_nm) / (servo.taper_at_radps - servo.flat_to_radps);
   const line = servo.tau_max_nm - slope * (speed - servo.flat_to_radps);
-  return Math.max(-servo.tau_brake_max_nm, Math.min(servo.tau_max_nm, line));
+  return Math.max(-servo.tau_brake_max_nm, Math.min(speed < 0 ? servo.tau_brake_max_nm : servo.tau_max_nm, line));
 };
 
 // Round steps (1, 2, 5 times a power of ten) inside a range, about `wanted` of them.

@@ -280,9 +280,8 @@ caudata.Plots = class {
     const kinds = new Map(servos.map((servo) => [JSON.stringify(servo), servo]));
     for (const servo of kinds.values()) {
       const limit = (v) => caudata.drivingLimit(servo, v * servo.taper_at_radps) / servo.tau_max_nm;
-      const brake = servo.tau_brake_max_nm / servo.tau_max_nm;
-      sheet.line(axes, speeds, speeds.map((v) => (v >= 0 ? limit(v) : brake)), theme.bad, 1.5);
-      sheet.line(axes, speeds, speeds.map((v) => (v <= 0 ? -limit(-v) : -brake)), theme.bad, 1.5);
+      sheet.line(axes, speeds, speeds.map((v) => limit(v)), theme.bad, 1.5);
+      sheet.line(axes, speeds, speeds.map((v) => -limit(-v)), theme.bad, 1.5);
     }
     sheet.key([{ label: "other joints", color: theme.feet[1], dot: true }, { label: "legs", color: theme.accent, dot: true }, { label: "envelope", color: theme.bad }], 62, 11);
   }
