@@ -242,5 +242,19 @@ fn wrong_type(error: &toml::de::Error) -> ConfigError {
         .lines()
         .find_map(|line| line.strip_prefix("in `")?.strip_suffix('`'))
         .map(str::to_owned);
-    ConfigError::WrongType { key, message: error.message().to_owned() }
+    ConfigError::WrongType { key, message: in_words(error.message()) }
+}
+
+/// The parser's message, without the names of Rust's types.
+fn in_words(message: &str) -> String {
+    let Some((found, wanted)) = message.rsplit_once("expected ") else {
+        return message.to_owned();
+    };
+    let words = match wanted {
+        "f32" | "f64" => "a number, for instance 0.98",
+        "usize" | "u8" | "u16" | "u32" | "u64" => "a whole number from 0 on",
+        "i8" | "i16" | "i32" | "i64" => "a whole number",
+        other => other,
+    };
+    format!("{found}expected {words}")
 }

@@ -264,6 +264,7 @@ mod tests {
             ("task.reward.weights.bent=-1", "unknown key"),
             ("task.reward.weights.bend=1", "this term costs"),
             ("task.reward.weights.bend=hello", "wrong value"),
+            ("task.reward.weights.bend=-0,5", "expected a number"),
             ("learner.ppo.learning_rate=2", "must lie in"),
             ("task.command.vx_mps=[0.0, 3.0]", "with which the run began"),
             ("task.randomisation.kp_scale=[1.0, 0.9]", "must be [min, max]"),
