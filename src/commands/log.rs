@@ -132,6 +132,8 @@ impl Destination {
                     files::write(&self.out.with_extension("toml"), text)?;
                 }
             }
+            // a mistaken form, and not a folder called run.2 or walk_0.3
+            other if is_word(other) && !self.out.is_dir() => return Err(no_such_form(other)),
             _ => folder(&self.out, from, meta, table)?,
         }
         let (rows, signals) = (table.len(), table.signals().len());
@@ -144,6 +146,16 @@ impl Destination {
             say::line(format!("{rows} rows of {signals} signals are in {out}"));
         })
     }
+}
+
+fn is_word(ending: &str) -> bool {
+    !ending.is_empty() && ending.chars().all(char::is_alphabetic)
+}
+
+fn no_such_form(ending: &str) -> Failure {
+    let message = format!("a log is not written as .{ending}");
+    Failure::message(ExitCode::BadConfig, message)
+        .hint("end --out with .mcap, .parquet, .csv or .json (BAM); a name without an ending is a log folder")
 }
 
 fn bam(log: &Path, meta: Option<&LogMeta>, table: &Table) -> Result<String, Failure> {
