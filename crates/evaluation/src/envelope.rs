@@ -40,11 +40,16 @@ impl Envelope {
             true => (supply_v / servo.reference_supply_v - 1.0) * free_radps,
             false => 0.0,
         };
+        // a line that does not fall is met at every speed
+        let share = match fall > 0.0 {
+            true => 1.0,
+            false => (supply_v / servo.reference_supply_v).min(1.0),
+        };
         Self {
-            tau_max_nm: servo.tau_max_nm,
+            tau_max_nm: share * servo.tau_max_nm,
             flat_to_radps: servo.qd_tau_max_radps + faster_radps,
             taper_at_radps: servo.qd_max_radps + faster_radps,
-            tau_there_nm: servo.tau_qd_max_nm,
+            tau_there_nm: share * servo.tau_qd_max_nm,
             tau_brake_max_nm: servo.tau_brake_max_nm,
             supply_v,
         }
