@@ -34,6 +34,8 @@ pub struct Screened {
     pub place: Place,
     /// Fall of the misfit that its best size promises.
     pub gain: f64,
+    /// Share of the samples that show it: of an effect of one joint those of its channels.
+    pub shown: f64,
     /// Values to start a fit from, best first. SI.
     pub starts: Vec<Vec<f64>>,
     /// Mean square of its trace per grid point, largest sensitivity: misfit per (size of grid point)².
@@ -386,6 +388,9 @@ fn weigh(
             effect,
             place: place.clone(),
             gain: f64::NEG_INFINITY,
+            shown: ranges
+                .as_ref()
+                .map_or(1.0, |r| r.iter().map(Range::len).sum::<usize>() as f64 / n),
             starts: Vec::new(),
             traces: Vec::new(),
         });

@@ -9,7 +9,7 @@ use super::exchange::exchanged;
 use super::fits::{Before, LAST_STEPS, fitted, penalised, polished, single, with_each};
 use super::gates::{self, Worth};
 use super::joints::Joints;
-use super::levels::NOTHING_LEFT;
+use super::levels::{MANY_JOINTS, NOTHING_LEFT};
 use super::request::{Progress, Stage};
 use super::screen::{Screened, screen};
 use super::state::{Context, On, State};
@@ -25,6 +25,9 @@ const FITTED: usize = 12;
 const FITTED_LATER: usize = 6;
 /// Places of one effect among them.
 const PLACES: usize = 2;
+/// Of a robot with many joints one in so many besides, of those that promise most where they show: what a single bad
+/// joint asks for is little beside what a whole robot on the ground is off by.
+const LOCAL: usize = 3;
 
 /// What the search found.
 pub struct Found {
@@ -201,7 +204,11 @@ fn children(
     progress(Progress::new(Stage::Screening, depth, &best.label()));
     let screened = screen(context, best, &[best])?.swap_remove(0);
     found.tried += screened.len();
-    let chosen = choose(&screened, if depth == 1 { FITTED } else { FITTED_LATER });
+    let most = if depth == 1 { FITTED } else { FITTED_LATER };
+    let mut chosen = choose(screened.iter(), most);
+    if context.replayer.model().actuated().len() >= MANY_JOINTS {
+        chosen.extend(locally(&screened, &chosen, most / LOCAL));
+    }
     progress(Progress::new(Stage::Fitting, depth, &best.label()));
     let fitted =
         with_each(context, &chosen, Before::of(best), |t| [&best.terms[..], &[t]].concat())?;
@@ -271,9 +278,9 @@ fn rebase(
 }
 
 /// The most promising, not more than a few places of one effect.
-fn choose(screened: &[Screened], most: usize) -> Vec<&Screened> {
+fn choose<'a>(screened: impl Iterator<Item = &'a Screened>, most: usize) -> Vec<&'a Screened> {
     let mut chosen: Vec<&Screened> = Vec::new();
-    for s in screened.iter().filter(|s| s.gain > 0.0) {
+    for s in screened.filter(|s| s.gain > 0.0) {
         let same = chosen.iter().filter(|c| c.effect == s.effect).count();
         if same < PLACES {
             chosen.push(s);
@@ -283,4 +290,50 @@ fn choose(screened: &[Screened], most: usize) -> Vec<&Screened> {
         }
     }
     chosen
+}
+
+/// Those beyond `chosen` that promise most on the channels that show them.
+fn locally<'a>(screened: &'a [Screened], chosen: &[&Screened], most: usize) -> Vec<&'a Screened> {
+    let is_new = |s: &&Screened| !chosen.iter().any(|c| std::ptr::eq(*c, *s));
+    let mut ranked: Vec<&Screened> = screened.iter().filter(is_new).collect();
+    ranked.sort_by(|a, b| (b.gain / b.shown).total_cmp(&(a.gain / a.shown)));
+    choose(ranked.into_iter(), most)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+    use crate::effects;
+
+    fn screened(id: &str, joint: usize, gain: f64, shown: f64) -> Screened {
+        Screened {
+            effect: effects::find(id).unwrap(),
+            place: Place {
+                domain: effects::Domain::Joints,
+                items: vec![joint],
+                names: vec![joint.to_string()],
+            },
+            gain,
+            shown,
+            starts: Vec::new(),
+            traces: Vec::new(),
+        }
+    }
+
+    /// A bad knee takes 0.5 off all channels, of which its own are a fiftieth: 25 off those.
+    #[test]
+    fn what_one_joint_asks_for_most_is_fitted_beside_what_the_whole_robot_asks_for() {
+        let all = [
+            screened("link_mass", 1, 4.6, 1.0),
+            screened("link_mass", 2, 4.5, 1.0),
+            screened("armature", 3, 0.6, 0.1),
+            screened("kp_error", 7, 0.5, 0.02),
+        ];
+        let chosen = choose(all.iter(), 2);
+        assert_eq!(chosen.iter().map(|s| s.place.items[0]).collect::<Vec<_>>(), [1, 2]);
+        let local = locally(&all, &chosen, 1);
+        assert_eq!(local.iter().map(|s| s.effect.id).collect::<Vec<_>>(), ["kp_error"]);
+    }
 }
