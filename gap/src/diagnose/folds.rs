@@ -19,7 +19,7 @@ use crate::replay::{Data, Piece};
 /// Parts of a run, where a run is more than one.
 const PARTS_OF_A_RUN: usize = 3;
 /// With so many runs models of angles leave out whole ones: what holds in other motions is asked for then.
-const MANY_RUNS: usize = 4;
+const MANY_RUNS: usize = 6;
 
 /// Which sample is in which fold.
 #[derive(Debug, Clone, Default)]

@@ -58,19 +58,19 @@ const STANDARD: [Standard; 4] = [
         from: None,
     },
     Standard {
-        name: "the same and Coulomb friction",
+        name: "PD, rotor, viscous, Coulomb friction",
         own: &["coulomb_friction"],
         shared: &[],
         from: Some(0),
     },
     Standard {
-        name: "the same, Coulomb friction and delay",
+        name: "PD, rotor, viscous, Coulomb friction, delay",
         own: &[],
         shared: &["command_delay"],
         from: Some(1),
     },
     Standard {
-        name: "the same, Coulomb and load friction",
+        name: "PD, rotor, viscous, Coulomb, load friction",
         own: &["load_dependent_friction"],
         shared: &[],
         from: Some(1),
@@ -265,12 +265,14 @@ impl Tracking {
             self.keep(&angles, &model, &linear);
         }
         let whole = Angles::of(context, &context.fit.data);
-        let grown = whole.fit(&mut model, ROUNDS_MORE, None)?;
-        let begun = whole.fit(&mut first, ROUNDS_MORE, None)?;
-        // what was added looked at a part of the runs: where all of them do without it, it goes
-        let (with, without) = (whole.cross(&model, &grown), whole.cross(&first, &begun));
-        for a in (0..joints).filter(|&a| without[a].error <= with[a].error) {
-            model.own[a].clone_from(&first.own[a]);
+        if (0..joints).any(|a| model.own[a].len() > first.own[a].len()) {
+            // what was added looked at a part of the runs: where all of them do without it, it goes
+            let grown = whole.fit(&mut model, ROUNDS_MORE, None)?;
+            let begun = whole.fit(&mut first, ROUNDS_MORE, None)?;
+            let (with, without) = (whole.cross(&model, &grown), whole.cross(&first, &begun));
+            for a in (0..joints).filter(|&a| without[a].error <= with[a].error) {
+                model.own[a].clone_from(&first.own[a]);
+            }
         }
         let linear = whole.fit(&mut model, ROUNDS_MORE, None)?;
         self.keep(&whole, &model, &linear);
