@@ -181,6 +181,7 @@ pub fn check(logs: &[(&str, &RunLog)], robot: &RobotModel) -> Checked {
     faults.sort_by_key(|f| !f.fatal);
     let excitations: Vec<RunExcitation> = checks.iter().map(|c| c.excites.clone()).collect();
     faults.extend(assumed(robot, &excitations));
+    faults.extend(assumed_gain(robot, &runs));
     let names = |g: &Vec<usize>| g.iter().map(|&i| runs[i].name.clone()).collect();
     Checked {
         verdict: if faults.iter().any(|f| f.fatal) {
@@ -251,6 +252,26 @@ fn assumed(robot: &RobotModel, runs: &[RunExcitation]) -> Vec<DataFault> {
         }
     }
     notes
+}
+
+/// The gain of the position loop, if nobody looked it up and a run does not say which one was in force: what is wrong
+/// with it hides everything else.
+fn assumed_gain(robot: &RobotModel, runs: &[Run<'_>]) -> Option<DataFault> {
+    const PATH: &str = "control.kp_nm_per_rad";
+    let names = robot.actuated_names();
+    let unsaid = |r: &Run<'_>| names.iter().any(|name| r.log.meta.gains(name).0.is_none());
+    if !robot.assumed().iter().any(|path| path == PATH) || !runs.iter().any(unsaid) {
+        return None;
+    }
+    let kp = robot.kp_nm_per_rad(0);
+    Some(DataFault {
+        kind: ASSUMED.to_owned(),
+        location: PATH.to_owned(),
+        detail: format!(
+            "of {kp:.3} is assumed, and not every log says which gain was in force: write kp and kd into log.toml, or look it up first"
+        ),
+        fatal: false,
+    })
 }
 
 fn fault(run: &str, f: Finding) -> DataFault {
