@@ -110,8 +110,12 @@ pub struct Cause {
     pub location: Vec<String>,
     /// By name.
     pub parameters: BTreeMap<String, Parameter>,
-    /// Calibrated probability that this name is right, 0 to 1.
+    /// Probability that this name is right, 0 to 1: its share of the next.
     pub confidence: f64,
+    /// Calibrated probability that this name, or one of its kind that these runs do not tell from it (two delays, two
+    /// gains), is right.
+    #[serde(default)]
+    pub confidence_of_kind: f64,
     /// Effect ids that explain it as well, alone or two of them together.
     pub alternatives: Vec<String>,
     /// Those of `alternatives` that explain it as well two together, and not alone: on a hinge a mass and a rotor
@@ -162,6 +166,15 @@ pub struct Grounds {
 }
 
 impl Cause {
+    /// What the confidence in the name alone leaves out, in words; nothing where it is no less.
+    pub fn of_kind(&self) -> String {
+        let (own, kind) = (100.0 * self.confidence, 100.0 * self.confidence_of_kind);
+        match kind.round() > own.round() {
+            true => format!(" ({kind:.0} % that it is this or one of its kind)"),
+            false => String::new(),
+        }
+    }
+
     /// Whether another name, or another place, explains it as well.
     pub fn is_open(&self) -> bool {
         !self.alternatives.is_empty() || !self.elsewhere.is_empty()

@@ -179,10 +179,11 @@ fn unnamed(report: &Report) {
 
 fn cause(number: usize, cause: &Cause) {
     say::line(format!(
-        "\n{number}. {} at {}, confidence {:.0} %{}",
+        "\n{number}. {} at {}, confidence {:.0} %{}{}",
         cause.effect,
         place(&cause.location),
         100.0 * cause.confidence,
+        cause.of_kind(),
         if cause.alternatives.is_empty() { "" } else { ", its name open" }
     ));
     if !cause.assumed.is_empty() {

@@ -121,6 +121,7 @@ impl Losses {
             layer: self.term.effect.layer.name().to_owned(),
             parameters,
             confidence,
+            confidence_of_kind: confidence,
             evidence,
             rejected: vec![Rejected {
                 effect: "command_delay".to_owned(),

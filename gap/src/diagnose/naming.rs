@@ -141,6 +141,9 @@ fn better(
         return Ok(Some(named.without.clone()));
     }
     let new = |s: &State| !seen.contains(&s.key());
+    if let Some(other) = nearest(context, best, named).filter(new) {
+        return Ok(Some(other));
+    }
     if let Some(other) = likelier(context, best, named)?.filter(new) {
         return Ok(Some(other));
     }
@@ -148,6 +151,23 @@ fn better(
         None => Ok(both(context, best, named)?.filter(new)),
         pair => Ok(pair),
     }
+}
+
+/// The model with the rival of the cause in `named` that these runs do not tell from it and that leaves less, if it is
+/// of the same kind and has no more parameters: of two names for the same motions the nearer one is told.
+fn nearest(context: &Context, best: &State, named: &Named) -> Option<State> {
+    let model = context.replayer.model();
+    let own = best.terms[named.index].effect;
+    let alike = |r: &&Rival| {
+        let other = r.state.terms[r.index].effect;
+        r.short < 0.0
+            && other != own
+            && other.layer == own.layer
+            && r.state.parameters(model) <= best.parameters(model)
+            && indistinguishable(best, &r.state)
+    };
+    // rivals come best first
+    named.rivals.iter().find(alike).map(|r| r.state.clone())
 }
 
 /// The model with the likeliest rival of the cause in `named`, if it is clearly another, and likelier with no more

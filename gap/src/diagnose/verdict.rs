@@ -236,10 +236,19 @@ struct Weighed<'a> {
     rejected: Vec<Rejected>,
     /// Probability of the name, wherever it is.
     same_name: f64,
+    /// Of names of one kind with it that these runs do not tell from it.
+    alike: f64,
     /// Other places of the same name.
     elsewhere: Vec<Vec<String>>,
     /// Alternatives that may be there as well.
     open: Vec<&'a Term>,
+}
+
+impl Weighed<'_> {
+    /// Probability of the name or one of its kind that these runs do not tell from it.
+    fn of_one_kind(&self) -> f64 {
+        self.same_name + self.alike
+    }
 }
 
 /// What the rivals of the cause in `named` come to, of which `synonyms` are one robot with it.
@@ -271,8 +280,10 @@ fn weigh<'a>(best: &State, named: &'a Named, synonyms: &[String]) -> Weighed<'a>
             // two names for the very same motions are one hypothesis, as far as these runs go, if they are of
             // one kind: a delay is a delay, and less torque is no more weight
             let same = indistinguishable(best, &rival.state);
-            if (same && other.effect.layer == term.effect.layer) || synonyms.contains(&id) {
+            if synonyms.contains(&id) {
                 out.same_name += rival.probability;
+            } else if same && other.effect.layer == term.effect.layer {
+                out.alike += rival.probability;
             }
             if !out.alternatives.contains(&id) {
                 out.alternatives.push(id);
@@ -296,8 +307,10 @@ fn weigh<'a>(best: &State, named: &'a Named, synonyms: &[String]) -> Weighed<'a>
         let two = pair.terms();
         let ids: Vec<String> = two.iter().map(|t| t.effect.id.to_owned()).collect();
         let of_layer = two.iter().all(|t| t.effect.layer == term.effect.layer);
-        if of_layer || ids.iter().all(|id| synonyms.contains(id)) {
+        if ids.iter().all(|id| synonyms.contains(id)) {
             out.same_name += pair.probability;
+        } else if of_layer {
+            out.alike += pair.probability;
         }
         out.together.push(ids);
     }
@@ -326,14 +339,16 @@ fn cause(
     let amounts = amounts(context, best, named.index)?;
     let parameters = intervals(context, best, named.index, spread, (&wider, &amounts));
     let sizes = (&parameters, &amounts[..]);
-    let mut grounds = grounds(context, named, term, weighed.same_name, sizes, doubts);
+    let mut grounds = grounds(context, named, term, weighed.of_one_kind(), sizes, doubts);
     grounds.scatter = grounds.scatter.max(own_scatter);
+    let confidence = confidence(context, &grounds, &weighed);
     Ok(Cause {
         effect: term.effect.id.to_owned(),
         layer: term.effect.layer.name().to_owned(),
         location: term.place.names.clone(),
         parameters,
-        confidence: confidence(context, &grounds, &weighed),
+        confidence: confidence.name,
+        confidence_of_kind: confidence.kind,
         alternatives: weighed.alternatives,
         together: weighed.together,
         synonyms: Vec::new(),
@@ -356,16 +371,24 @@ fn count_synonyms(
         if let Some(own) = named.iter().find(|n| n.is(best, cause)) {
             cause.synonyms = synonyms(context, cause, best, own)?;
             let weighed = weigh(best, own, &cause.synonyms);
-            cause.confidence = confidence(context, &cause.grounds, &weighed);
+            let confidence = confidence(context, &cause.grounds, &weighed);
+            cause.confidence = confidence.name;
+            cause.confidence_of_kind = confidence.kind;
         }
     }
     Ok(())
 }
 
-/// Confidence in a name: no more than its share among those that say the same.
-fn confidence(context: &Context, grounds: &Grounds, weighed: &Weighed<'_>) -> f64 {
-    let told = context.calibration.confidence(grounds);
-    told.min(weighed.same_name)
+/// Confidence in a name, and that it or one of its kind that the runs do not tell from it is right.
+struct Confidence {
+    name: f64,
+    kind: f64,
+}
+
+/// No more than the share among those that say the same.
+fn confidence(context: &Context, grounds: &Grounds, weighed: &Weighed<'_>) -> Confidence {
+    let kind = context.calibration.confidence(grounds).min(weighed.of_one_kind());
+    Confidence { name: kind * weighed.same_name / weighed.of_one_kind().max(1e-9), kind }
 }
 
 /// What the confidence in a name of `term`, of probability `among` among its look-alikes, rests on.

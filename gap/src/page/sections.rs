@@ -125,7 +125,7 @@ pub fn causes(report: &Report, plots: Option<&Plots>) -> String {
         let class = if cause.is_open() { "cause amb" } else { "cause" };
         let _ = write!(
             out,
-            "<div class=\"card {class}\"><h3>{}. {} <span class=\"soft\">at {}</span></h3><p class=\"small soft\">{} · <code>{}</code> · confidence <span class=\"conf\" role=\"img\" aria-label=\"{:.0} percent\"><i style=\"width:{:.0}%\"></i></span>{:.0} %</p>",
+            "<div class=\"card {class}\"><h3>{}. {} <span class=\"soft\">at {}</span></h3><p class=\"small soft\">{} · <code>{}</code> · confidence <span class=\"conf\" role=\"img\" aria-label=\"{:.0} percent\"><i style=\"width:{:.0}%\"></i></span>{:.0} %{}</p>",
             i + 1,
             escape(&effect_name(&cause.effect)),
             place(&cause.location),
@@ -133,7 +133,8 @@ pub fn causes(report: &Report, plots: Option<&Plots>) -> String {
             escape(&cause.effect),
             100.0 * cause.confidence,
             100.0 * cause.confidence.clamp(0.0, 1.0),
-            100.0 * cause.confidence
+            100.0 * cause.confidence,
+            cause.of_kind()
         );
         out.push_str(&parameters(cause));
         if !cause.assumed.is_empty() {

@@ -199,7 +199,8 @@ impl Case {
             .map(|c| Name {
                 effect: c.effect.clone(),
                 grounds: c.grounds,
-                confidence: c.confidence,
+                // what is right is judged by kind as well
+                confidence: c.confidence_of_kind,
                 right: is_true(answer, c, &report.causes),
             })
             .collect();

@@ -112,7 +112,7 @@ pub fn judge(answer: &Answer, given: &Given, joint_links: &[(String, String)]) -
                 | Verdict::Unexplained
         )
     );
-    let wrong_confidence = wrong.iter().map(|c| c.confidence).fold(0.0, f64::max);
+    let wrong_confidence = wrong.iter().map(|c| c.confidence_of_kind).fold(0.0, f64::max);
     let next = given.report.as_ref().and_then(|r| r.next_experiment.as_ref());
     // which place it is, a trial alone does not say
     let open_name = causes.iter().any(Cause::has_open_name);
@@ -134,7 +134,7 @@ pub fn judge(answer: &Answer, given: &Given, joint_links: &[(String, String)]) -
         }),
         given: causes
             .iter()
-            .map(|c| (c.effect.clone(), c.location.join(" "), c.confidence))
+            .map(|c| (c.effect.clone(), c.location.join(" "), c.confidence_of_kind))
             .collect(),
         detected,
         together_d: answer.together_d,
@@ -144,7 +144,7 @@ pub fn judge(answer: &Answer, given: &Given, joint_links: &[(String, String)]) -
             leads.iter().filter(|c| !is_true(c)).count(),
         ),
         wrong_confidence,
-        confidences: causes.iter().map(|c| (c.confidence, is_true(c))).collect(),
+        confidences: causes.iter().map(|c| (c.confidence_of_kind, is_true(c))).collect(),
         set_size: (causes.first()).map_or(0, |c| 1 + c.alternatives.len() + c.elsewhere.len()),
         right: right(answer, given, &truth, detected),
         gain_ratio: given.report.as_ref().and_then(gain),
