@@ -156,17 +156,13 @@ fn better(
 /// The model with the rival of the cause in `named` that these runs do not tell from it and that leaves less, if it is
 /// of the same kind and has no more parameters: of two names for the same motions the nearer one is told.
 fn nearest(context: &Context, best: &State, named: &Named) -> Option<State> {
-    let model = context.replayer.model();
     let own = best.terms[named.index].effect;
+    let count = |s: &State| s.parameters(context.replayer.model());
     let alike = |r: &&Rival| {
         let other = r.state.terms[r.index].effect;
-        r.short < 0.0
-            && other != own
-            && other.layer == own.layer
-            && r.state.parameters(model) <= best.parameters(model)
-            && indistinguishable(best, &r.state)
+        let is_less = r.short < 0.0 && count(&r.state) <= count(best);
+        other != own && other.layer == own.layer && is_less && indistinguishable(best, &r.state)
     };
-    // rivals come best first
     named.rivals.iter().find(alike).map(|r| r.state.clone())
 }
 

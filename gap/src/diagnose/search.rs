@@ -25,9 +25,9 @@ const FITTED: usize = 12;
 const FITTED_LATER: usize = 6;
 /// Places of one effect among them.
 const PLACES: usize = 2;
-/// Of a robot with many joints one in so many besides, of those that promise most where they show: what a single bad
-/// joint asks for is little beside what a whole robot on the ground is off by.
-const LOCAL: usize = 3;
+/// For so many of them one more is fitted of a robot with many joints, of those that promise most where they show: what
+/// a single bad joint asks for is little beside what a whole robot on the ground is off by.
+const A_LOCAL_ONE: usize = 3;
 
 /// What the search found.
 pub struct Found {
@@ -207,7 +207,7 @@ fn children(
     let most = if depth == 1 { FITTED } else { FITTED_LATER };
     let mut chosen = choose(screened.iter(), most);
     if context.replayer.model().actuated().len() >= MANY_JOINTS {
-        chosen.extend(locally(&screened, &chosen, most / LOCAL));
+        chosen.extend(locally(&screened, &chosen, most / A_LOCAL_ONE));
     }
     progress(Progress::new(Stage::Fitting, depth, &best.label()));
     let fitted =

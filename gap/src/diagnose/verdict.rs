@@ -236,7 +236,7 @@ struct Weighed<'a> {
     rejected: Vec<Rejected>,
     /// Probability of the name, wherever it is.
     same_name: f64,
-    /// Of names of one kind with it that these runs do not tell from it.
+    /// Probability of the names of its kind that these runs do not tell from it.
     alike: f64,
     /// Other places of the same name.
     elsewhere: Vec<Vec<String>>,
