@@ -24,6 +24,9 @@ PATIENCE_S = 180
 # What `caudata sim show` is told, by file.
 DRAWN = {
     "walk.gif": "--policy policies/flat.onnx --view side --distance 1.7",
+    "top.gif": "--policy policies/flat.onnx --view top --distance 1.7",
+    "turn.gif": "--policy policies/amphibious.onnx --terrain deep_water --command 0.3,0,0.5 --view top --distance 2"
+                " --width 320 --fps 5 --seconds 6 --settle-s 3",
     "swim.gif": "--policy policies/amphibious.onnx --terrain shore --place 2.6,0 --distance 2",
     "ashore.gif": "--policy policies/amphibious.onnx --terrain shore --place 2.6,0 --heading-deg 180 --distance 2"
                   " --width 320 --fps 5 --seconds 7 --settle-s 6",
