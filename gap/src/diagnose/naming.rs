@@ -153,15 +153,15 @@ fn better(
     }
 }
 
-/// The model with the rival of the cause in `named` that these runs do not tell from it and that leaves less, if it is
-/// of the same kind and has no more parameters: of two names for the same motions the nearer one is told.
+/// The model with the rival in the answer set of the cause in `named` that leaves less, if it is of the same kind and
+/// has no more parameters: of names that these runs do not tell apart the nearest is told.
 fn nearest(context: &Context, best: &State, named: &Named) -> Option<State> {
     let own = best.terms[named.index].effect;
     let count = |s: &State| s.parameters(context.replayer.model());
     let alike = |r: &&Rival| {
         let other = r.state.terms[r.index].effect;
         let is_less = r.short < 0.0 && count(&r.state) <= count(best);
-        other != own && other.layer == own.layer && is_less && indistinguishable(best, &r.state)
+        other != own && other.layer == own.layer && is_less && r.in_set
     };
     named.rivals.iter().find(alike).map(|r| r.state.clone())
 }
