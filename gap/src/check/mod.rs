@@ -215,12 +215,6 @@ const NEARLY: f64 = 0.75;
 /// The joint that turns about as fast as an assumed figure lets it have its torque, or faster, and currents whose
 /// torque is assumed, once for each type of servo.
 fn assumed(robot: &RobotModel, runs: &[RunExcitation]) -> Vec<DataFault> {
-    let note = |location: String, detail: String| DataFault {
-        kind: ASSUMED.to_owned(),
-        location,
-        detail,
-        fatal: false,
-    };
     let names = robot.actuated_names();
     let speed = |(a, name): (usize, &&str)| {
         let own = runs.iter().flat_map(|r| r.joints.iter().filter(|j| j.joint == **name));
@@ -264,14 +258,14 @@ fn assumed_gain(robot: &RobotModel, runs: &[Run<'_>]) -> Option<DataFault> {
         return None;
     }
     let kp = robot.kp_nm_per_rad(0);
-    Some(DataFault {
-        kind: ASSUMED.to_owned(),
-        location: PATH.to_owned(),
-        detail: format!(
-            "of {kp:.3} is assumed, and not every log says which gain was in force: write kp and kd into log.toml, or look it up first"
-        ),
-        fatal: false,
-    })
+    let detail = format!(
+        "of {kp:.3} is assumed, and not every log says which gain was in force: write kp and kd into log.toml, or look it up first"
+    );
+    Some(note(PATH.to_owned(), detail))
+}
+
+fn note(location: String, detail: String) -> DataFault {
+    DataFault { kind: ASSUMED.to_owned(), location, detail, fatal: false }
 }
 
 fn fault(run: &str, f: Finding) -> DataFault {

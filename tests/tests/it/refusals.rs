@@ -290,6 +290,18 @@ fn a_folder_in_the_place_of_what_is_in_it_is_refused_with_where_that_is() {
 }
 
 #[test]
+fn a_log_is_not_written_in_a_form_that_is_not_known() {
+    let folder = tempfile::tempdir().unwrap();
+    let (log, out) = (folder.path().join("log.csv"), folder.path().join("out.foo"));
+    fs::write(&log, "t,cmd.a\n0.0,0.0\n0.1,0.1\n").unwrap();
+    let args = ["log", "convert", log.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    let done = finish(command("caudata", &args).unwrap()).unwrap();
+    refused(&done, 64, &[".foo"]);
+    assert!(done.stderr.contains(".parquet"), "{}", done.stderr);
+    assert!(!out.exists());
+}
+
+#[test]
 fn an_evaluation_takes_no_ground_but_a_suites() {
     let args = ["eval", "policies/flat.onnx", "--set", "terrain.kind=rough"];
     let done = finish(command("caudata", &args).unwrap()).unwrap();
