@@ -53,7 +53,7 @@ pub struct LaneParams {
     pub kd_nms_per_rad: Vec<f32>,
     /// Factor on every torque limit of the servo envelope, 0..=100. `[A]`
     pub torque_scale: Vec<f32>,
-    /// Supply voltage, V, 0.1..=1000. The speeds of the servo envelope scale with it.
+    /// Supply voltage, V, 0.1..=1000. The sloping part of the servo envelope moves with it.
     pub supply_v: f32,
     /// Resistance of battery and wiring, Ω, 0..=100: all motors' currents together lower the voltage of all.
     /// Nominal: the model's.

@@ -3,6 +3,7 @@
 use std::cell::OnceCell;
 
 use caudata_sim::batch::Readout;
+use caudata_sim::drive::{ServoDrive, servo, supply};
 
 use super::commands::{shown_angle, shown_current};
 use super::data::{Data, Piece};
@@ -269,7 +270,7 @@ fn imu(plant: &Plant, trace: &Trace, kind: Kind, places: &[Place]) -> Vec<[f32; 
     places.iter().map(of).collect()
 }
 
-/// Bus voltage at every recorded state: V₀ − R·Σ|i| behind its lag.
+/// Bus voltage at every recorded state: V₀ − R·Σ d·i behind its lag ([`caudata_sim::drive::supply`]).
 fn voltage(plant: &Plant, trace: &Trace) -> Vec<f32> {
     let lane = &plant.lane;
     let open_v = f64::from(lane.supply_v);
@@ -279,17 +280,20 @@ fn voltage(plant: &Plant, trace: &Trace) -> Vec<f32> {
     }
     let lag_s = f64::from(lane.supply_lag_s);
     let share = if lag_s > 0.0 { -(-trace.period_s / lag_s).exp_m1() } else { 1.0 };
+    let servos = ServoDrive::all(&plant.model, lane, trace.period_s);
+    let n = trace.joints;
     let mut volt = open_v;
     (0..=trace.last_row())
         .map(|k| {
             let row = &trace.values[k * trace.width..(k + 1) * trace.width];
-            let amps: f64 = (0..trace.joints)
-                .map(|a| {
-                    let torque = f64::from(row[2 * trace.joints + a]).abs();
-                    torque / f64::from(lane.joints[a].torque_constant_nm_per_a)
+            let drawn_a: f64 = (servos.iter().enumerate())
+                .map(|(a, p)| {
+                    let [qd_radps, given_nm] = [row[n + a], row[2 * n + a]].map(f64::from);
+                    let current_a = servo::current_a(p, servo::unsaturated_nm(p, given_nm));
+                    supply::drawn_a(p, volt, 0.0, given_nm, qd_radps, current_a)
                 })
                 .sum();
-            volt += share * (open_v - ohm * amps - volt);
+            volt += share * (open_v - ohm * drawn_a - volt);
             volt as f32
         })
         .collect()

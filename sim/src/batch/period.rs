@@ -235,7 +235,8 @@ fn load_joints<R: Lanes>(
     let step = &shared.step;
     let since = R::splat(shared.dt_s * f64::from(substep));
     let bus_v = x[Layout::BUS];
-    let mut current = R::zero();
+    let mut drawn_a = R::zero();
+    let sags = params.supply.sags();
     let late = params.features.loop_delay;
     if late {
         wanted.begin_step();
@@ -259,7 +260,9 @@ fn load_joints<R: Lanes>(
                 qdd[i],
                 stop,
             );
-            current += driven.current_a;
+            if sags {
+                drawn_a += driven.drawn_a(&params.servos[a], &drives[a], bus_v);
+            }
             scratch.driven[a] = Some(driven);
             driven.torque
         } else {
@@ -270,7 +273,7 @@ fn load_joints<R: Lanes>(
     if late {
         wanted.end_step();
     }
-    x[Layout::BUS] = supply::settle_v(&params.supply, x[Layout::BUS], current);
+    x[Layout::BUS] = supply::settle_v(&params.supply, x[Layout::BUS], drawn_a);
 }
 
 /// A torque at the end of the step as one that is linear in the acceleration.

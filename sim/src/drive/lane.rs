@@ -170,7 +170,8 @@ impl LaneDrive {
         since_command_s: f64,
     ) {
         let bus_v = memory.bus_v;
-        let mut current_a = 0.0;
+        let mut drawn_a = 0.0;
+        let sags = self.supply.sags();
         memory.wanted.begin_step();
         for (j, model_joint) in model.joints().iter().enumerate() {
             let Some(at) = robot.joint(j) else { continue };
@@ -197,7 +198,10 @@ impl LaneDrive {
                         0.0,
                         stop,
                     );
-                    current_a += driven.current_a;
+                    if sags {
+                        drawn_a +=
+                            driven.drawn_a(&self.servos[index], &memory.servos[index], bus_v);
+                    }
                     (driven.torque, Some(driven))
                 }
                 JointKind::Passive | JointKind::Backlash => (
@@ -216,7 +220,7 @@ impl LaneDrive {
             self.started[j] = Started { at, driven };
         }
         memory.wanted.end_step();
-        memory.bus_v = supply::settle_v(&self.supply, memory.bus_v, current_a);
+        memory.bus_v = supply::settle_v(&self.supply, memory.bus_v, drawn_a);
     }
 
     /// After the step: takes it into memory, sums motor torque and work.

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use super::loop_delay::Loop;
 use super::passive::{self, StopAt};
 use super::{DriveFeatures, ImplicitTorque, JointPassive, ServoDrive};
-use super::{filter, friction, gear, servo, thermal};
+use super::{filter, friction, gear, servo, supply, thermal};
 use crate::per_lane::per_lane;
 use crate::real::Real;
 
@@ -126,6 +126,14 @@ pub struct Driven<R> {
     drag: ImplicitTorque<R>,
     /// Rotor and teeth; `None` where no lane has them.
     gear: Option<gear::GearStep<R>>,
+}
+
+impl<R: Real> Driven<R> {
+    /// What servo `p` takes from a bus of `bus_v` meanwhile, A.
+    #[inline(always)]
+    pub fn drawn_a(&self, p: &ServoDrive<R>, m: &JointMemory<R>, bus_v: R) -> R {
+        supply::drawn_a(p, bus_v, m.rise_k, self.motor_nm, self.motor_radps, self.current_a)
+    }
 }
 
 /// The torque on an actuated joint at position `q_rad`, velocity `qd_radps` for the step that now begins;

@@ -10,6 +10,7 @@ use std::sync::Arc;
 use caudata_model::RobotModel;
 use caudata_random::{Key, Purpose, Stream};
 use caudata_runlog::{Axis, BaseHold, QuatPart, Signal};
+use caudata_sim::drive::{ServoDrive, supply};
 use caudata_sim::{
     EngineConfig, EngineKind, InitialState, LaneParams, SimError, TerrainConfig, TerrainKind,
 };
@@ -257,18 +258,21 @@ fn drives(
     row: &mut Vec<Option<f64>>,
     s: &mut Stream,
 ) {
+    let open_v = f64::from(lane.supply_v);
     let mut drawn_a = 0.0;
     for (a, joint) in lane.joints.iter().enumerate() {
         let torque_nm = f64::from(state.motor_torque_nm[a]);
+        let qd_radps = f64::from(state.joint_vel_radps[a]);
         // a motor that saturates takes more
         let left = 1.0 - f64::from(joint.torque_saturation_per_nm) * torque_nm.abs();
         let free = torque_nm / (left.max(1e-3) * f64::from(joint.torque_constant_nm_per_a));
-        drawn_a += free.abs();
+        let servo = ServoDrive::new(model, lane, a, ENGINE_STEP_S);
+        drawn_a += supply::drawn_a(&servo, open_v, 0.0, torque_nm, qd_radps, free.abs());
         let idle = f64::from(joint.current_dead_band_a);
         let shown = free + idle * (free / 0.01).clamp(-1.0, 1.0);
         let lsb_a = model.servo(a).current_lsb_a;
         row.push(Some(counted(shown + 0.004 * s.normal_f64(), lsb_a)));
     }
-    let supply_v = f64::from(lane.supply_v) - f64::from(lane.supply_resistance_ohm) * drawn_a;
+    let supply_v = open_v - f64::from(lane.supply_resistance_ohm) * drawn_a;
     row.push(Some(counted(supply_v, 0.1)));
 }

@@ -194,7 +194,8 @@ impl<'a> Sim<'a> {
             }
             let push = touch.filter(|x| t >= x.span_s.0 && t < x.span_s.1);
             self.rk4(&mut y, &mut work, &volts, push, t, &mut currents);
-            let drawn: f64 = currents.iter().map(|i| i.abs()).sum();
+            // what the bus gives, bus·drawn, is what the bridges put on the motors
+            let drawn = volts.iter().zip(&currents).map(|(v, i)| v * i).sum::<f64>() / bus;
             let settled = self.spec.supply_v - self.spec.supply_ohm * drawn;
             bus += (settled - bus) * (STEP_S / BUS_LAG_S);
             bus = bus.max(0.2 * self.spec.supply_v);

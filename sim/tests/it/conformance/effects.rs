@@ -237,8 +237,8 @@ pub fn an_encoder_on_the_motor_does_not_see_play(config: &EngineConfig) {
     }
 }
 
-/// Joint A runs free at 15 rad/s on 12 V; joint B presses its stop with 4 A, 0.5 Ω take 2 V: A slows down to
-/// 12.5 rad/s.
+/// Joint A runs free at 15 rad/s on 12 V; joint B presses its stop with 5 A. On 10 V that is 5 of 12.5 N·m, so
+/// the bus gives 2 A, of which 1 Ω takes 2 V: A slows down to 12.5 rad/s.
 pub fn one_joints_load_slows_another(config: &EngineConfig) {
     let model = robots::wheels();
     let on = |ohm: f32| {
@@ -246,10 +246,10 @@ pub fn one_joints_load_slows_another(config: &EngineConfig) {
         p.kd_nms_per_rad = vec![0.0; 2];
         p.supply_resistance_ohm = ohm;
         p.joints[1].high_rad = 0.1;
-        p.joints[1].current_limit_a = 4.0;
+        p.joints[1].current_limit_a = 5.0;
         p
     };
-    let mut e = lanes(config, &model, &[on(0.0), on(0.5)]);
+    let mut e = lanes(config, &model, &[on(0.0), on(1.0)]);
     let wrenches = [0.0; 12];
     for _ in 0..periods(config, 3.0) {
         e.step(&[900.0; 4], &wrenches).unwrap();
