@@ -5,7 +5,8 @@
 //! out moves the parameters by what one step of Gauss–Newton says, so that all folds come out of a single
 //! set of derivatives: with A = Σ J_fᵀJ_f and b = Σ J_fᵀr_f over folds f, the parameters without fold f are off
 //! by (A − A_f + Λ)⁻¹·(b − b_f − Λ·θ), θ their distance from no effect and Λ the precision of a prior that is
-//! as wide as that distance: what only one fold has shown is not known without it. For linear models this is
+//! as wide as that distance: what only one fold has shown is not known without it. (But what acts at a threshold, a
+//! stop or a limit, is met where it is met: in a run that was repeated its repeats vouch for it.) For linear models this is
 //! exact (D. M. Allen, The relationship between variable selection and data augmentation and a method for
 //! prediction, Technometrics 16, 1974).
 
@@ -21,12 +22,16 @@ const PARTS_OF_A_RUN: usize = 3;
 /// With so many runs models of angles leave out whole ones: what holds in other motions is asked for then.
 const MANY_RUNS: usize = 6;
 
+/// What shows with this share of its square in one fold shows in that alone.
+const IN_ONE_FOLD: f64 = 0.9;
+
 /// Which sample is in which fold.
 #[derive(Debug, Clone, Default)]
 pub struct Folds {
     /// Samples next to each other of one fold.
     spans: Vec<(Range<usize>, usize)>,
-    count: usize,
+    /// Whether each is the mean of several runs. `[F]`
+    repeated: Vec<bool>,
 }
 
 /// A parameter of a fitted model, in steps of its derivative.
@@ -36,6 +41,8 @@ pub struct Free {
     pub from_neutral: f64,
     /// How far it may go down and up.
     pub room: (f64, f64),
+    /// Whether it acts at a threshold only.
+    pub at_a_threshold: bool,
 }
 
 impl Folds {
@@ -59,7 +66,8 @@ impl Folds {
         parts: usize,
         keep: impl Fn(&Piece) -> bool,
     ) -> (Self, Vec<Range<usize>>) {
-        let mut folds = Self { spans: Vec::new(), count: parts * data.trials.len() };
+        let repeated = data.trials.iter().flat_map(|t| vec![!t.members.is_empty(); parts]);
+        let mut folds = Self { spans: Vec::new(), repeated: repeated.collect() };
         let mut ranges = Vec::new();
         let mut kept = 0;
         for (number, _) in data.trials.iter().enumerate() {
@@ -94,7 +102,7 @@ impl Folds {
 
     /// What each fold adds to the mean absolute value of `left`: they sum up to it. `[F]`
     pub fn shares(&self, left: &[f32]) -> Vec<f64> {
-        let mut shares = vec![0.0; self.count];
+        let mut shares = vec![0.0; self.repeated.len()];
         for (range, fold) in &self.spans {
             let sum: f64 = left[range.clone()].iter().map(|v| f64::from(v.abs())).sum();
             shares[*fold] += sum / left.len() as f64;
@@ -114,8 +122,9 @@ impl Folds {
         if n == 0 {
             return (out, Vec::new());
         }
-        let mut grams = vec![DMatrix::<f64>::zeros(n, n); self.count];
-        let mut slopes = vec![DVector::<f64>::zeros(n); self.count];
+        let count = self.repeated.len();
+        let mut grams = vec![DMatrix::<f64>::zeros(n, n); count];
+        let mut slopes = vec![DVector::<f64>::zeros(n); count];
         for (range, fold) in &self.spans {
             for i in 0..n {
                 let own = &columns[i][range.clone()];
@@ -130,8 +139,14 @@ impl Folds {
         }
         let gram: DMatrix<f64> = grams.iter().fold(DMatrix::zeros(n, n), |sum, g| sum + g);
         let slope: DVector<f64> = slopes.iter().fold(DVector::zeros(n), |sum, s| sum + s);
-        let shifts: Vec<DVector<f64>> = (grams.iter().zip(&slopes))
-            .map(|(g, s)| without(&(&gram - g), &(&slope - s), free))
+        let vouched = |g: &DMatrix<f64>, repeated: bool| -> Vec<bool> {
+            let here_alone = |i: usize| g[(i, i)] > IN_ONE_FOLD * gram[(i, i)];
+            (0..n).map(|i| repeated && free[i].at_a_threshold && here_alone(i)).collect()
+        };
+        let shifts: Vec<DVector<f64>> = (grams.iter().zip(&slopes).zip(&self.repeated))
+            .map(|((g, s), repeated)| {
+                without(&(&gram - g), &(&slope - s), free, &vouched(g, *repeated))
+            })
             .collect();
         for (range, fold) in &self.spans {
             for (column, by) in columns.iter().zip(shifts[*fold].iter()) {
@@ -169,11 +184,23 @@ pub fn jackknife(shifts: &[DVector<f64>], steps: &[f64]) -> Vec<f64> {
     steps.iter().enumerate().map(deviation).collect()
 }
 
-/// By how much the parameters change where `gram` and `slope` are all that is known.
-fn without(gram: &DMatrix<f64>, slope: &DVector<f64>, free: &[Free]) -> DVector<f64> {
+/// By how much the parameters change where `gram` and `slope` are all that is known, beside those that stay.
+fn without(
+    gram: &DMatrix<f64>,
+    slope: &DVector<f64>,
+    free: &[Free],
+    stay: &[bool],
+) -> DVector<f64> {
     let mut gram = gram.clone();
     let mut slope = slope.clone();
     for (i, f) in free.iter().enumerate() {
+        if stay[i] {
+            gram.row_mut(i).fill(0.0);
+            gram.column_mut(i).fill(0.0);
+            gram[(i, i)] = 1.0;
+            slope[i] = 0.0;
+            continue;
+        }
         let size = f.from_neutral.abs().max(1e-3);
         let precision = 1.0 / (size * size);
         gram[(i, i)] += precision;
@@ -194,10 +221,11 @@ mod tests {
     use super::*;
 
     fn folds(count: usize, each: usize) -> Folds {
-        Folds { spans: (0..count).map(|f| (f * each..(f + 1) * each, f)).collect(), count }
+        let spans = (0..count).map(|f| (f * each..(f + 1) * each, f)).collect();
+        Folds { spans, repeated: vec![false; count] }
     }
 
-    const FREE: Free = Free { from_neutral: 2.0, room: (-1e9, 1e9) };
+    const FREE: Free = Free { from_neutral: 2.0, room: (-1e9, 1e9), at_a_threshold: false };
 
     #[test]
     fn what_a_fold_says_of_itself_is_left_out() {
@@ -235,5 +263,15 @@ mod tests {
         // without the second fold the parameter is back at nothing, 2 steps away
         assert_eq!(left[2..4], [2.0, 2.0]);
         assert_eq!(left[..2], [0.0, 0.0]);
+    }
+
+    #[test]
+    fn repeats_vouch_for_a_threshold_that_one_motion_meets() {
+        let columns = [vec![0.0_f32, 0.0, 1.0, 1.0, 0.0, 0.0]];
+        let left = |repeated: bool, at_a_threshold: bool| {
+            let folds = Folds { repeated: vec![repeated; 3], ..folds(3, 2) };
+            folds.left_out(&columns, &[0.0; 6], &[Free { at_a_threshold, ..FREE }])[2]
+        };
+        assert_eq!([left(true, true), left(false, true), left(true, false)], [0.0, 2.0, 2.0]);
     }
 }

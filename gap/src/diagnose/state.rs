@@ -286,13 +286,14 @@ pub fn frees(replayer: &Replayer, terms: &[Term], steps: &[f64]) -> Vec<Free> {
     let of = |t: &Term, p: usize| {
         let (low, high) = t.bounds(model, p);
         let neutral = t.neutral(model)[p];
-        (t.values[p] - neutral, low - t.values[p], high - t.values[p])
+        (t.values[p] - neutral, low - t.values[p], high - t.values[p], t.effect.hinge)
     };
     let all = terms.iter().flat_map(|t| (0..t.values.len()).map(move |p| of(t, p)));
     all.zip(steps)
-        .map(|((off, down, up), step)| Free {
+        .map(|((off, down, up, at_a_threshold), step)| Free {
             from_neutral: off / step,
             room: (down / step, up / step),
+            at_a_threshold,
         })
         .collect()
 }
