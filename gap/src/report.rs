@@ -241,6 +241,8 @@ pub enum DoubtKind {
     MuchLeft,
     /// A cause would have to be larger than it can plausibly be.
     ImplausibleSize,
+    /// Two causes take back nearly all that either does.
+    Cancelling,
     /// A cause has another size in each part of the data.
     InconstantSize,
 }

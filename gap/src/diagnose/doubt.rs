@@ -5,10 +5,15 @@ use super::constancy::{self, Scatter};
 use super::gates;
 use super::judge::Judge;
 use super::levels::MANY_JOINTS;
+use super::product::dot;
 use super::state::{Context, Derivatives, On, State};
 use crate::effects::{Effect, Place};
-use crate::replay::Term;
+use crate::error::GapError;
+use crate::replay::{Term, Variant};
 use crate::report::{Doubt, DoubtKind, Grounds};
+
+/// Two effects that together do less than this share of what either does alone take each other back.
+const TAKEN_BACK: f64 = 0.5;
 
 /// What a model leaves, where it is most, floors.
 pub struct Left {
@@ -37,6 +42,8 @@ pub struct Doubts {
     much: Option<usize>,
     /// Effects that would have to be larger, or otherwise, than they can plausibly be.
     outgrown: Vec<Term>,
+    /// Every two effects of which each takes back nearly all that the other does.
+    cancelling: Vec<[Term; 2]>,
     /// By how much the size of each name differs between parts of the data.
     scatter: Vec<(Scatter, Term)>,
     /// From what on it has no size.
@@ -46,12 +53,15 @@ pub struct Doubts {
 impl Doubts {
     /// About `best`, of which `findings`, with their derivatives, is what is told: a size is asked for where no lead
     /// makes up for what its law lacks.
+    ///
+    /// # Errors
+    /// As [`crate::replay::Replayer::predict`].
     pub fn about(
         context: &Context,
         base: &State,
         best: &State,
         (findings, derivatives): (&State, &Derivatives),
-    ) -> Self {
+    ) -> Result<Self, GapError> {
         let thresholds = &context.calibration.map.doubts;
         let left = left(context, base, best);
         let much = |l: &Left| thresholds.much(&l.grounds(context));
@@ -62,18 +72,27 @@ impl Doubts {
             let term = findings.terms[s.term].clone();
             (s, term)
         };
-        Self {
+        Ok(Self {
             much: left.iter().position(much),
             left,
             outgrown: findings.terms.iter().filter(too_large).cloned().collect(),
+            cancelling: cancelling(context, findings)?,
             scatter: scatter.into_iter().map(with_term).collect(),
             inconstant: thresholds.scatter,
-        }
+        })
     }
 
     /// Whether there are any.
     pub fn any(&self) -> bool {
-        self.much.is_some() || !self.outgrown.is_empty() || self.inconstant().next().is_some()
+        self.much.is_some()
+            || !self.outgrown.is_empty()
+            || !self.cancelling.is_empty()
+            || self.inconstant().next().is_some()
+    }
+
+    /// Whether another effect takes back what `term` does.
+    pub fn is_taken_back(&self, term: &Term) -> bool {
+        self.cancelling.iter().flatten().any(|t| t.same(term))
     }
 
     fn inconstant(&self) -> impl Iterator<Item = &(Scatter, Term)> {
@@ -115,6 +134,14 @@ impl Doubts {
                 location: label,
             }
         });
+        let cancelling = self.cancelling.iter().map(|pair| {
+            let [one, other] = pair.each_ref().map(Term::label);
+            Doubt {
+                kind: DoubtKind::Cancelling,
+                detail: format!("{one} and {other} take back nearly all that either does: a law that is not in the catalogue may be behind both."),
+                location: format!("{one} + {other}"),
+            }
+        });
         let inconstant = self.inconstant().map(|(s, t)| {
             let label = t.label();
             let least = s.sizes.iter().copied().fold(f64::INFINITY, f64::min);
@@ -128,7 +155,7 @@ impl Doubts {
                 location: label,
             }
         });
-        much.chain(outgrown).chain(inconstant).collect()
+        much.chain(outgrown).chain(cancelling).chain(inconstant).collect()
     }
 }
 
@@ -151,6 +178,34 @@ fn left(context: &Context, base: &State, best: &State) -> Vec<Left> {
         Left { held_out, before: of(before), after: of(after) }
     };
     parts.iter().map(of).collect()
+}
+
+/// Every two terms of `state` at one place that together do far less than either of them ([`TAKEN_BACK`]). Causes that
+/// are there by chance seldom do: a spring and a lighter link that cancel to first order are what is left of a law
+/// of higher order, a spring that hardens.
+fn cancelling(context: &Context, state: &State) -> Result<Vec<[Term; 2]>, GapError> {
+    let terms = &state.terms;
+    let near = |&(i, j): &(usize, usize)| one_place(context, &terms[i].place, &terms[j].place);
+    let pairs = (0..terms.len()).flat_map(|j| (0..j).map(move |i| (i, j)));
+    let pairs: Vec<(usize, usize)> = pairs.filter(near).collect();
+    let without = |gone: &[usize]| -> Variant {
+        let kept = terms.iter().enumerate().filter(|(k, _)| !gone.contains(k));
+        kept.map(|(_, t)| t.clone()).collect()
+    };
+    let mut variants: Vec<Variant> = (0..terms.len()).map(|k| without(&[k])).collect();
+    variants.extend(pairs.iter().map(|&(i, j)| without(&[i, j])));
+    let does = |prediction: &Vec<f32>| {
+        let change = context.fit.change(&state.fit.prediction, prediction);
+        dot(&change, &change)
+    };
+    let predictions = context.replayer.predict(&context.fit.data, &variants)?;
+    let squares: Vec<f64> = predictions.iter().map(does).collect();
+    let (alone, together) = squares.split_at(terms.len());
+    let taken_back = |&(&(i, j), both): &(&(usize, usize), &f64)| {
+        *both < TAKEN_BACK.powi(2) * alone[i].min(alone[j])
+    };
+    let found = pairs.iter().zip(together).filter(taken_back);
+    Ok(found.map(|(&(i, j), _)| [terms[i].clone(), terms[j].clone()]).collect())
 }
 
 /// Whether a term's size wants to be larger than it can plausibly be: it stands in for something else, and

@@ -83,11 +83,11 @@ fn told_of(context: &Context, found: &Found, named: &[Named]) -> Result<Told, Ga
     let leads = indices.iter().zip(&are_leads).filter(|(_, lead)| **lead);
     let leads: Vec<usize> = leads.map(|(index, _)| *index).collect();
     let doubts = match leads.is_empty() {
-        true => Doubts::about(context, base, best, (best, &derivatives)),
+        true => Doubts::about(context, base, best, (best, &derivatives))?,
         false => {
             let findings = without(context, best, &leads)?;
             let own = context.derivatives(&findings.terms)?;
-            Doubts::about(context, base, best, (&findings, &own))
+            Doubts::about(context, base, best, (&findings, &own))?
         }
     };
     let lacks_size =
@@ -405,7 +405,9 @@ fn grounds(
         among_look_alikes: among,
         gain: named.worth.cross / named.worth.of.max(1e-9),
         distance: distance(context, term, sizes),
-        at_bound: near.at_bound || sizes.0.values().any(|p| p.at_bound),
+        at_bound: near.at_bound
+            || sizes.0.values().any(|p| p.at_bound)
+            || doubts.is_taken_back(term),
         ..near
     }
 }
