@@ -145,7 +145,8 @@ impl Plant {
         }
     }
 
-    /// The robot under the conditions of a run: its gains, its supply, what it carries.
+    /// The robot under the conditions of a run: its gains, its supply. What it carries comes last, by [`carry`]: a link
+    /// that is heavier than its file says does not make the weight on it heavier.
     pub fn in_trial(model: &Arc<RobotModel>, trial: &Trial) -> Self {
         let mut plant = Self::nominal(model);
         let lane = &mut plant.lane;
@@ -162,7 +163,6 @@ impl Plant {
                 lane.joint_armature_kgm2[a] += added as f32;
             }
         }
-        carry(model, &trial.meta.payload, lane);
         if let Some(volt) = trial.supply_v {
             lane.supply_v = volt as f32;
         }
@@ -188,7 +188,12 @@ mod tests {
         at_m[0] += 0.1;
         run.meta.payload.push(Payload { link: link.name.clone(), mass_kg: link.mass_kg, at_m });
         run.meta.joint.entry("swing".to_owned()).or_default().kp = Some(0.5);
-        let lane = Plant::in_trial(&model, &run).lane;
+        let carrying = |run: &Trial| {
+            let mut lane = Plant::in_trial(&model, run).lane;
+            carry(&model, &run.meta.payload, &mut lane);
+            lane
+        };
+        let lane = carrying(&run);
         // as heavy again, 0.1 m off: the centre moves by half of that
         assert!((lane.link_mass_scale[l] - 2.0).abs() < 1e-6);
         assert!((lane.com_offset_m[l][0] - 0.05).abs() < 1e-6);
@@ -206,11 +211,28 @@ mod tests {
         let place = crate::place::places(&model, crate::place::Domain::Links).swap_remove(l);
         let effect = crate::effects::find("point_mass").unwrap();
         (effect.apply)(&mut plant, &place, &[link.mass_kg, 0.04]);
-        let hung = Plant::in_trial(&model, &run).lane;
+        let hung = carrying(&run);
         assert_eq!(plant.lane.com_offset_m, hung.com_offset_m);
         assert_eq!(plant.lane.link_inertia_scale, hung.link_inertia_scale);
         // and takes no more of the link away than there is
         (effect.apply)(&mut plant, &place, &[-3.0 * link.mass_kg, 0.04]);
         assert_eq!(plant.lane.link_mass_scale, hung.link_mass_scale);
+    }
+
+    /// A link of one and a half times its mass with a weight as heavy as its file says: 2.5 times that, not 3.
+    #[test]
+    fn a_heavier_link_does_not_make_the_weight_on_it_heavier() {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/xl330_pendulum.robot.toml");
+        let model = Arc::new(RobotModel::load(file.as_ref()).unwrap());
+        let (l, link) = model.links().iter().enumerate().next_back().unwrap();
+        let mut run = Trial::bare(BaseHold::Fixed, 1.0, Vec::new());
+        let (mass_kg, at_m) = (link.mass_kg, link.com_m);
+        run.meta.payload.push(Payload { link: link.name.clone(), mass_kg, at_m });
+        let place = crate::place::places(&model, crate::place::Domain::Links).swap_remove(l);
+        let effect = crate::effects::find("link_mass").unwrap();
+        let heavier = crate::replay::Term { effect, place, values: vec![1.5] };
+        let replayer = crate::replay::Replayer::new(Arc::clone(&model), 1).unwrap();
+        let lane = replayer.plant(&run, &[heavier]).lane;
+        assert!((lane.link_mass_scale[l] - 2.5).abs() < 1e-6, "{:?}", lane.link_mass_scale);
     }
 }

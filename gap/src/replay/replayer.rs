@@ -12,7 +12,7 @@ use super::lanes;
 use crate::effects::Effect;
 use crate::error::GapError;
 use crate::go_on::GoOn;
-use crate::plant::Plant;
+use crate::plant::{Plant, carry};
 use crate::term::{Term, Variant};
 use crate::trial::Trial;
 
@@ -151,6 +151,7 @@ impl Replayer {
         for term in self.given.iter().chain(variant) {
             (term.effect.apply)(&mut plant, &term.place, &term.values);
         }
+        carry(&self.model, &trial.meta.payload, &mut plant.lane);
         plant
     }
 
