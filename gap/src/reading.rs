@@ -1,7 +1,7 @@
 //! How a log becomes a [`Trial`].
 
 use caudata_model::RobotModel;
-use caudata_runlog::{Axis, BaseHold, QuatPart, Signal, Table};
+use caudata_runlog::{Axis, BaseHold, QuatPart, RunLog, Signal, Table};
 
 use crate::check::{holes, series::median_step_s};
 use crate::error::GapError;
@@ -26,7 +26,7 @@ pub fn trial(model: &RobotModel, run: &Run) -> Result<Trial, GapError> {
             joints.join(", ")
         )));
     }
-    known_conditions(model, run).map_err(bad)?;
+    known_conditions(model, &run.log).map_err(bad)?;
     let time = table.time_s();
     let (Some(&first), Some(&last)) = (time.first(), time.last()) else {
         return Err(bad("has no rows".into()));
@@ -74,9 +74,9 @@ pub fn trial(model: &RobotModel, run: &Run) -> Result<Trial, GapError> {
 }
 
 /// Whether the conditions of a run speak of joints and links that the robot has.
-fn known_conditions(model: &RobotModel, run: &Run) -> Result<(), String> {
+pub(crate) fn known_conditions(model: &RobotModel, log: &RunLog) -> Result<(), String> {
     let joints = model.actuated_names();
-    let (meta, file) = (&run.log.meta, &run.log.meta_name);
+    let (meta, file) = (&log.meta, &log.meta_name);
     if let Some(joint) = meta.joint.keys().find(|j| !joints.contains(&j.as_str())) {
         return Err(format!(
             "{file}: `joint.{joint}`: the robot has no actuated joint `{joint}`; it has {}",

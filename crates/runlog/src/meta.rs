@@ -20,7 +20,10 @@ pub enum BaseHold {
 
 /// Value of a setting that this format has no field for.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(untagged)]
+#[serde(
+    untagged,
+    expecting = "a setting of a run is a number, a text, true or false; weights are `[[payload]]`, what holds at one joint `[joint.NAME]`"
+)]
 pub enum Setting {
     /// true or false.
     Switch(bool),

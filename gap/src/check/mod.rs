@@ -21,14 +21,15 @@ mod usable;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use caudata_model::RobotModel;
-use caudata_runlog::{LogError, RunLog};
+use caudata_model::{BaseKind, RobotModel};
+use caudata_runlog::{BaseHold, LogError, RunLog};
 use serde::{Deserialize, Serialize};
 
 pub use blind::{Blind, blind};
 pub use excites::{JointExcitation, RunExcitation};
 pub use repeats::OddSpan;
 
+use crate::reading::known_conditions;
 use crate::report::DataFault;
 use channels::Channels;
 pub(crate) use finding::MAYBE_HELD;
@@ -141,6 +142,18 @@ fn runs_of<'a>(logs: &[(&'a str, &'a RunLog)], robot: &'a RobotModel) -> Vec<Run
     logs.iter().map(run).collect()
 }
 
+/// Whether what a run notes of itself can be said of the robot.
+fn conditions(run: &Run<'_>, out: &mut Vec<Finding>) {
+    if let Err(why) = known_conditions(run.robot, run.log) {
+        out.push(Finding::fatal("meta", "conditions", why));
+    }
+    if run.robot.base() == BaseKind::Fixed && run.log.meta.base == BaseHold::Free {
+        let detail =
+            "says `base = \"free\"`, and the base of the robot file is fixed: one of them is wrong";
+        out.push(Finding::fatal("meta", "base", detail.to_owned()));
+    }
+}
+
 /// Checks runs (name and log) of `robot` together.
 pub fn check(logs: &[(&str, &RunLog)], robot: &RobotModel) -> Checked {
     let runs = runs_of(logs, robot);
@@ -150,6 +163,7 @@ pub fn check(logs: &[(&str, &RunLog)], robot: &RobotModel) -> Checked {
     for run in &runs {
         let mut found = Vec::new();
         let joints = Channels::all(run);
+        conditions(run, &mut found);
         if usable::usable(run, &joints, &mut found) {
             stamps::faults(run, &joints, &mut found);
             joints::faults(run, &joints, &mut found);
@@ -171,6 +185,7 @@ pub fn check(logs: &[(&str, &RunLog)], robot: &RobotModel) -> Checked {
     let mut odd = Vec::new();
     // Runs that contradict themselves differ from their repeats for that reason.
     if !faults.iter().any(|f| f.fatal) {
+        faults.extend(repeats::unlike(&runs, &channels, &groups).into_iter().map(|f| fault("", f)));
         for group in &groups {
             let spans = repeats::odd_spans(&runs, &channels, group);
             let as_fault = |s: &OddSpan| fault("", repeats::finding(s, group.len()));

@@ -16,6 +16,8 @@ const SMOOTH_S: f64 = 0.3;
 const TIMES: f64 = 8.0;
 /// And from so large a share of the servo's greatest torque, as the error would ask for.
 const ODD_TORQUE_SHARE: f64 = 0.2;
+/// Where no other repeats say what they differ by, one that is off throughout counts from so large a share.
+const LITTLE_TORQUE_SHARE: f64 = 0.05;
 /// And from so large a share of how far the joint moves about that time: where it moves most, repeats differ
 /// most.
 const MOTION_SHARE: f64 = 0.2;
@@ -135,6 +137,111 @@ pub(super) fn odd_spans(
     all
 }
 
+/// Smoothed positions of joint `j` of the runs in `group`, at equal times; none where it is not logged in all of them.
+/// The median step of rows, and with it the grid, differs a little from run to run. `[repeats][N]`
+fn positions(
+    runs: &[Run<'_>],
+    channels: &[Vec<Channels>],
+    group: &[usize],
+    j: usize,
+) -> Option<Vec<Vec<f64>>> {
+    let grid = &runs[group[0]].grid;
+    let span_s = |&i: &usize| runs[i].grid.len.saturating_sub(1) as f64 * runs[i].grid.step_s;
+    let shared_s = group.iter().map(span_s).fold(f64::INFINITY, f64::min);
+    let len = (shared_s / grid.step_s + 1e-6).floor() as usize + 1;
+    let width = grid.points(SMOOTH_S);
+    let position = |&i: &usize| {
+        let own = smooth(channels[i][j].pos.as_ref()?, width);
+        Some(on_grid(&own, grid.step_s / runs[i].grid.step_s, len))
+    };
+    group.iter().map(position).collect()
+}
+
+/// A run of a group of repeats that is as far off all others throughout.
+struct Apart {
+    run: usize,
+    other: usize,
+    joint: usize,
+    /// Root mean square, rad.
+    off_rad: f64,
+    /// Standard deviation of what the joint does in it, rad.
+    moves_rad: f64,
+}
+
+/// Runs that were sent what others were, under the same notes, and that differ from all of them throughout: far more
+/// than repeats otherwise do, or as much as they move. Something is not noted.
+pub(super) fn unlike(
+    runs: &[Run<'_>],
+    channels: &[Vec<Channels>],
+    groups: &[Vec<usize>],
+) -> Vec<Finding> {
+    let repeated = groups.iter().filter(|g| g.len() > 1);
+    let joints = |g: &&Vec<usize>| 0..channels[g[0]].len();
+    let each = repeated.flat_map(|g| joints(&g).map(move |j| (g, j)));
+    let apart: Vec<Apart> = each.flat_map(|(g, j)| nearest(runs, channels, g, j)).collect();
+    let usual = |joint: usize| {
+        let own: Vec<f64> = apart.iter().filter(|a| a.joint == joint).map(|a| a.off_rad).collect();
+        (own.len() > 2).then(|| median(own)).flatten()
+    };
+    let odd = |a: &&Apart| {
+        let index = channels[a.run][a.joint].index;
+        let (servo, kp) = (runs[a.run].robot.servo(index), runs[a.run].gains(index).0);
+        let lsb_rad = servo.encoder_lsb_rad();
+        // by how much repeats can come to rest apart, where no others say it
+        let rest_nm = (4.0 * servo.friction_loss_nm).max(LITTLE_TORQUE_SHARE * servo.tau_max_nm);
+        let far = match usual(a.joint) {
+            Some(usual) => a.off_rad > TIMES * usual,
+            None => a.off_rad * kp > rest_nm,
+        };
+        let as_much = a.off_rad > a.moves_rad && a.moves_rad > 10.0 * lsb_rad;
+        a.off_rad > 3.0 * lsb_rad && (far || as_much)
+    };
+    let mut odd: Vec<&Apart> = apart.iter().filter(odd).collect();
+    // of a run the joint that shows it most; of two that part nobody knows which one is the other
+    odd.sort_by(|a, b| b.off_rad.total_cmp(&a.off_rad));
+    let mut told: Vec<usize> = Vec::new();
+    odd.retain(|a| {
+        let new = !told.contains(&a.run) && !told.contains(&a.other);
+        told.push(a.run);
+        new
+    });
+    odd.into_iter().map(|a| a.finding(runs, channels)).collect()
+}
+
+/// Of each run in `group` how far joint `j` is off the run that comes nearest.
+fn nearest(runs: &[Run<'_>], channels: &[Vec<Channels>], group: &[usize], j: usize) -> Vec<Apart> {
+    let Some(all) = positions(runs, channels, group, j) else { return Vec::new() };
+    let rms = |x: &mut dyn Iterator<Item = f64>| {
+        let (sum, n) =
+            x.filter(|d| d.is_finite()).fold((0.0, 0.0), |(s, n), d| (s + d * d, n + 1.0));
+        (sum / f64::max(n, 1.0)).sqrt()
+    };
+    let of = |m: usize| {
+        let off = |k: usize| rms(&mut all[m].iter().zip(&all[k]).map(|(a, b)| a - b));
+        let others = (0..group.len()).filter(|&k| k != m).map(|k| (off(k), k));
+        let (off_rad, other) = others.min_by(|a, b| a.0.total_cmp(&b.0))?;
+        let finite = || all[m].iter().copied().filter(|x| x.is_finite());
+        let mean = finite().sum::<f64>() / finite().count().max(1) as f64;
+        let moves_rad = rms(&mut finite().map(|x| x - mean));
+        Some(Apart { run: group[m], other: group[other], joint: j, off_rad, moves_rad })
+    };
+    (0..group.len()).filter_map(of).collect()
+}
+
+impl Apart {
+    fn finding(&self, runs: &[Run<'_>], channels: &[Vec<Channels>]) -> Finding {
+        let joint = &channels[self.run][self.joint].name;
+        Finding::note(
+            "repeats",
+            format!("{} {joint}", runs[self.run].name),
+            format!(
+                "was sent what {} was, under the same notes, and is {:.3} rad off it throughout, where it moves by {:.3} rad (root mean square): is a weight, a gain or a supply not noted, or a command not logged?",
+                runs[self.other].name, self.off_rad, self.moves_rad
+            ),
+        )
+    }
+}
+
 /// How far one joint of each repeat is off the middle of them.
 struct Off {
     /// rad; 0 where it is within what repeats differ by when they move so. `[repeats][N]`
@@ -149,17 +256,8 @@ impl Off {
     fn of(runs: &[Run<'_>], channels: &[Vec<Channels>], group: &[usize], j: usize) -> Option<Self> {
         let first = &runs[group[0]];
         let grid = &first.grid;
-        // repeats are compared at equal times: the median step of rows, and with it the grid, differs a
-        // little from run to run
-        let span_s = |&i: &usize| runs[i].grid.len.saturating_sub(1) as f64 * runs[i].grid.step_s;
-        let shared_s = group.iter().map(span_s).fold(f64::INFINITY, f64::min);
-        let len = (shared_s / grid.step_s + 1e-6).floor() as usize + 1;
-        let width = grid.points(SMOOTH_S);
-        let position = |&i: &usize| {
-            let own = smooth(channels[i][j].pos.as_ref()?, width);
-            Some(on_grid(&own, grid.step_s / runs[i].grid.step_s, len))
-        };
-        let all: Vec<Vec<f64>> = group.iter().map(position).collect::<Option<_>>()?;
+        let all = positions(runs, channels, group, j)?;
+        let len = all[0].len();
         let middle = |t: usize| match all.as_slice() {
             [one, _] => one[t],
             _ => median(all.iter().map(|x| x[t]).collect()).unwrap_or(f64::NAN),
