@@ -23,8 +23,9 @@ const KIND_WORDS: &[(&str, &str)] = &[
     ),
 ];
 pub(super) const COMMANDS: &str = "goal goals action actions qcmd cmd command commands commanded target targets desired des setpoint sp reference ref soll consigne consigna";
-/// What is on or off is no signal that a draft takes, whatever it switches …
-const SWITCHES: &str = "enable enabled enabling flag freigabe";
+/// What is on or off is no signal that a draft takes, whatever it switches, and what is fed forward is none that was
+/// measured …
+const NO_SIGNAL: &str = "enable enabled enabling flag freigabe ff feedforward forward";
 /// … and of a torque these say the same.
 const SWITCHES_OF_TORQUE: &str = "on off status";
 /// Units that are such in brackets only: `theta_m` is an angle of the motor.
@@ -154,7 +155,7 @@ impl Words {
     pub(super) fn kind(&self) -> Option<&'static str> {
         let kind = KIND_WORDS.iter().find(|(_, words)| self.says(words)).map(|k| k.0);
         let of_torque = matches!(kind, None | Some("tau")) && self.says(SWITCHES_OF_TORQUE);
-        if of_torque || self.says(SWITCHES) {
+        if of_torque || self.says(NO_SIGNAL) {
             return None;
         }
         match (self.says(COMMANDS), kind) {
@@ -284,6 +285,7 @@ mod tests {
         let said = |header: &str| Words::of(header).kind();
         assert_eq!([said("torque_enable"), said("position_flag")], [None, None]);
         assert_eq!([said("pwm_enable1"), said("torque_status")], [None, None]);
+        assert_eq!([said("tau_ff"), said("feed_forward_torque_elbow")], [None, None]);
         assert_eq!(said("motor_status_velocity"), Some("vel"));
         assert_eq!(said("drive_on_current_a"), Some("cur"));
         let dot = Words::of("q1_dot");
