@@ -91,7 +91,39 @@ pub(crate) fn known_conditions(model: &RobotModel, log: &RunLog) -> Result<(), S
             links.join(", ")
         ));
     }
-    Ok(())
+    in_their_units(model, log)
+}
+
+/// So many times what the robot weighs, or its supply gives, is written in another unit.
+const NOT_THIS_UNIT: f64 = 50.0;
+/// No robot here carries a weight so far from a link, m.
+const FARTHEST_M: f64 = 20.0;
+
+/// Whether weights, places and the supply that a run notes are of a size that they can have.
+fn in_their_units(model: &RobotModel, log: &RunLog) -> Result<(), String> {
+    let (meta, file) = (&log.meta, &log.meta_name);
+    let robot_kg: f64 = model.links().iter().map(|l| l.mass_kg).sum();
+    for p in &meta.payload {
+        if p.mass_kg.abs() > NOT_THIS_UNIT * robot_kg {
+            return Err(format!(
+                "{file}: `payload`: {} kg, and the whole robot weighs {robot_kg:.3} kg: write it in kg",
+                p.mass_kg
+            ));
+        }
+        if p.at_m.iter().any(|x| x.abs() > FARTHEST_M) {
+            let at_m = p.at_m;
+            return Err(format!("{file}: `payload`: {at_m:?} m from its link: write it in m"));
+        }
+    }
+    let usual_v = model.supply_v();
+    match meta.supply_v {
+        Some(volt) if volt > NOT_THIS_UNIT * usual_v || volt * NOT_THIS_UNIT < usual_v => {
+            Err(format!(
+                "{file}: `supply_v`: {volt} V, and the robot file's is {usual_v} V: write it in V"
+            ))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// What a column sent, where it changes; none where it has no value.

@@ -6,7 +6,7 @@ use std::path::Path;
 use caudata_gap::check::check;
 use caudata_gap::excite;
 use caudata_model::RobotModel;
-use caudata_runlog::{BaseHold, RunLog, Signal};
+use caudata_runlog::{BaseHold, Payload, RunLog, Signal};
 
 use crate::common::{changed, record, simulate};
 
@@ -80,6 +80,13 @@ fn notes_that_cannot_be_of_the_robot_are_faults() {
     let mut other = log.clone();
     other.meta.joint.entry("swing_2".to_owned()).or_default().kp = Some(1.0);
     assert!(fatal(&other).iter().any(|f| f.contains("no actuated joint `swing_2`")));
+    let mut grams = log.clone();
+    let link = robot.links()[1].name.clone();
+    grams.meta.payload.push(Payload { link, mass_kg: 300.0, at_m: [0.0; 3] });
+    assert!(fatal(&grams).iter().any(|f| f.contains("write it in kg")));
+    let mut millivolts = log.clone();
+    millivolts.meta.supply_v = Some(12_000.0);
+    assert!(fatal(&millivolts).iter().any(|f| f.contains("write it in V")));
     let mut free = log.clone();
     free.meta.base = BaseHold::Free;
     assert!(fatal(&free).iter().any(|f| f.contains("the base of the robot file is fixed")));
