@@ -208,7 +208,7 @@ pub(super) fn unlike(
     odd.into_iter().map(|a| a.finding(runs, channels)).collect()
 }
 
-/// Of each run in `group` how far joint `j` is off the run that comes nearest.
+/// How far joint `j` of each run in `group` is off the run that comes nearest.
 fn nearest(runs: &[Run<'_>], channels: &[Vec<Channels>], group: &[usize], j: usize) -> Vec<Apart> {
     let Some(all) = positions(runs, channels, group, j) else { return Vec::new() };
     let rms = |x: &mut dyn Iterator<Item = f64>| {
