@@ -81,7 +81,7 @@ fn notes_that_cannot_be_of_the_robot_are_faults() {
     other.meta.joint.entry("swing_2".to_owned()).or_default().kp = Some(1.0);
     assert!(fatal(&other).iter().any(|f| f.contains("no actuated joint `swing_2`")));
     let mut grams = log.clone();
-    let link = robot.links()[1].name.clone();
+    let link = robot.links()[0].name.clone();
     grams.meta.payload.push(Payload { link, mass_kg: 300.0, at_m: [0.0; 3] });
     assert!(fatal(&grams).iter().any(|f| f.contains("write it in kg")));
     let mut millivolts = log.clone();
