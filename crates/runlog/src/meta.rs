@@ -253,7 +253,14 @@ mod tests {
         check("robot = \"p\"\nbase = \"free\"\nrate_hz = nan\n", "`rate_hz` is NaN");
         check("robot = \"\"\nbase = \"free\"\nrate_hz = 50\n", "`robot` is empty");
         check("robot = \"p\"\nbase = \"free\"\nrate_hz = 50\nkp = -1\n", "`kp` must be");
-        check("robot = \"p\"\nbase = \"free\"\nrate_hz = 50\nlist = [1]\n", "did not match");
+        check(
+            "robot = \"p\"\nbase = \"free\"\nrate_hz = 50\nlist = [1]\n",
+            "a setting of a run is",
+        );
+        check(
+            "robot = \"p\"\nbase = \"free\"\nrate_hz = 50\n[[payloads]]\nlink = \"arm\"\n",
+            "[[payload]]",
+        );
         check("robot = \"p\nbase = \"free\"\n", "log.toml:1");
     }
 }
