@@ -55,7 +55,7 @@ pub struct LaneParams {
     pub torque_scale: Vec<f32>,
     /// Supply voltage, V, 0.1..=1000. The sloping part of the servo envelope moves with it.
     pub supply_v: f32,
-    /// Resistance of battery and wiring, Ω, 0..=100: all motors' currents together lower the voltage of all.
+    /// Resistance of battery and wiring, Ω, 0..=100: what all motors together take lowers the voltage of all.
     /// Nominal: the model's.
     pub supply_resistance_ohm: f32,
     /// Time constant with which the voltage follows, s, 0..=10. Nominal: the model's.
