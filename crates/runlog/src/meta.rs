@@ -63,6 +63,9 @@ pub struct LogMeta {
     /// Weights that were fastened to the robot.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub payload: Vec<Payload>,
+    /// Where forces from outside act, of links whose `force.<link>` the rows have; elsewhere: the centre of mass.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub outer_force: Vec<ForcePoint>,
     /// Every other setting that was known, by key.
     #[serde(flatten)]
     pub settings: BTreeMap<String, Setting>,
@@ -96,6 +99,16 @@ pub struct Payload {
     pub at_m: [f64; 3],
 }
 
+/// Where a force from outside acts.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ForcePoint {
+    /// Link, by name.
+    pub link: String,
+    /// In the link's frame, m.
+    pub at_m: [f64; 3],
+}
+
 /// Highest sampling rate that a log may claim, Hz.
 const MAX_RATE_HZ: f64 = 1e5;
 
@@ -113,6 +126,7 @@ impl LogMeta {
             supply_v: None,
             joint: BTreeMap::new(),
             payload: Vec::new(),
+            outer_force: Vec::new(),
             settings: BTreeMap::new(),
         }
     }
@@ -192,6 +206,9 @@ impl LogMeta {
                 ));
             }
         }
+        if let Some(p) = self.outer_force.iter().find(|p| p.at_m.iter().any(|x| !x.is_finite())) {
+            return Err(format!("`outer_force` at `{}`: a place is finite", p.link));
+        }
         for (key, value) in &self.settings {
             if matches!(value, Setting::Number(x) if !x.is_finite()) {
                 return Err(format!("`{key}` is not a finite number"));
@@ -229,6 +246,10 @@ mod tests {
         assert!(meta.same_conditions(&other));
         other.supply_v = Some(9.0);
         assert!(!meta.same_conditions(&other));
+        let place = "[[outer_force]]\nlink = \"hand\"\nat_m = [0, 0, 0.1]\n";
+        let pushed = LogMeta::parse("log.toml", &format!("{text}{place}")).unwrap();
+        assert_eq!(pushed.outer_force[0].at_m, [0.0, 0.0, 0.1]);
+        assert_eq!(LogMeta::parse("log.toml", &pushed.to_toml().unwrap()).unwrap(), pushed);
         let mut heavier = meta.clone();
         heavier.payload[0].mass_kg = 1.0;
         assert!(!meta.same_conditions(&heavier));

@@ -55,8 +55,14 @@ impl QuatPart {
 pub enum Signal {
     /// `cmd.<joint>`: position command as sent, rad.
     Command(String),
+    /// `cmd_vel.<joint>`: speed command as sent beside it, rad/s: the loop damps what the joint's speed differs by.
+    CommandVelocity(String),
+    /// `cmd_tau.<joint>`: torque command as sent beside it, N·m: the loop adds it to its own.
+    CommandTorque(String),
     /// `pos.<joint>`: measured joint position, rad.
     Position(String),
+    /// `pos2.<joint>`: the same by a second encoder on the other side of the gear, in radians of the joint.
+    SecondPosition(String),
     /// `vel.<joint>`: joint velocity as the servo reports it, rad/s.
     Velocity(String),
     /// `cur.<joint>`: motor current, A.
@@ -90,6 +96,8 @@ pub enum Signal {
     Foot(String, Axis),
     /// `contact.<leg>`: foot on the ground (1) or not (0).
     Contact(String),
+    /// `force.<link>.<axis>`: force from outside on a link, world, N.
+    Force(String, Axis),
 }
 
 impl Signal {
@@ -109,7 +117,10 @@ impl Signal {
     fn parts(&self) -> [&str; 3] {
         match self {
             Self::Command(j) => ["cmd", j, ""],
+            Self::CommandVelocity(j) => ["cmd_vel", j, ""],
+            Self::CommandTorque(j) => ["cmd_tau", j, ""],
             Self::Position(j) => ["pos", j, ""],
+            Self::SecondPosition(j) => ["pos2", j, ""],
             Self::Velocity(j) => ["vel", j, ""],
             Self::Current(j) => ["cur", j, ""],
             Self::Torque(j) => ["tau", j, ""],
@@ -126,6 +137,7 @@ impl Signal {
             Self::Mocap(m, a) => ["mocap", m, a.letter()],
             Self::Foot(l, a) => ["foot", l, a.letter()],
             Self::Contact(l) => ["contact", l, ""],
+            Self::Force(l, a) => ["force", l, a.letter()],
         }
     }
 
@@ -133,7 +145,10 @@ impl Signal {
     fn of_joint(kind: &str) -> Option<fn(String) -> Self> {
         Some(match kind {
             "cmd" => Self::Command,
+            "cmd_vel" => Self::CommandVelocity,
+            "cmd_tau" => Self::CommandTorque,
             "pos" => Self::Position,
+            "pos2" => Self::SecondPosition,
             "vel" => Self::Velocity,
             "cur" => Self::Current,
             "tau" => Self::Torque,
@@ -154,7 +169,9 @@ impl Signal {
     /// dot, comma or blank.
     pub(crate) fn check(&self) -> Result<(), SignalError> {
         match self {
-            Self::Mocap(n, _) | Self::Foot(n, _) | Self::Contact(n) => name(n).map(drop),
+            Self::Mocap(n, _) | Self::Foot(n, _) | Self::Contact(n) | Self::Force(n, _) => {
+                name(n).map(drop)
+            }
             other => other.joint().map_or(Ok(()), |n| name(n).map(drop)),
         }
     }
@@ -176,7 +193,7 @@ impl fmt::Display for Signal {
 pub enum SignalError {
     /// None of the known forms.
     #[error(
-        "`{0}` is not a signal (cmd|pos|vel|cur|tau|temp|pwm|on.<joint>, volt, imu.gyro|acc|grav.x|y|z, base.pos|vel.x|y|z, base.quat.w|x|y|z, mocap.<marker>.x|y|z, foot.<leg>.x|y|z, contact.<leg>)"
+        "`{0}` is not a signal (cmd|cmd_vel|cmd_tau|pos|pos2|vel|cur|tau|temp|pwm|on.<joint>, volt, imu.gyro|acc|grav.x|y|z, base.pos|vel.x|y|z, base.quat.w|x|y|z, mocap.<marker>.x|y|z, foot.<leg>.x|y|z, contact.<leg>, force.<link>.x|y|z)"
     )]
     Unknown(String),
     /// The part that names a joint, leg or marker.
@@ -215,6 +232,7 @@ impl FromStr for Signal {
             ["base", "quat", p] => part(p).map(Self::BaseQuaternion).ok_or_else(unknown),
             ["mocap", m, a] => Ok(Self::Mocap(name(m)?, axis(a)?)),
             ["foot", l, a] => Ok(Self::Foot(name(l)?, axis(a)?)),
+            ["force", l, a] => Ok(Self::Force(name(l)?, axis(a)?)),
             _ => Err(unknown()),
         }
     }
@@ -229,7 +247,10 @@ mod tests {
     fn every_form_of_the_format_reads_and_writes_as_listed() {
         for text in [
             "cmd.FL_hip",
+            "cmd_vel.FL_hip",
+            "cmd_tau.FL_hip",
             "pos.FL_hip",
+            "pos2.FL_hip",
             "vel.spine_1",
             "cur.tail_3",
             "tau.tail_3",
@@ -247,6 +268,7 @@ mod tests {
             "mocap.head-1.z",
             "foot.FL.x",
             "contact.HR",
+            "force.gripper.z",
         ] {
             let signal: Signal = text.parse().unwrap();
             assert_eq!(signal.to_string(), text);

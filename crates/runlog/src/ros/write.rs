@@ -368,6 +368,10 @@ fn is_alone(signal: &Signal) -> bool {
             | Signal::Enabled(_)
             | Signal::Foot(..)
             | Signal::Contact(_)
+            | Signal::CommandVelocity(_)
+            | Signal::CommandTorque(_)
+            | Signal::SecondPosition(_)
+            | Signal::Force(..)
     )
 }
 
