@@ -36,7 +36,7 @@ pub use geometry::has_shell;
 pub use kinematics::{JointFrame, Kinematics};
 pub use model::{IMU_TILT_MAX_RAD, RobotModel};
 pub use params::{
-    AddedShare, BacklashParams, ContactParams, DragScale, EncoderSide, Gains, ImuParams,
+    AddedShare, BacklashParams, ContactParams, DragScale, EncoderSide, Gains, ImuParams, Measured,
     SensorParams, ServoParams, SupplyParams, WaterParams,
 };
 pub use pose::Pose;

@@ -11,7 +11,7 @@ use crate::error::ModelError;
 use crate::mjcf;
 use crate::model::RobotModel;
 use crate::of_joint;
-use crate::params::{Gains, SensorParams};
+use crate::params::{Gains, Measured, SensorParams};
 use crate::parts::Robot;
 use crate::pose::Pose;
 use crate::robot_file::{self, Checker, RobotFile};
@@ -94,6 +94,7 @@ fn build(
     let gravity_mps2 = mj.gravity_mps2;
     let (mut links, sites, world_geoms, excluded_pairs) = parts(mj);
     let feet = feet(&c, &file, &mut links)?;
+    let measured = measured(&c, &file, &links)?;
     let water = water(&c, &file, &links)?;
     let imu_site = match &file.imu {
         Some(imu) => Some(site(&c, &sites, "imu.site", &imu.site)?),
@@ -104,6 +105,7 @@ fn build(
         hash: hash(toml_bytes, mjcf_bytes),
         name: file.name,
         assumed: file.assumed,
+        measured,
         base,
         gravity_mps2,
         links,
@@ -174,6 +176,24 @@ fn gains(c: &Checker<'_>, file: &RobotFile) -> Result<Vec<Gains>, ModelError> {
         }
     };
     Ok(file.joints.actuated.iter().map(of).collect())
+}
+
+/// How well the figures of each link were measured.
+fn measured(
+    c: &Checker<'_>,
+    file: &RobotFile,
+    links: &[Link],
+) -> Result<Vec<Measured>, ModelError> {
+    let mut all = vec![Measured::default(); links.len()];
+    for (name, own) in &file.measured {
+        let place = find(c, "measured", "body", name, links.iter().map(|l| l.name.as_str()))?;
+        for (key, tolerance) in [("mass_kg", own.mass_kg), ("com_m", own.com_m)] {
+            let at = format!("measured.{name}.{key}");
+            c.within(&at, tolerance.unwrap_or(0.0), 0.0, links[place].mass_kg.max(1.0))?;
+        }
+        all[place] = *own;
+    }
+    Ok(all)
 }
 
 fn site(c: &Checker<'_>, sites: &[Site], at: &str, name: &str) -> Result<usize, ModelError> {

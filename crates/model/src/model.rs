@@ -5,7 +5,8 @@ use std::f64::consts::TAU;
 use crate::error::ModelError;
 use crate::extension::Extension;
 use crate::params::{
-    BacklashParams, ContactParams, Gains, SensorParams, ServoParams, SupplyParams, WaterParams,
+    BacklashParams, ContactParams, Gains, Measured, SensorParams, ServoParams, SupplyParams,
+    WaterParams,
 };
 use crate::pose::Pose;
 use crate::types::{BaseKind, Foot, Geom, Joint, JointMotion, Link, ROLLS_FROM_RAD, Shape, Site};
@@ -25,6 +26,7 @@ pub struct RobotModel {
     pub(crate) gravity_mps2: [f64; 3],
     pub(crate) links: Vec<Link>,
     pub(crate) assumed: Vec<String>,
+    pub(crate) measured: Vec<Measured>,
     pub(crate) joints: Vec<Joint>,
     pub(crate) sites: Vec<Site>,
     pub(crate) world_geoms: Vec<Geom>,
@@ -92,6 +94,8 @@ readers! {
     world_geoms: &[Geom],
     /// Figures of the robot file that nobody looked up, by their paths (`servo.preset.NAME.qd_max_radps`).
     assumed: &[String],
+    /// How well the figures of each link were measured.
+    measured: &[Measured],
     /// Pairs of links that never collide.
     excluded_pairs: &[(usize, usize)],
     ;

@@ -79,6 +79,10 @@ pub struct ServoParams {
     /// Friction per load torque while the load drives the motor; default 0.
     #[serde(default)]
     pub load_friction_driven: f64,
+    /// Whether Kd acts on the rate of the error, as in a textbook's PID, so that a moving command is not braked and a
+    /// step of it is a kick; default: it acts on the joint's speed alone.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub kd_acts_on_error: bool,
     /// Where its encoder sits. `None`: nobody says; simulated at the output, and a diagnosis tries both.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub encoder: Option<EncoderSide>,
@@ -97,6 +101,18 @@ impl ServoParams {
     pub fn encoder_lsb_rad(&self) -> f64 {
         std::f64::consts::TAU / f64::from(self.encoder_counts_per_turn)
     }
+}
+
+/// How well the figures of a link were measured (robot file, `[measured.LINK]`): what stands there is the tolerance.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Measured {
+    /// Tolerance of its mass, ± kg; 0: as exactly as can be. `None`: nobody weighed it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mass_kg: Option<f64>,
+    /// Tolerance of its centre of mass along each axis, ± m.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub com_m: Option<f64>,
 }
 
 /// The inertial measurement unit.

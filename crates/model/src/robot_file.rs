@@ -7,7 +7,8 @@ use serde::Deserialize;
 use crate::error::ModelError;
 use crate::extension::Extension;
 use crate::params::{
-    AddedShare, ContactParams, DragScale, EncoderSide, ImuParams, ServoParams, SupplyParams,
+    AddedShare, ContactParams, DragScale, EncoderSide, ImuParams, Measured, ServoParams,
+    SupplyParams,
 };
 
 /// Value of `format` that this version reads.
@@ -23,6 +24,9 @@ pub(crate) struct RobotFile {
     /// Figures of this file that nobody looked up, by their paths (`servo.preset.NAME.qd_max_radps`).
     #[serde(default)]
     pub assumed: Vec<String>,
+    /// How well masses and centres of links were measured, by link.
+    #[serde(default)]
+    pub measured: BTreeMap<String, Measured>,
     pub joints: JointsTable,
     pub pose: PoseTable,
     pub control: ControlTable,
@@ -121,6 +125,9 @@ pub(crate) struct Brushless {
     pub damping_nm_s_per_rad: f64,
     /// At the joint.
     pub encoder_counts_per_turn: u32,
+    /// As in a preset.
+    #[serde(default)]
+    pub kd_acts_on_error: bool,
     /// Where it sits, as in a preset.
     pub encoder: Option<EncoderSide>,
 }
@@ -271,7 +278,7 @@ impl Checker<'_> {
         Err(self.error(at, format!("is {x}; it must be above zero")))
     }
 
-    fn within(&self, at: &str, x: f64, lo: f64, hi: f64) -> Result<(), ModelError> {
+    pub fn within(&self, at: &str, x: f64, lo: f64, hi: f64) -> Result<(), ModelError> {
         if x.is_finite() && (lo..=hi).contains(&x) {
             return Ok(());
         }

@@ -44,6 +44,7 @@ impl Brushless {
             stribeck_speed_radps: 0.1,
             load_friction_driving: 0.0,
             load_friction_driven: 0.0,
+            kd_acts_on_error: self.kd_acts_on_error,
             encoder: self.encoder,
         }
     }
@@ -183,6 +184,7 @@ mod tests {
             friction_loss_nm: 0.2,
             damping_nm_s_per_rad: 0.0,
             encoder_counts_per_turn: 32768,
+            kd_acts_on_error: false,
             encoder: None,
         };
         let servo = motor.servo();
