@@ -98,6 +98,9 @@ effects! {
         profile_speed_radps: 0.0, 1000.0 => 0.0;
         /// Acceleration limit of the servo's command profile, rad/s². Nominal 0: none.
         profile_acceleration_radps2: 0.0, 1e6 => 0.0;
+        /// Share of the command's own speed that Kd does not damp: 1 where it acts on the rate of the error, 0 where
+        /// it acts on the joint's speed. Nominal: the servo's.
+        kd_on_command: 0.0, 1.0 => f64::from(u8::from(servo.kd_acts_on_error));
         /// Errors within ± this give no torque, and larger ones that much less, rad. Nominal 0.
         dead_band_rad: 0.0, 1.0 => 0.0;
         /// Share of that by which larger errors are not less: 1 where a controller acts on the whole error as

@@ -280,7 +280,7 @@ fn check_effects<T>(
     }
 }
 
-fn check_values(
+pub(crate) fn check_values(
     what: &'static str,
     values: &[f32],
     expected: usize,

@@ -47,6 +47,11 @@ pub(super) trait Core: Send {
         config: &EngineConfig,
         params: &LaneParams,
     );
+    /// Commanded torques (policy order) and torques from outside on joints (model order), N·m, until the lane's
+    /// parameters are set.
+    fn feed(&mut self, lane: usize, commanded_nm: &[f32], outer_nm: &[f32]);
+    /// How far each rotor is ahead of its joint, rad.
+    fn rotor_leads_rad(&self, lane: usize) -> Vec<f32>;
     /// Whether a lane's state has the lengths that these lanes have with a loop memory of `steps` steps.
     fn fits(&self, lane: &LaneState, steps: usize) -> bool;
     /// Puts a lane at rest inside: `pose` position and quaternion, `motion` velocity and angular velocity
@@ -167,6 +172,16 @@ impl<R: Lanes> Core for CoreOf<R> {
             }
         }
         self.shared.ahead |= group.params.features.motor_encoder;
+    }
+
+    fn feed(&mut self, lane: usize, commanded_nm: &[f32], outer_nm: &[f32]) {
+        let group = &mut self.groups[lane / R::LANES];
+        group.feed(lane % R::LANES, &self.shared.program, commanded_nm, outer_nm);
+    }
+
+    fn rotor_leads_rad(&self, lane: usize) -> Vec<f32> {
+        let drives = &self.groups[lane / R::LANES].drives;
+        drives.iter().map(|m| Real::lane(m.lead_rad, lane % R::LANES) as f32).collect()
     }
 
     fn fits(&self, lane: &LaneState, steps: usize) -> bool {

@@ -104,6 +104,8 @@ pub(super) struct GroupParams<R> {
     /// As in [`Program::links`]; empty on dry ground.
     pub water: Vec<WaterLink<R>>,
     pub surface: Surface<R>,
+    /// Torque from outside on each joint, as in [`Program::nodes`], N·m; empty where there never was one.
+    pub outer_nm: Vec<R>,
     /// Per lane.
     pub loss: Vec<CommandLoss>,
     /// What each lane's drive-lines need.
@@ -150,6 +152,7 @@ impl<R: Lanes> Group<R> {
                 supply: Supply::default(),
                 water: vec![WaterLink::default(); water],
                 surface: Surface { level_m: o, current_mps: [o; 3], gravity_mps2: [o; 3] },
+                outer_nm: Vec::new(),
                 loss: vec![CommandLoss::default(); R::LANES],
                 needs: vec![DriveFeatures::default(); R::LANES],
                 features: DriveFeatures::default(),
@@ -220,12 +223,38 @@ impl<R: Lanes> Group<R> {
         let current = p.water_current_mps.map(f64::from);
         to.surface.current_mps.set_lane(lane, &current);
         to.surface.gravity_mps2.set_lane(lane, &gravity);
+        for outer_nm in &mut to.outer_nm {
+            outer_nm.set_lane(lane, &0.0);
+        }
         to.loss[lane] = p.command_loss;
         let steps = loop_memory_steps(p, config.dt_s);
         self.wanted.set_steps(lane, steps);
         to.needs[lane] = (servos.iter().map(DriveFeatures::of))
             .fold(DriveFeatures::default(), DriveFeatures::or);
         to.features = (to.needs.iter().copied()).fold(DriveFeatures::default(), DriveFeatures::or);
+    }
+
+    /// Puts one lane's commanded torques (policy order) and torques from outside (model order) in, N·m.
+    pub fn feed(
+        &mut self,
+        lane: usize,
+        program: &Program<R>,
+        commanded_nm: &[f32],
+        outer_nm: &[f32],
+    ) {
+        let to = &mut self.params;
+        for (servo, nm) in to.servos.iter_mut().zip(commanded_nm) {
+            servo.feed_forward_nm.set_lane(lane, &f64::from(*nm));
+        }
+        let fed = commanded_nm.iter().any(|nm| *nm != 0.0);
+        to.needs[lane].feed_forward |= fed;
+        to.features.feed_forward |= fed;
+        if to.outer_nm.is_empty() && outer_nm.iter().any(|nm| *nm != 0.0) {
+            to.outer_nm = vec![R::zero(); program.nodes.len()];
+        }
+        for (to, node) in to.outer_nm.iter_mut().zip(&program.nodes) {
+            to.set_lane(lane, &f64::from(outer_nm[node.joint]));
+        }
     }
 }
 

@@ -147,6 +147,8 @@ fn select_memory<R: Lanes>(
         filtered_rad: R::select(mask, yes.filtered_rad, no.filtered_rad),
         profile_rad: R::select(mask, yes.profile_rad, no.profile_rad),
         profile_radps: R::select(mask, yes.profile_radps, no.profile_radps),
+        target_rad: R::select(mask, yes.target_rad, no.target_rad),
+        target_moved_rad: R::select(mask, yes.target_moved_rad, no.target_moved_rad),
         integral_nm: R::select(mask, yes.integral_nm, no.integral_nm),
         load_nm: R::select(mask, yes.load_nm, no.load_nm),
         lead_rad: R::select(mask, yes.lead_rad, no.lead_rad),

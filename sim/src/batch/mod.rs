@@ -49,8 +49,9 @@ use self::core::{Core, CoreOf, LaneState, Start};
 pub use self::readout::Readout;
 use crate::config::Precision;
 use crate::drive::loop_memory_steps;
-use crate::error::check_lane;
+use crate::error::{check_lane, check_len};
 use crate::observe::Coordinates;
+use crate::params::check_values;
 use crate::simd::Width;
 use crate::snapshot::{Owner, refused};
 use crate::{Engine, EngineConfig, InitialState, LaneParams, Rig, SimError, State, Terrain};
@@ -58,8 +59,11 @@ use crate::{Engine, EngineConfig, InitialState, LaneParams, Rig, SimError, State
 /// Most lanes one engine takes; each needs about 20 kB of memory.
 pub const MAX_LANES: usize = 1 << 20;
 
+/// Largest torque that is fed to a joint, N·m.
+const MOST_NM: f32 = 1e6;
+
 /// Changes whenever what a snapshot holds does.
-const BATCH_FORMAT: &str = "caudata-batch-5";
+const BATCH_FORMAT: &str = "caudata-batch-6";
 
 /// The batch engine.
 pub struct BatchEngine {
@@ -131,6 +135,32 @@ impl BatchEngine {
         let start = start_of(&rig.params[lane], init, &at);
         self.core.correct(lane, &start, rig.model.actuated(), &mut rig.state);
         Ok(())
+    }
+
+    /// Until the lane's parameters are next set: torques that are commanded beside the positions (policy order, N·m),
+    /// which the servos' loops add to their own, and torques from outside on joints (model order, N·m; of a slide, N).
+    ///
+    /// # Errors
+    /// [`SimError`] where the lane, a length or a number is wrong.
+    pub fn feed(
+        &mut self,
+        lane: usize,
+        commanded_nm: &[f32],
+        outer_nm: &[f32],
+    ) -> Result<(), SimError> {
+        check_lane(lane, self.lanes())?;
+        check_len("commanded_nm", commanded_nm.len(), self.model().actuated().len())?;
+        check_len("outer_nm", outer_nm.len(), self.model().joints().len())?;
+        for (what, values) in [("commanded_nm", commanded_nm), ("outer_nm", outer_nm)] {
+            check_values(what, values, values.len(), -MOST_NM, MOST_NM, lane)?;
+        }
+        self.core.feed(lane, commanded_nm, outer_nm);
+        Ok(())
+    }
+
+    /// How far each servo's rotor is ahead of its joint behind play or a spring in a lane, policy order, rad. `[A]`
+    pub fn rotor_leads_rad(&self, lane: usize) -> Vec<f32> {
+        self.core.rotor_leads_rad(lane)
     }
 
     fn owner(&self) -> Owner<'_> {

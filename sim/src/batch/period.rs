@@ -270,6 +270,9 @@ fn load_joints<R: Lanes>(
         };
         scratch.loads[i] = load(&torque, params.armature[i], step.dt_s, qd[i]);
     }
+    for (load, outer_nm) in scratch.loads.iter_mut().zip(&params.outer_nm) {
+        load.torque += *outer_nm;
+    }
     if late {
         wanted.end_step();
     }

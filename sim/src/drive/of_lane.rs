@@ -53,6 +53,8 @@ impl ServoDrive<f64> {
         Self {
             kp_nm_per_rad: wide(params.kp_nm_per_rad[a]),
             kd_nms_per_rad: wide(params.kd_nms_per_rad[a]),
+            command_damping_nms_per_rad: wide(params.kd_nms_per_rad[a] * e.kd_on_command),
+            feed_forward_nm: 0.0,
             kd_min_nms_per_rad: wide(e.kd_min_nms_per_rad),
             tau_max_nm: servo.tau_max_nm * scale,
             tau_brake_max_nm: servo.tau_brake_max_nm * scale * wide(e.brake_scale),

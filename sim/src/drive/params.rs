@@ -33,6 +33,10 @@ per_lane! {
         pub kp_nm_per_rad: R,
         /// Derivative gain on the joint's velocity, N·m·s/rad.
         pub kd_nms_per_rad: R,
+        /// Torque per speed of the target, N·m·s/rad: Kd where it acts on the rate of the error.
+        pub command_damping_nms_per_rad: R,
+        /// Torque that was commanded beside the position, N·m.
+        pub feed_forward_nm: R,
         /// Damping of the motor itself, on the motor's velocity, N·m·s/rad.
         pub kd_min_nms_per_rad: R,
         /// Flat torque limit, N·m.

@@ -136,6 +136,7 @@ pub(crate) mod tests {
             stribeck_speed_radps: 0.1,
             load_friction_driving: 0.0,
             load_friction_driven: 0.0,
+            kd_acts_on_error: false,
             encoder: None,
         }
     }

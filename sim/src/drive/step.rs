@@ -9,6 +9,11 @@ use super::{filter, friction, gear, servo, supply, thermal};
 use crate::per_lane::per_lane;
 use crate::real::Real;
 
+/// Period over which a loop takes the rate of its error, s: 1 ms in the firmware of hobby servos.
+const LOOP_PERIOD_S: f64 = 0.001;
+/// Stands for a target that there was not yet.
+const NO_TARGET_RAD: f64 = 1e9;
+
 /// Weight of the newest load estimate: the mean of two steps, since a contact's impulse in one step is no
 /// load to rub under.
 const LOAD_SHARE: f64 = 0.5;
@@ -20,6 +25,10 @@ pub struct Step<R> {
     pub dt_s: R,
     /// 1/dt.
     pub per_dt: R,
+    /// One over the period over which a loop takes the rate of its error, 1/s: no longer than a step.
+    per_rate: R,
+    /// Share of a step that it is.
+    rate_share: R,
     /// Whether what damps acts at the time of the positions, see [`EngineConfig::centred`].
     ///
     /// [`EngineConfig::centred`]: crate::EngineConfig::centred
@@ -29,7 +38,14 @@ pub struct Step<R> {
 impl<R: Real> Step<R> {
     /// A step of `dt_s`.
     pub fn new(dt_s: f64, centred: bool) -> Self {
-        Self { dt_s: R::splat(dt_s), per_dt: R::splat(1.0 / dt_s), centred }
+        let rate_s = dt_s.min(LOOP_PERIOD_S);
+        Self {
+            dt_s: R::splat(dt_s),
+            per_dt: R::splat(1.0 / dt_s),
+            per_rate: R::splat(1.0 / rate_s),
+            rate_share: R::splat(rate_s / dt_s),
+            centred,
+        }
     }
 
     /// By how much a velocity is greater at the time of the positions, half a step on, with the last step's
@@ -76,6 +92,10 @@ per_lane! {
         pub profile_rad: R,
         /// Speed of the profile, rad/s.
         pub profile_radps: R,
+        /// What the loop aimed at in the last step, rad; [`NO_TARGET_RAD`] before the first.
+        pub target_rad: R,
+        /// How far that was from what it aimed at before, rad.
+        pub target_moved_rad: R,
         /// Integral part of the loop, N·m.
         pub integral_nm: R,
         /// Estimate of the torque passed on to the load, N·m.
@@ -105,6 +125,7 @@ impl JointMemory<f64> {
         Self {
             filtered_rad: command_rad,
             profile_rad: command_rad,
+            target_rad: NO_TARGET_RAD,
             rotor_radps: qd_radps,
             ..Self::default()
         }
@@ -174,7 +195,8 @@ pub fn start<R: Real>(
         on_its_way,
         step,
         bus_v,
-        target_rad - seen_rad,
+        target_rad,
+        seen_rad,
         seen_radps + seen_ahead_radps,
         motor_radps + motor_ahead_radps,
     );
@@ -302,7 +324,17 @@ fn follow<R: Real>(
     target_rad
 }
 
-/// Motor torque for a position error, N·m.
+/// How far the target moved in the last step and in this one, rad; nothing before the first.
+#[inline(always)]
+fn target_moved_rad<R: Real>(m: &mut JointMemory<R>, target_rad: R) -> (R, R) {
+    let known = m.target_rad.lt(R::splat(0.5 * NO_TARGET_RAD));
+    let now_rad = R::select(known, target_rad - m.target_rad, R::zero());
+    let before_rad = m.target_moved_rad;
+    (m.target_rad, m.target_moved_rad) = (target_rad, now_rad);
+    (before_rad, now_rad)
+}
+
+/// Motor torque for a target and the angle that the loop sees, N·m.
 #[inline(always)]
 fn motor<R: Real>(
     f: DriveFeatures,
@@ -311,11 +343,12 @@ fn motor<R: Real>(
     on_its_way: Loop<'_, R>,
     step: &Step<R>,
     bus_v: R,
-    error_rad: R,
+    target_rad: R,
+    seen_rad: R,
     qd_radps: R,
     motor_radps: R,
 ) -> R {
-    let mut error_rad = error_rad;
+    let mut error_rad = target_rad - seen_rad;
     if f.dead_band {
         error_rad = servo::dead_band(p, error_rad);
     }
@@ -324,6 +357,9 @@ fn motor<R: Real>(
         kp = kp * servo::back_drive_factor(p.back_drive_kp_ratio, error_rad, qd_radps);
     }
     let mut wanted_nm = kp * error_rad - p.kd_nms_per_rad * qd_radps;
+    if f.feed_forward {
+        wanted_nm += p.feed_forward_nm;
+    }
     if f.integral {
         wanted_nm += m.integral_nm;
     }
@@ -336,9 +372,19 @@ fn motor<R: Real>(
         per_rho = thermal::per_rho(p, m.rise_k);
         wanted_nm = wanted_nm * per_rho;
     }
-    let mut given_nm = servo::clamp_nm(p, bus_v, per_rho, wanted_nm, motor_radps);
-    if f.current_limit {
-        given_nm = servo::limit_current_nm(p, given_nm, motor_radps);
+    let limited_nm = |wanted_nm: R| {
+        let given_nm = servo::clamp_nm(p, bus_v, per_rho, wanted_nm, motor_radps);
+        if f.current_limit { servo::limit_current_nm(p, given_nm, motor_radps) } else { given_nm }
+    };
+    let mut given_nm = limited_nm(wanted_nm);
+    if f.command_damping {
+        // A step of the target kicks for one period of the loop, cut by the limits. Of a step that two physics steps
+        // share the second gives what both have beyond the first.
+        let (before_rad, now_rad) = target_moved_rad(m, target_rad);
+        let per_rad = p.command_damping_nms_per_rad * per_rho * step.per_rate;
+        let kick_nm = limited_nm(wanted_nm + per_rad * (before_rad + now_rad))
+            - limited_nm(wanted_nm + per_rad * before_rad);
+        given_nm += step.rate_share * kick_nm;
     }
     if f.integral {
         // Stands still while the motor cannot give more: no wind-up.

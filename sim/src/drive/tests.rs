@@ -148,6 +148,34 @@ fn swings_as_the_formula_says_with_dampers_at_the_time_of_the_positions() {
     assert!(centred < 2e-5, "{centred}");
 }
 
+/// Kd 0.3 with a command that moves at 2 rad/s: on the joint's speed it holds the joint back by 0.3·2/15 rad, on the
+/// rate of the error by nothing. 0.5 N·m that are commanded beside it turn the joint by 0.5/15 rad.
+#[test]
+fn what_is_fed_forward_is_added_to_the_loop() {
+    let behind_rad = |servo: ServoDrive<f64>| {
+        let mut rig = Rig::new(servo, hinge());
+        rig.run(1.0, |t| 2.0 * t, 0.0);
+        2.0 * (1.0 - DT) - rig.q
+    };
+    let on_error = ServoDrive { command_damping_nms_per_rad: 0.3, ..servo() };
+    near("on the speed", behind_rad(servo()), 0.04, 2.5e-3);
+    near("on the error", behind_rad(on_error), 0.0, 2.5e-3);
+    near("fed", behind_rad(ServoDrive { feed_forward_nm: 0.5, ..on_error }), -0.5 / 15.0, 2.5e-3);
+    // a step of the command kicks for one step by Kd·0.1 rad/dt, and not at the very beginning
+    let mut rig = Rig::new(on_error, hinge());
+    rig.step(0.1, 0.0);
+    near("begins", rig.motor_nm, 1.5, 1e-9);
+    rig.step(0.2, 0.0);
+    let kick_nm = rig.motor_nm - (15.0 * (0.2 - 15.0 * 0.1 / 0.0122 * DT * DT));
+    near("kick", kick_nm, 0.3 * 0.1 / DT, 0.1);
+    // as far as the motor can
+    let weak = ServoDrive { tau_max_nm: 4.0, ..on_error };
+    let mut rig = Rig::new(weak, hinge());
+    rig.step(0.1, 0.0);
+    rig.step(0.2, 0.0);
+    near("cut", rig.motor_nm, 4.0, 1e-9);
+}
+
 /// 18 N·m·s/rad on 0.0122 kg·m² take away 1.5 of the velocity in a step of 1 ms.
 #[test]
 fn looking_ahead_makes_no_strong_damper_swing() {
@@ -468,6 +496,8 @@ fn a_lane_that_does_not_need_a_stage_is_not_touched_by_it() {
         delay: true,
         low_pass: true,
         profile: true,
+        command_damping: true,
+        feed_forward: true,
         dead_band: true,
         integral: true,
         loop_delay: true,
