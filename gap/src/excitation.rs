@@ -71,11 +71,13 @@ impl Excitation {
                 let name = model.actuated_names()[channel.index];
                 let kp = trial.meta.gains(name).0.unwrap_or(model.kp_nm_per_rad(channel.index));
                 let command = &trial.commands[channel.index];
+                let fed = trial.torques.get(channel.index).and_then(Option::as_ref);
                 let mut speeds = Vec::new();
                 for (k, (&t, &q)) in channel.time_s.iter().zip(&channel.value).enumerate() {
                     joint.range_rad.0 = joint.range_rad.0.min(q);
                     joint.range_rad.1 = joint.range_rad.1.max(q);
-                    let torque = kp * (command.at(t) - q).abs();
+                    let fed_nm = fed.map_or(0.0, |fed| fed.at(t));
+                    let torque = (kp * (command.at(t) - q) + fed_nm).abs();
                     let share = torque / model.servo(channel.index).tau_max_nm;
                     joint.most_torque_share = joint.most_torque_share.max(share);
                     // over 40 ms or more: a count of the encoder is no speed

@@ -1,11 +1,11 @@
 //! How a log becomes a [`Trial`].
 
-use caudata_model::RobotModel;
+use caudata_model::{Link, RobotModel};
 use caudata_runlog::{Axis, BaseHold, QuatPart, RunLog, Signal, Table};
 
 use crate::check::{holes, series::median_step_s};
 use crate::error::GapError;
-use crate::trial::{Channel, Kind, Run, Steps, Trial, attitude_of, nearest_turn};
+use crate::trial::{Channel, Force, Kind, Run, Steps, Trial, attitude_of, nearest_turn};
 
 /// Shortest run that can be replayed, s.
 const MIN_DURATION_S: f64 = 1.0;
@@ -39,7 +39,11 @@ pub fn trial(model: &RobotModel, run: &Run) -> Result<Trial, GapError> {
     }
     let commanded = |joint: &&str| steps(table, &Signal::Command((*joint).to_owned()));
     let commanded: Vec<Option<Steps>> = joints.iter().map(commanded).collect();
-    if commanded.iter().all(Option::is_none) {
+    let beside = |of: fn(String) -> Signal| -> Vec<Option<Steps>> {
+        joints.iter().map(|joint| steps(table, &of((*joint).to_owned()))).collect()
+    };
+    let (speeds, torques) = (beside(Signal::CommandVelocity), beside(Signal::CommandTorque));
+    if commanded.iter().chain(&speeds).chain(&torques).all(Option::is_none) {
         return Err(bad(
             "has no `cmd.<joint>` column; what was commanded is needed to replay it".into()
         ));
@@ -61,6 +65,9 @@ pub fn trial(model: &RobotModel, run: &Run) -> Result<Trial, GapError> {
         base: meta.base,
         span_s: (first, last),
         commands: commands.collect(),
+        speeds,
+        torques,
+        forces: forces(model, &run.log),
         enabled: joints.iter().map(enabled).collect(),
         supply_v: volt.map_or(meta.supply_v, |v| Some(open_voltage(&v.value))),
         channels,
@@ -91,7 +98,37 @@ pub(crate) fn known_conditions(model: &RobotModel, log: &RunLog) -> Result<(), S
             links.join(", ")
         ));
     }
+    if let Some(p) = meta.outer_force.iter().find(|p| !links.contains(&p.link.as_str())) {
+        return Err(format!(
+            "{file}: `outer_force`: the robot has no link `{}`; it has {}",
+            p.link,
+            links.join(", ")
+        ));
+    }
+    let strange = |s: &&Signal| matches!(s, Signal::Force(l, _) if !links.contains(&l.as_str()));
+    if let Some(signal) = log.table.signals().iter().find(strange) {
+        return Err(format!("`{signal}`: the robot has no such link; it has {}", links.join(", ")));
+    }
     in_their_units(model, log)
+}
+
+/// Forces from outside, at the links' centres of mass unless the log says where.
+fn forces(model: &RobotModel, log: &RunLog) -> Vec<Force> {
+    let component = |link: &str, axis: Axis| -> (Vec<f64>, Vec<f64>) {
+        let column = log.table.column(&Signal::Force(link.to_owned(), axis));
+        let rows = log.table.time_s().iter().zip(column.into_iter().flatten());
+        rows.filter_map(|(t, value)| Some((*t, (*value)?))).unzip()
+    };
+    let of = |(l, link): (usize, &Link)| {
+        let noted = log.meta.outer_force.iter().find(|p| p.link == link.name);
+        Force {
+            link: l,
+            at_m: noted.map_or(link.com_m, |p| p.at_m),
+            axes: Axis::ALL.map(|axis| component(&link.name, axis)),
+        }
+    };
+    let all = model.links().iter().enumerate().map(of);
+    all.filter(|force| force.axes.iter().any(|(time_s, _)| !time_s.is_empty())).collect()
 }
 
 /// So many times what the robot weighs, or its supply gives, is written in another unit.
@@ -151,6 +188,11 @@ fn open_voltage(volt_v: &[f64]) -> f64 {
     upper.iter().sum::<f64>() / upper.len().max(1) as f64
 }
 
+/// Whether a signal is something that acts beside the position commands.
+pub(crate) fn is_beside(signal: &Signal) -> bool {
+    matches!(signal, Signal::CommandVelocity(_) | Signal::CommandTorque(_) | Signal::Force(..))
+}
+
 /// Whether a diagnosis reads a signal of a run whose base is so held.
 pub fn is_read(signal: &Signal, base: BaseHold) -> bool {
     match signal {
@@ -180,6 +222,7 @@ fn channels(model: &RobotModel, table: &Table, base: BaseHold) -> Vec<Channel> {
         };
         let key = match signal {
             Signal::Position(j) => joint(Kind::Position, j),
+            Signal::SecondPosition(j) => joint(Kind::SecondPosition, j),
             Signal::Velocity(j) => joint(Kind::Velocity, j),
             Signal::Current(j) => joint(Kind::Current, j),
             Signal::Torque(j) => joint(Kind::Torque, j),

@@ -3,7 +3,7 @@
 use caudata_model::RobotModel;
 use caudata_runlog::{JointConditions, LogMeta};
 
-use crate::trial::{Channel, Kind, Trial, YAW, nearest_turn};
+use crate::trial::{Channel, Force, Kind, Steps, Trial, YAW, nearest_turn};
 
 /// Commands that differ by less than this are the same, rad (half a count of a 4096-count encoder).
 const SAME_COMMAND_RAD: f64 = 0.0008;
@@ -103,29 +103,72 @@ pub(crate) fn same_conditions(model: &RobotModel, one: &LogMeta, other: &LogMeta
 fn repeats(model: &RobotModel, own: &Trial, other: &Trial) -> bool {
     (own.duration_s() - other.duration_s()).abs() <= 0.1
         && same_conditions(model, &own.meta, &other.meta)
+        && same_beside(own, other)
         && same_commands(own, other, |a| 10.0 * SAME_COMMAND_RAD * model.per_radian(a))
 }
 
 /// Whether two runs were sent the same, within so many rad or m of each joint, for as long as the shorter one
 /// lasts; times counted from each one's start.
 pub(crate) fn same_commands(own: &Trial, other: &Trial, within: impl Fn(usize) -> f64) -> bool {
-    let duration = own.duration_s().min(other.duration_s());
     // both middle of holds and ramps: a stamp's jitter moves a step by a row, so allow some to disagree
-    let (mut wrong, mut all) = (0, 0);
-    for (joint, (a, b)) in own.commands.iter().zip(&other.commands).enumerate() {
-        let within = within(joint);
-        for k in 0..400 {
-            let s = duration * (k as f64 + 0.5) / 400.0;
-            let there = b.at(other.span_s.0 + s);
-            // by up to 12 ms
-            let near = (-6..=6)
-                .map(|k| (a.at(own.span_s.0 + s + 0.002 * f64::from(k)) - there).abs())
-                .fold(f64::INFINITY, f64::min);
-            wrong += usize::from(near > within);
-            all += 1;
-        }
-    }
-    wrong * 50 < all
+    let differ = |(joint, (a, b)): (usize, (&Steps, &Steps))| {
+        differ(own, other, |t| a.at(t), |t| b.at(t), within(joint))
+    };
+    let wrong: usize = own.commands.iter().zip(&other.commands).enumerate().map(differ).sum();
+    wrong * 50 < own.commands.len() * MOMENTS
+}
+
+/// What was commanded beside positions, or pushed, differs by less than this share of the most of it.
+const SAME_BESIDE: f64 = 0.05;
+
+/// Whether the same speeds and torques were sent beside the positions, and the same forces acted.
+fn same_beside(own: &Trial, other: &Trial) -> bool {
+    let same = |a: &dyn Fn(f64) -> f64, b: &dyn Fn(f64) -> f64| {
+        let most = (0..MOMENTS).map(|k| a(own.span_s.0 + moment_s(own, other, k)).abs());
+        let most = most.fold(0.0, f64::max);
+        differ(own, other, a, b, SAME_BESIDE * most) * 50 < MOMENTS
+    };
+    let sent = |(a, b): (&Option<Steps>, &Option<Steps>)| match (a, b) {
+        (None, None) => true,
+        (Some(a), Some(b)) => same(&|t| a.at(t), &|t| b.at(t)),
+        _ => false,
+    };
+    let pushed = |(a, b): (&Force, &Force)| {
+        let along = |axis: usize| same(&|t| a.at(t)[axis], &|t| b.at(t)[axis]);
+        (a.link, a.at_m) == (b.link, b.at_m) && (0..3).all(along)
+    };
+    own.speeds.iter().zip(&other.speeds).all(sent)
+        && own.torques.iter().zip(&other.torques).all(sent)
+        && own.forces.len() == other.forces.len()
+        && own.forces.iter().zip(&other.forces).all(pushed)
+}
+
+/// How often two runs are compared.
+const MOMENTS: usize = 400;
+
+/// Moment `k` of as many, from the start, s.
+fn moment_s(own: &Trial, other: &Trial, k: usize) -> f64 {
+    own.duration_s().min(other.duration_s()) * (k as f64 + 0.5) / MOMENTS as f64
+}
+
+/// In how many of the moments what two runs were sent differs by more than `within`, wherever up to 12 ms on either
+/// side it is nearest.
+fn differ(
+    own: &Trial,
+    other: &Trial,
+    mine: impl Fn(f64) -> f64,
+    theirs: impl Fn(f64) -> f64,
+    within: f64,
+) -> usize {
+    let differs = |k: &usize| {
+        let s = moment_s(own, other, *k);
+        let there = theirs(other.span_s.0 + s);
+        let near = (-6..=6)
+            .map(|k| (mine(own.span_s.0 + s + 0.002 * f64::from(k)) - there).abs())
+            .fold(f64::INFINITY, f64::min);
+        near > within
+    };
+    (0..MOMENTS).filter(differs).count()
 }
 
 #[cfg(test)]

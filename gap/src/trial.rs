@@ -34,6 +34,8 @@ named! {
     pub enum Kind {
         /// Joint position, rad.
         Position = "pos",
+        /// Joint position by a second encoder on the other side of the gear, rad.
+        SecondPosition = "pos2",
         /// Joint velocity as reported, rad/s.
         Velocity = "vel",
         /// Motor current, A.
@@ -67,7 +69,7 @@ impl Kind {
     /// SI unit.
     pub fn unit(self) -> &'static str {
         match self {
-            Self::Position | Self::BaseAttitude => "rad",
+            Self::Position | Self::SecondPosition | Self::BaseAttitude => "rad",
             Self::Velocity | Self::Gyro => "rad/s",
             Self::Current => "A",
             Self::Torque => "N·m",
@@ -108,7 +110,10 @@ impl Kind {
 
     /// Whether `index` of such a channel is an actuated joint.
     pub fn of_joint(self) -> bool {
-        matches!(self, Self::Position | Self::Velocity | Self::Current | Self::Torque)
+        matches!(
+            self,
+            Self::Position | Self::SecondPosition | Self::Velocity | Self::Current | Self::Torque
+        )
     }
 }
 
@@ -130,16 +135,42 @@ pub struct Channel {
 impl Channel {
     /// Value at `t_s`, on the line between samples.
     pub fn at(&self, t_s: f64) -> f64 {
-        let k = self.time_s.partition_point(|&t| t < t_s);
-        if k == 0 {
-            return self.value[0];
-        }
-        if k >= self.value.len() {
-            return self.value[self.value.len() - 1];
-        }
-        let (t0, t1) = (self.time_s[k - 1], self.time_s[k]);
-        let share = if t1 > t0 { (t_s - t0) / (t1 - t0) } else { 0.0 };
-        self.value[k - 1] + share * (self.value[k] - self.value[k - 1])
+        between(&self.time_s, &self.value, t_s)
+    }
+}
+
+/// The value at `t_s` on the line between samples (at least one) at `time_s`; beyond them the first or last.
+fn between(time_s: &[f64], value: &[f64], t_s: f64) -> f64 {
+    let k = time_s.partition_point(|&t| t < t_s);
+    if k == 0 {
+        return value[0];
+    }
+    if k >= value.len() {
+        return value[value.len() - 1];
+    }
+    let (t0, t1) = (time_s[k - 1], time_s[k]);
+    let share = if t1 > t0 { (t_s - t0) / (t1 - t0) } else { 0.0 };
+    value[k - 1] + share * (value[k] - value[k - 1])
+}
+
+/// A force from outside on a link, as it was measured.
+#[derive(Debug, Clone, Default)]
+pub struct Force {
+    /// Which link.
+    pub link: usize,
+    /// Where on it, in its frame, m.
+    pub at_m: [f64; 3],
+    /// Its components in the world, N: stamps (s) and values; empty where nothing was measured.
+    pub axes: [(Vec<f64>, Vec<f64>); 3],
+}
+
+impl Force {
+    /// At `t_s`, world, N.
+    pub fn at(&self, t_s: f64) -> [f64; 3] {
+        self.axes.each_ref().map(|(time_s, value)| match value.is_empty() {
+            true => 0.0,
+            false => between(time_s, value, t_s),
+        })
     }
 }
 
@@ -176,6 +207,12 @@ pub struct Trial {
     pub span_s: (f64, f64),
     /// Per actuated joint, rad.
     pub commands: Vec<Steps>,
+    /// Per actuated joint: speed commanded beside that, rad/s. `None`: none.
+    pub speeds: Vec<Option<Steps>>,
+    /// Per actuated joint: torque commanded beside that, N·m. `None`: none.
+    pub torques: Vec<Option<Steps>>,
+    /// From outside.
+    pub forces: Vec<Force>,
     /// Per actuated joint: 1 where the servo gives torque. `None`: always.
     pub enabled: Vec<Option<Steps>>,
     /// What was measured.
@@ -203,6 +240,11 @@ impl Trial {
         self.masked_s.iter().chain(&self.holes_s).any(|(from, to)| (*from..=*to).contains(&t_s))
     }
 
+    /// Whether nothing acted beside the position commands.
+    pub fn has_positions_alone(&self) -> bool {
+        self.forces.is_empty() && self.speeds.iter().chain(&self.torques).all(Option::is_none)
+    }
+
     /// s.
     pub fn duration_s(&self) -> f64 {
         self.span_s.1 - self.span_s.0
@@ -223,6 +265,9 @@ impl Trial {
             base,
             span_s: (0.0, end_s),
             commands: vec![Steps::default()],
+            speeds: vec![None],
+            torques: vec![None],
+            forces: Vec::new(),
             enabled: vec![None],
             channels,
             meta: LogMeta::new("bare", base, 100.0),

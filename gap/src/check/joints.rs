@@ -43,6 +43,8 @@ const LAG_STEP_S: f64 = 0.02;
 const RESOLVED_RAD: f64 = 0.004;
 /// A reading that stays for longer than this while its command asks for both sides of it is stuck, s.
 const STUCK_S: f64 = 0.3;
+/// A joint that stands, however coarse its counts, has turned by so long after its command asks for it, s.
+const REACTS_S: f64 = 0.15;
 /// A servo that is asked for this share of its torque at rest draws a current that shows.
 const PULLS: f64 = 0.05;
 
@@ -265,8 +267,8 @@ fn stuck(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
         let (above_s, below_s) = (asked_s(1.0), asked_s(-1.0));
         let lasts = (i - from) as f64 * run.grid.step_s;
         // where no reading goes further there may be a stop: only a joint that does not come back is stuck
-        let up = below_s > if pos[from] == most { STUCK_S } else { 0.0 };
-        let down = above_s > if pos[from] == least { STUCK_S } else { 0.0 };
+        let up = below_s > if pos[from] == most { STUCK_S } else { REACTS_S };
+        let down = above_s > if pos[from] == least { STUCK_S } else { REACTS_S };
         if up && down && lasts > STUCK_S {
             let detail = format!(
                 "reads {:.4} {unit} for {lasts:.1} s from t = {:.2} s while the command asks for both sides of it",

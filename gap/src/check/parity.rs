@@ -47,9 +47,30 @@ pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
             out.push(f);
         }
     }
+    second_encoders(run, joints, out);
     imu(run, out);
     base(run, out);
     plain_ranges(run, joints, out);
+}
+
+/// Encoders on either side of a gear do not differ by more all the time, rad: play and springs give on both sides.
+const OTHER_ZERO_RAD: f64 = 0.05;
+
+/// Whether second encoders have the zero of the first.
+fn second_encoders(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
+    for joint in joints {
+        let second = run.grid.linear(&run.log.table, &Signal::SecondPosition(joint.name.clone()));
+        let (Some(first), Some(second)) = (&joint.pos, second) else { continue };
+        let apart = second.iter().zip(first).map(|(b, a)| b - a).filter(|d| d.is_finite());
+        let Some(off) = median(apart.collect()) else { continue };
+        if off.abs() > OTHER_ZERO_RAD * joint.per_radian {
+            let detail = format!(
+                "is {off:+.3} {} from `pos.{}` all the time: where its zero is another one, take that off it",
+                joint.unit, joint.name
+            );
+            out.push(joint.note("zero", "pos2", detail));
+        }
+    }
 }
 
 /// The change of `pos` per time against `speed`, at the lag where they go best together; `None` where nothing
@@ -364,7 +385,10 @@ fn plain_ranges(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
 /// Torque that a joint's loop asks for at most, as far as the servo can give it, N·m.
 fn asked_nm(run: &Run<'_>, joint: &Channels) -> Option<f64> {
     let (cmd, pos) = (joint.cmd.as_ref()?, joint.pos.as_ref()?);
-    let error: Vec<f64> = cmd.iter().zip(pos).map(|(u, q)| u - q).collect();
-    let asked_nm = run.gains(joint.index).0 * largest(error.iter());
+    let fed = run.grid.held(&run.log.table, &Signal::CommandTorque(joint.name.clone()));
+    let fed_nm = |k: usize| fed.as_ref().map_or(0.0, |fed| fed[k]);
+    let kp = run.gains(joint.index).0;
+    let asked = cmd.iter().zip(pos).enumerate().map(|(k, (u, q))| kp * (u - q) + fed_nm(k));
+    let asked_nm = largest(asked.collect::<Vec<f64>>().iter());
     Some(asked_nm.min(run.robot.servo(joint.index).tau_max_nm))
 }

@@ -1,10 +1,12 @@
 //! Runs of one trial against each other: what happened once and not again.
 
+use caudata_runlog::Signal;
 use serde::{Deserialize, Serialize};
 
 use super::channels::Channels;
 use super::finding::{Finding, Run};
 use super::series::{Grid, median, smooth};
+use crate::reading::is_beside;
 use crate::repeats::same_conditions;
 
 /// Commands of repeats may differ by this much, rad.
@@ -66,6 +68,9 @@ fn alike(runs: &[Run<'_>], channels: &[Vec<Channels>], a: usize, b: usize) -> bo
     if !same_conditions(runs[a].robot, &runs[a].log.meta, &runs[b].log.meta) {
         return false;
     }
+    if !alike_beside(&runs[a], &runs[b]) {
+        return false;
+    }
     ca.iter().zip(cb).all(|(x, y)| {
         let (Some(u), Some(v)) = (&x.cmd, &y.cmd) else {
             return x.cmd.is_none() && y.cmd.is_none();
@@ -91,6 +96,30 @@ fn alike(runs: &[Run<'_>], channels: &[Vec<Channels>], a: usize, b: usize) -> bo
         }
         off * 100 <= n
     })
+}
+
+/// What was commanded beside positions, or pushed, differs by no more than this share of itself, rms.
+const ALIKE_BESIDE: f64 = 0.2;
+
+/// Whether two runs were sent the same beside the positions, and pushed alike.
+fn alike_beside(a: &Run<'_>, b: &Run<'_>) -> bool {
+    let beside = |run: &Run<'_>| -> Vec<Signal> {
+        let signals = run.log.table.signals().iter();
+        signals.filter(|s| is_beside(s)).cloned().collect()
+    };
+    let (own, other) = (beside(a), beside(b));
+    own.len() == other.len()
+        && own.iter().all(|signal| {
+            let (u, v) = (a.grid.linear(&a.log.table, signal), b.grid.linear(&b.log.table, signal));
+            let (Some(u), Some(v)) = (u, v) else { return false };
+            let ratio = a.grid.step_s / b.grid.step_s;
+            let there = |i: usize| v.get((i as f64 * ratio).round() as usize).copied();
+            let pairs = u.iter().enumerate().filter_map(|(i, u)| Some((*u, there(i)?)));
+            let known = pairs.filter(|(u, v)| u.is_finite() && v.is_finite());
+            let (off, all) = known
+                .fold((0.0, 0.0), |(off, all), (u, v)| (off + (u - v).powi(2), all + u.powi(2)));
+            off <= ALIKE_BESIDE * ALIKE_BESIDE * all
+        })
 }
 
 /// A run with more odd spans than this is not one that was touched: play and stiction let repeats come to

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::channels::Channels;
 use super::finding::{Finding, Run};
-use crate::reading::is_read;
+use crate::reading::{is_beside, is_read};
 
 /// A run shorter than this says nothing, s.
 const SHORTEST_RUN_S: f64 = 2.0;
@@ -133,7 +133,10 @@ fn columns(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
         fatal(format!("has {strange} and `{robot}` has no such joint; its joints are {own}"));
     }
     for (what, has) in [
-        ("cmd", joints.iter().any(|j| j.cmd.is_some())),
+        (
+            "cmd",
+            joints.iter().any(|j| j.cmd.is_some()) || run.log.table.signals().iter().any(is_beside),
+        ),
         ("pos", joints.iter().any(|j| j.pos.is_some())),
     ] {
         if !has {

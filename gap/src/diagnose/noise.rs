@@ -256,7 +256,7 @@ fn quantum(model: &RobotModel, channel: &Channel) -> f64 {
 /// Noise finer than this is not believed, SI.
 fn smallest(model: &RobotModel, kind: Kind, index: usize) -> f64 {
     match kind {
-        Kind::Position => 5e-4 * model.per_radian(index),
+        Kind::Position | Kind::SecondPosition => 5e-4 * model.per_radian(index),
         Kind::Velocity => 0.01 * model.per_radian(index),
         Kind::Current => 0.005,
         Kind::Torque => 0.005,

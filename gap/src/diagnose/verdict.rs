@@ -226,6 +226,10 @@ fn verdict(
     if causes.iter().any(Cause::is_open) { Verdict::Ambiguous } else { Verdict::Explained }
 }
 
+/// A law earns a parameter more where it is so many times as likely as its special case: the square root of how many
+/// errors tell them apart ([`ERRORS_OF_LAW`]; Schwarz 1978, doi:10.1214/aos/1176344136).
+const EARNS_A_PARAMETER: f64 = 3.6;
+
 /// What the rivals of a cause come to.
 #[derive(Default)]
 struct Weighed<'a> {
@@ -266,8 +270,9 @@ fn weigh<'a>(best: &State, named: &'a Named, synonyms: &[String]) -> Weighed<'a>
         }
         let id = other.effect.id.to_owned();
         if wider(term.effect, other.effect) {
-            // what speaks for the wider one there speaks for its special case, unless it is better
-            if meet(&term.place, &other.place) && rival.short >= 0.0 {
+            // what speaks for the wider one there speaks for its special case, unless it earns what it has more
+            let earns = rival.probability > EARNS_A_PARAMETER * named.probability;
+            if meet(&term.place, &other.place) && !earns {
                 out.same_name += rival.probability.min(named.probability);
             }
             let reason = format!(

@@ -1,7 +1,7 @@
 //! What an effect is: a record with a hook, and what most records share.
 
 use caudata_declare::named;
-use caudata_model::{JointMotion, RobotModel, ServoParams};
+use caudata_model::{JointMotion, Measured, RobotModel, ServoParams};
 
 use crate::excitation::Excitation;
 use crate::place::{Domain, Place, places};
@@ -101,6 +101,9 @@ pub struct Effect {
     pub ends: bool,
     /// Whether a joint with this servo may have it.
     pub of_servo: fn(&ServoParams) -> bool,
+    /// How far the parameters of a link's effect may be from neutral where the robot file says how well that was
+    /// measured, SI: by a link's tolerances and mass (kg).
+    pub measured: fn(&Measured, f64) -> Option<f64>,
     /// Puts it into a plant. `values` in SI, one per parameter.
     pub apply: fn(&mut Plant, &Place, &[f64]),
     /// Effects that look like it: ids, with spaces between.
@@ -142,10 +145,23 @@ impl Effect {
         all
     }
 
-    /// Whether what stands at `place` may have it at all.
+    /// Whether what stands at `place` may have it at all: no servo without what it needs has it, and no link that was
+    /// measured more finely than what matters.
     pub fn may_be(&self, model: &RobotModel, place: &Place) -> bool {
         let joints = Some(&place.items).filter(|_| place.domain == Domain::Joints);
+        let matters = |far: f64| far >= self.scale(model, place, 0);
         joints.into_iter().flatten().all(|&a| (self.of_servo)(model.servo(a)))
+            && self.farthest(model, place, 0).is_none_or(matters)
+    }
+
+    /// How far parameter `index` may be from neutral by what was measured of the link at `place`, SI: only the first
+    /// is a size, and those of its unit.
+    fn farthest(&self, model: &RobotModel, place: &Place, index: usize) -> Option<f64> {
+        let of_link = place.domain == Domain::Links;
+        let size = self.parameters[index].unit == self.parameters[0].unit;
+        let of = |&l: &usize| (self.measured)(&model.measured()[l], model.links()[l].mass_kg);
+        let own = Some(&place.items).filter(|_| of_link && size)?.iter().filter_map(of);
+        own.reduce(f64::min)
     }
 
     /// Ids of the effects that look like it.
@@ -214,7 +230,12 @@ impl Effect {
             _ => None,
         };
         let high = self.value(model, place, index, p.high);
-        (there.map_or(low, |there| low.max(0.0 - there)), high)
+        let low = there.map_or(low, |there| low.max(0.0 - there));
+        let neutral = self.value(model, place, index, p.neutral);
+        match self.farthest(model, place, index) {
+            Some(far) => (low.max(neutral - far), high.min(neutral + far)),
+            None => (low, high),
+        }
     }
 
     /// Whether parameter `index` wants to go further than is plausible: its value lies on a bound. Without
@@ -304,6 +325,7 @@ pub(super) const PLAIN: Effect = Effect {
     apart: false,
     ends: false,
     of_servo: |_| true,
+    measured: |_, _| None,
     apply: |_, _, _| {},
     look_alikes: "",
     corrects: "",

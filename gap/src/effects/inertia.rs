@@ -7,10 +7,15 @@ use crate::plant::{anchor_m, hang, lever};
 
 const OF_MASSES: Effect = Effect { layer: Layer::Inertia, domain: Domain::Links, ..PLAIN };
 
+/// What was measured is off by no more than so many times its tolerance, which people write as what is usual (GUM, JCGM
+/// 100:2008, 6.2: an expanded uncertainty is two standard uncertainties).
+const EXPANDED: f64 = 2.0;
+
 pub static LINK_MASS: Effect = Effect {
     id: "link_mass",
     parameters: &[parameter("scale", "", 1.0, (0.2, 4.0), 0.03, One)],
     grid: &one(&[0.7, 0.9, 1.1, 1.3, 1.7]),
+    measured: |own, mass_kg| own.mass_kg.map(|tolerance| EXPANDED * tolerance / mass_kg),
     apply: |plant, place, v| place.each(|l| plant.lane.link_mass_scale[l] *= v[0] as f32),
     look_alikes: "link_com point_mass payload torque_constant armature encoder_gain parallel_spring",
     trial: "holds",
@@ -33,6 +38,7 @@ pub static LINK_COM: Effect = Effect {
         &[0.0, 0.0, -0.012],
         &[0.0, 0.0, 0.012],
     ],
+    measured: |own, _| own.com_m.map(|tolerance| EXPANDED * tolerance),
     apply: |plant, place, v| {
         for &l in &place.items {
             for (offset, v) in plant.lane.com_offset_m[l].iter_mut().zip(v) {
@@ -54,6 +60,7 @@ pub static POINT_MASS: Effect = Effect {
         parameter("lever_m", "m", 1.0, (0.3, 4.0), 0.1, Lever),
     ],
     grid: &[&[0.3, 0.6], &[0.3, 1.3], &[0.3, 2.0]],
+    measured: |own, _| own.mass_kg.map(|tolerance| EXPANDED * tolerance),
     apply: |plant, place, v| {
         for &l in &place.items {
             let (direction, _) = lever(&plant.model, l);

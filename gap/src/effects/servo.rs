@@ -8,8 +8,9 @@ const OF_SERVOS: Effect = Effect { layer: Layer::Actuation, domain: Domain::Join
 
 pub static KP_ERROR: Effect = Effect {
     id: "kp_error",
-    parameters: &[parameter("scale", "", 1.0, (0.2, 4.0), 0.04, One)],
-    grid: &one(&[0.5, 0.75, 0.9, 1.1, 1.3, 1.7]),
+    // a gain noted in another unit is ten times off
+    parameters: &[parameter("scale", "", 1.0, (0.05, 20.0), 0.04, One)],
+    grid: &one(&[0.5, 0.75, 0.9, 1.1, 1.3, 1.7, 3.0, 8.0]),
     apply: |plant, place, v| place.each(|a| plant.lane.kp_nm_per_rad[a] *= v[0] as f32),
     look_alikes: "kd_error winding_resistance torque_constant controller_dead_band stale_gains duty_supply",
     corrects: "control.kp_nm_per_rad",
@@ -31,11 +32,30 @@ pub static KD_ERROR: Effect = Effect {
             *own = (*own + kd.min(0.0)).max(0.0);
         }
     },
-    look_alikes: "viscous_friction kp_error command_low_pass servo_loop_delay torque_constant supply_level",
+    look_alikes: "viscous_friction kp_error damping_on_error command_low_pass servo_loop_delay torque_constant supply_level",
     corrects: "control.kd_nm_s_per_rad kd_min_nm_s_per_rad",
     unseen: needs_motion,
     trial: "steps_medium",
     signature: "overshoot changes and the droop does not; friction adds current at constant speed instead",
+    ..OF_SERVOS
+};
+
+pub static DAMPING_ON_ERROR: Effect = Effect {
+    id: "damping_on_error",
+    parameters: &[parameter("share", "", 0.0, (0.0, 1.0), 0.1, One)],
+    grid: &one(&[0.5, 1.0]),
+    of_servo: |servo| !servo.kd_acts_on_error,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            let share = &mut plant.lane.joints[a].kd_on_command;
+            *share = (*share + v[0] as f32).clamp(0.0, 1.0);
+        }
+    },
+    look_alikes: "kd_error measurement_delay command_delay command_low_pass",
+    corrects: "kd_acts_on_error",
+    unseen: needs_motion,
+    trial: "steps_medium",
+    signature: "the loop damps the rate of the error: a moving command is not braked, and a step of it kicks",
     ..OF_SERVOS
 };
 
@@ -133,13 +153,29 @@ pub static TORQUE_LIMIT: Effect = Effect {
             joint.braking_current_limit_a = at(v[0] + v[1] * (unlimited_nm - v[0]));
         }
     },
-    look_alikes: "voltage_limit supply_level profile_limit thermal_derating",
+    look_alikes: "voltage_limit motor_torque supply_level profile_limit thermal_derating",
     corrects: "tau_max_nm tau_brake_max_nm",
     unseen: |e, place| {
         (e.most_torque_share(place) < 0.1).then_some("the servo never works hard in these runs")
     },
     trial: "steps_loaded",
     signature: "current is cut flat, at any speed; where the motor brakes perhaps less, or not at all",
+    ..OF_SERVOS
+};
+
+pub static MOTOR_TORQUE: Effect = Effect {
+    id: "motor_torque",
+    parameters: &[parameter("scale", "", 1.0, (0.2, 3.0), 0.03, One)],
+    grid: &one(&[0.25, 0.35, 0.5, 0.65, 0.8, 0.9, 1.3, 1.8]),
+    hinge: true,
+    apply: |plant, place, v| place.each(|a| plant.lane.torque_scale[a] *= v[0] as f32),
+    look_alikes: "torque_limit winding_resistance voltage_limit supply_level supply_sag torque_saturation",
+    corrects: "tau_max_nm tau_brake_max_nm tau_qd_max_nm",
+    unseen: |e, place| {
+        (e.most_torque_share(place) < 0.1).then_some("the servo never works hard in these runs")
+    },
+    trial: "steps_large",
+    signature: "all limits of torque by one factor, at any speed; the speed without load is as it was",
     ..OF_SERVOS
 };
 

@@ -136,7 +136,7 @@ pub(super) const RECIPES: &[Recipe] = &[
     }),
     // steps
     joint("steps_small", "steps of 30 mrad", &["kp_error", "kd_error", "controller_dead_band", "servo_loop_delay"], |w| { let c = w.place(0.0); steps(w, c, 0.03, 0.6); }),
-    joint("steps_medium", "steps of 0.2 rad", &["kd_error", "kp_error", "profile_limit", "armature"], |w| { let c = w.place(0.0); steps(w, c, 0.2, 0.8); }),
+    joint("steps_medium", "steps of 0.2 rad", &["kd_error", "damping_on_error", "kp_error", "profile_limit", "armature"], |w| { let c = w.place(0.0); steps(w, c, 0.2, 0.8); }),
     joint("steps_large", "steps of 0.8 rad: full torque, full speed", &["torque_limit", "profile_limit", "voltage_limit", "winding_resistance", "supply_level", "braking_asymmetry"], |w| { let c = w.place(0.0); steps(w, c, 0.8, 1.2); }),
     joint("steps_loaded", "steps of 0.2 rad about a raised pose", &["torque_limit", "kp_error", "load_dependent_friction", "drive_asymmetry"], |w| { let c = w.place(0.8); steps(w, c, 0.2, 0.8); }),
     joint("reversals_fast", "full turns of direction at speed", &["braking_asymmetry", "torque_limit", "supply_sag"], |w| { let c = w.place(0.0); for size in [0.2, 0.4, 0.6] { w.triangle(c, size, 3.5, 4.0); } }),

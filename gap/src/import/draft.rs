@@ -88,7 +88,8 @@ pub fn map(recordings: &[Recording], robot: &RobotModel) -> Result<Drafted, Impo
         let _ = writeln!(draft.out, "\n# not read: {topic}");
     }
     for (kind, what) in [("cmd", "commands"), ("pos", "measured angles")] {
-        if !draft.read.iter().any(|name| name.starts_with(kind)) {
+        let taken = |name: &String| name.split_once('.').is_some_and(|(own, _)| own == kind);
+        if !draft.read.iter().any(taken) {
             let _ = writeln!(
                 draft.out,
                 "\n# Nothing was taken for {what} ({kind}.<joint>): a diagnosis needs them. For instance:\n\
@@ -341,7 +342,8 @@ impl Draft<'_> {
                 kind.or(self.by_numbers.get(column).copied())
             }
         };
-        let kind = kind.filter(|_| !values.is_empty()).ok_or(String::new())?;
+        let not_taken = || words.commands_otherwise().unwrap_or_default().to_owned();
+        let kind = kind.filter(|_| !values.is_empty()).ok_or_else(not_taken)?;
         if let (None, Some(why)) = (hint, words.moves_otherwise()) {
             return Err(why);
         }

@@ -134,10 +134,11 @@ pub(super) const UNKNOWN: &str = "?";
 /// What the values of a signal measure; none where a plain number is all that it has.
 fn measured(signal: &Signal) -> Option<&'static str> {
     Some(match signal {
-        Signal::Command(_) | Signal::Position(_) => "angle",
-        Signal::Velocity(_) | Signal::Gyro(_) => "speed",
+        Signal::Command(_) | Signal::Position(_) | Signal::SecondPosition(_) => "angle",
+        Signal::Velocity(_) | Signal::CommandVelocity(_) | Signal::Gyro(_) => "speed",
         Signal::Current(_) => "current",
-        Signal::Torque(_) => "torque",
+        Signal::Torque(_) | Signal::CommandTorque(_) => "torque",
+        Signal::Force(..) => "force",
         Signal::Temperature(_) => "temperature",
         Signal::Duty(_) => "share",
         Signal::Voltage => "voltage",

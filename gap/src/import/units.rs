@@ -78,7 +78,7 @@ pub(super) fn unit_by_size(kind: &str, values: &[f64]) -> &'static str {
         "vel" => "rad/s",
         "cur" if most > 30.0 => "mA",
         "cur" => "A",
-        "tau" => "Nm",
+        "tau" | "cmd_tau" => "Nm",
         "volt" if most > 1000.0 => "mV",
         "volt" => "V",
         "temp" => "degC",
@@ -95,7 +95,7 @@ pub(super) fn unit_of_slide(kind: &str, values: &[f64]) -> &'static str {
         "cmd" | "pos" => "m",
         "vel" if most > 10.0 => "mm/s",
         "vel" => "m/s",
-        "tau" => "N",
+        "tau" | "cmd_tau" => "N",
         _ => unit_by_size(kind, values),
     }
 }

@@ -23,9 +23,10 @@ const KIND_WORDS: &[(&str, &str)] = &[
     ),
 ];
 pub(super) const COMMANDS: &str = "goal goals action actions qcmd cmd command commands commanded target targets desired des setpoint sp reference ref soll consigne consigna";
-/// What is on or off is no signal that a draft takes, whatever it switches, and what is fed forward is none that was
-/// measured …
-const NO_SIGNAL: &str = "enable enabled enabling flag freigabe ff feedforward forward";
+/// What is on or off is no signal that a draft takes, whatever it switches …
+const NO_SIGNAL: &str = "enable enabled enabling flag freigabe";
+/// A torque of which these say that it is fed forward is a command of its own.
+const FED_FORWARD: &str = "ff feedforward forward";
 /// … and of a torque these say the same.
 const SWITCHES_OF_TORQUE: &str = "on off status";
 /// Units that are such in brackets only: `theta_m` is an angle of the motor.
@@ -125,7 +126,7 @@ impl Words {
             "cmd" | "pos" => "angle",
             "vel" => "speed",
             "cur" => "current",
-            "tau" => "torque",
+            "tau" | "cmd_tau" => "torque",
             "volt" => "voltage",
             _ => return None,
         })
@@ -159,10 +160,25 @@ impl Words {
             return None;
         }
         match (self.says(COMMANDS), kind) {
+            _ if self.says(FED_FORWARD) => (kind == Some("tau")).then_some("cmd_tau"),
             (true, None | Some("pos")) => Some("cmd"),
-            // a commanded speed or torque is nothing that a log has
+            // whether a drive heeds it no file says
             (true, Some(_)) => None,
             (false, kind) => kind,
+        }
+    }
+
+    /// Why a commanded speed or torque is not taken.
+    pub(super) fn commands_otherwise(&self) -> Option<&'static str> {
+        let kind = KIND_WORDS.iter().find(|(_, words)| self.says(words)).map(|k| k.0);
+        match kind.filter(|_| self.says(COMMANDS) || self.says(FED_FORWARD))? {
+            "vel" => Some(
+                ", a commanded speed: where the drive damps what the joint's speed differs from it by, take it as cmd_vel.<joint>",
+            ),
+            "tau" => Some(
+                ", a commanded torque: where it is fed forward, and not all that the drive gives, take it as cmd_tau.<joint>",
+            ),
+            _ => None,
         }
     }
 
@@ -285,7 +301,9 @@ mod tests {
         let said = |header: &str| Words::of(header).kind();
         assert_eq!([said("torque_enable"), said("position_flag")], [None, None]);
         assert_eq!([said("pwm_enable1"), said("torque_status")], [None, None]);
-        assert_eq!([said("tau_ff"), said("feed_forward_torque_elbow")], [None, None]);
+        let fed = ["tau_ff", "feed_forward_torque_elbow", "q_ff"].map(said);
+        assert_eq!(fed, [Some("cmd_tau"), Some("cmd_tau"), None]);
+        assert!(Words::of("qd_des").commands_otherwise().is_some_and(|w| w.contains("cmd_vel")));
         assert_eq!(said("motor_status_velocity"), Some("vel"));
         assert_eq!(said("drive_on_current_a"), Some("cur"));
         let dot = Words::of("q1_dot");

@@ -6,7 +6,8 @@ use caudata_sim::{Engine, InitialState, MAX_LOOP_DELAY_S};
 use super::commands::{Reader, Readers, true_angle};
 use super::cuts::replay_span;
 use super::data::Data;
-use super::observe::{self, readout};
+use super::fed::Fed;
+use super::observe::{self, has_second, readout};
 use super::starts::{Start, roll_pitch};
 use super::trace::Trace;
 use crate::error::GapError;
@@ -34,6 +35,8 @@ struct Lane<'a> {
     plant: Plant,
     segment: usize,
     readers: Readers<'a>,
+    /// What acts beside those.
+    fed: Option<Fed<'a>>,
     switches: Switches,
     trace: Trace,
     /// After how many periods it is put to what was measured once more, and what that was.
@@ -62,8 +65,16 @@ impl<'a> Lane<'a> {
         });
         Self {
             readers: readers_of(trial, &plant, window_s),
+            fed: Fed::new(trial, &plant, |a| heard_after_s(&plant, a), window_s),
             switches: Switches::new(trial, &plant, own.start_s),
-            trace: Trace::new(readout(trial), &plant, own.start_s, period_s, periods),
+            trace: Trace::new(
+                readout(trial),
+                has_second(trial),
+                &plant,
+                own.start_s,
+                period_s,
+                periods,
+            ),
             plant,
             segment,
             again,
@@ -79,14 +90,14 @@ impl<'a> Lane<'a> {
         (lane, k, period_s): (usize, usize, f64),
         data: &Data,
         targets: &mut [f32],
+        wrench: &mut [f32],
     ) {
         let (own, stand) = (&data.segments[self.segment], self.stand);
         if k == stand && stand > 0 && self.sound {
             self.sound &= correct(engine, lane, &self.plant, &own.start);
         }
         if k >= stand && k - stand < self.trace.rows() {
-            let (state, model) = (engine.state(), &self.plant.model);
-            self.trace.record(state, lane, model, targets);
+            self.trace.record(engine, lane, &self.plant.model, targets);
             if k == stand {
                 self.trace.forget();
             }
@@ -104,6 +115,10 @@ impl<'a> Lane<'a> {
         if self.switches.due(from) && self.sound {
             let params = self.switches.apply(&self.plant, from);
             self.sound &= engine.set_params(lane, &params).is_ok();
+        }
+        if let Some(fed) = self.fed.as_mut().filter(|_| self.sound) {
+            let span_s = (from - half_s, from + half_s);
+            self.sound &= fed.feed(engine, lane, &self.plant, span_s, wrench);
         }
     }
 }
@@ -124,7 +139,8 @@ pub(super) fn run(
         let mut lane = Lane::new(plant, data, segment, period_s);
         let own = &data.segments[segment];
         let signals = readout(&data.trials[own.trial]);
-        read.base |= signals.base || own.again.is_some() || lane.stand > 0;
+        let pushed = !data.trials[own.trial].forces.is_empty();
+        read.base |= signals.base || own.again.is_some() || lane.stand > 0 || pushed;
         read.imu |= signals.imu;
         read.feet |= signals.feet;
         most = most.max(lane.stand + periods(own.duration_s(), period_s));
@@ -133,11 +149,12 @@ pub(super) fn run(
     }
     engine.report_only(read);
     let mut targets = vec![0.0_f32; engine.lanes() * joints];
-    let wrenches = vec![0.0_f32; engine.lanes() * 6];
+    let mut wrenches = vec![0.0_f32; engine.lanes() * 6];
     for k in 0..=most {
         for (number, lane) in all.iter_mut().enumerate() {
             let own = &mut targets[number * joints..(number + 1) * joints];
-            lane.before_step(engine, (number, k, period_s), data, own);
+            let wrench = &mut wrenches[number * 6..(number + 1) * 6];
+            lane.before_step(engine, (number, k, period_s), data, own, wrench);
         }
         if k < most {
             engine.step(&targets, &wrenches)?;
@@ -227,16 +244,21 @@ fn correct(engine: &mut BatchEngine, lane: usize, plant: &Plant, measured: &Star
     engine.correct(lane, &init).is_ok()
 }
 
+/// How long after it was sent a servo acts on a command, s.
+fn heard_after_s(plant: &Plant, a: usize) -> f64 {
+    let delay_s = plant.lane.command_delay_s + plant.lane.joints[a].command_skew_s;
+    0.5 * FIRMWARE_TICK_S + f64::from(delay_s)
+}
+
 fn readers_of<'a>(trial: &'a Trial, plant: &Plant, window_s: (f64, f64)) -> Readers<'a> {
     let joints = trial
         .commands
         .iter()
         .enumerate()
         .map(|(a, steps)| {
-            let delay = plant.lane.command_delay_s + plant.lane.joints[a].command_skew_s;
             Reader::new(
                 steps,
-                0.5 * FIRMWARE_TICK_S + f64::from(delay),
+                heard_after_s(plant, a),
                 plant.sensing.encoders[a],
                 &plant.lane.command_loss,
                 window_s,

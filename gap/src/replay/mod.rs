@@ -8,6 +8,7 @@
 mod commands;
 mod cuts;
 mod data;
+mod fed;
 mod lanes;
 mod observe;
 mod replayer;

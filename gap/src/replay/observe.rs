@@ -19,10 +19,16 @@ pub(super) fn readout(trial: &Trial) -> Readout {
             Kind::Gyro | Kind::Acceleration | Kind::Gravity => readout.imu = true,
             Kind::BasePosition | Kind::BaseVelocity | Kind::BaseAttitude => readout.base = true,
             Kind::Foot => readout.feet = true,
-            Kind::Position | Kind::Velocity | Kind::Current | Kind::Torque | Kind::Voltage => {}
+            Kind::Position | Kind::SecondPosition | Kind::Velocity => {}
+            Kind::Current | Kind::Torque | Kind::Voltage => {}
         }
     }
     readout
+}
+
+/// Whether a log has a joint's second encoder.
+pub(super) fn has_second(trial: &Trial) -> bool {
+    trial.channels.iter().any(|c| c.kind == Kind::SecondPosition)
 }
 
 /// What the sensors say at the stamps of stretch `segment`, in the order of the flat vector.
@@ -65,15 +71,15 @@ struct Stamps<'a> {
     /// How much later than joints this was measured, s.
     late_s: f64,
     places: Vec<Place>,
-    /// Signals of joints (positions, velocities, torques), the base and the feet at them, each once asked for, as
+    /// Signals of joints (positions, velocities, torques, second positions), the base and the feet at them, each once asked for, as
     /// [`Trace::at`] gives them.
-    joints: [OnceCell<Vec<f64>>; 3],
+    joints: [OnceCell<Vec<f64>>; 4],
     base: OnceCell<Vec<f64>>,
     feet: OnceCell<Vec<f64>>,
 }
 
 impl Stamps<'_> {
-    /// Position (0), velocity (1) or torque (2) of a joint.
+    /// Position (0), velocity (1), torque (2) or second position (3) of a joint.
     fn joint(&self, trace: &Trace, signal: usize, joint: usize) -> &[f64] {
         let first = signal * trace.joints;
         let all = || trace.at(first..first + trace.joints, &self.places);
@@ -179,6 +185,7 @@ fn channel<'a>(seen: &mut Seen<'a>, piece: &Piece, times_s: &'a [f64], out: &mut
             let true_rad = stamps.joint(trace, 0, i);
             out.extend(true_rad.iter().map(|&q| shown_angle(e, q) as f32));
         }
+        Kind::SecondPosition => out.extend(stamps.joint(trace, 3, i).iter().map(|&q| q as f32)),
         Kind::Velocity => {
             let gain = f64::from(1.0 + sensing.encoders[i].gain);
             let lag_s = f64::from(sensing.velocity_lag_s[i]);

@@ -3,8 +3,8 @@
 use std::ops::Range;
 
 use caudata_model::RobotModel;
-use caudata_sim::State;
-use caudata_sim::batch::Readout;
+use caudata_sim::Engine;
+use caudata_sim::batch::{BatchEngine, Readout};
 
 use crate::plant::Plant;
 use crate::trial::{Kind, YAW, attitude_of, nearest_turn};
@@ -18,10 +18,12 @@ pub(super) struct Trace {
     pub(super) joints: usize,
     /// Which body signals are recorded.
     readout: Readout,
+    /// Whether second encoders are.
+    second: bool,
     pub(super) feet: usize,
     /// Command (rad) and torque (N·m) of each joint in the last step.
     last: Vec<(f32, f32)>,
-    /// `[rows, width]`: positions, velocities, torques, and then body signals: IMU, base, feet, as far as
+    /// `[rows, width]`: positions, velocities, torques, second positions, and then body signals: IMU, base, feet, as far as
     /// they are read out.
     pub(super) values: Vec<f32>,
 }
@@ -40,6 +42,7 @@ const BASE: usize = 10;
 impl Trace {
     pub(super) fn new(
         readout: Readout,
+        second: bool,
         plant: &Plant,
         start_s: f64,
         period_s: f64,
@@ -54,6 +57,7 @@ impl Trace {
             width: 0,
             joints,
             readout,
+            second,
             feet,
             last: vec![(f32::NAN, 0.0); joints],
             values: Vec::new(),
@@ -69,7 +73,7 @@ impl Trace {
 
     /// First column of the IMU's signals.
     pub(super) fn imu_column(&self) -> usize {
-        3 * self.joints
+        (3 + usize::from(self.second)) * self.joints
     }
 
     /// First column of the base's signals.
@@ -82,14 +86,15 @@ impl Trace {
         self.base_column() + if self.readout.base { BASE } else { 0 }
     }
 
-    /// Records `state`, to which the commands `targets_rad` led.
+    /// Records the engine's state, to which the commands `targets_rad` led.
     pub(super) fn record(
         &mut self,
-        state: &State,
+        engine: &BatchEngine,
         lane: usize,
         model: &RobotModel,
         targets_rad: &[f32],
     ) {
+        let state = engine.state();
         let row = |k: usize| k * lane..k * (lane + 1);
         let values = &mut self.values;
         let servos = || model.actuated().iter().enumerate();
@@ -102,6 +107,12 @@ impl Trace {
             let goes_on = if last.0 == *now.0 { now.1 - last.1 } else { 0.0 };
             values.push(now.1 + goes_on);
             *last = (*now.0, *now.1);
+        }
+        if self.second {
+            let ahead = &state.encoder_ahead_rad[row(self.joints)];
+            let leads = engine.rotor_leads_rad(lane);
+            let joint_rad = &state.joint_pos_rad[row(state.joints)];
+            values.extend(servos().map(|(a, &j)| joint_rad[j] + leads[a] - ahead[a]));
         }
         if self.readout.imu {
             values.extend_from_slice(&state.imu_gyro_radps[row(3)]);

@@ -4,7 +4,7 @@ use crate::common::{Touch, changed, rebuilt, record, robot, simulate};
 use caudata_gap::check::{CheckVerdict, Checked, check};
 use caudata_gap::excite;
 use caudata_model::RobotModel;
-use caudata_runlog::{Axis, BaseHold, RunLog, Setting, Signal, Table, TableWriter};
+use caudata_runlog::{Axis, BaseHold, LogMeta, RunLog, Setting, Signal, Table, TableWriter};
 use proptest::prelude::*;
 
 /// Logs of a trial, one per seed.
@@ -62,6 +62,23 @@ fn a_joint_at_its_stop_is_not_stuck() {
         false => v,
     });
     let checked = one(&robot, &stopped);
+    assert!(checked.faults.iter().all(|f| f.kind != "stuck"), "{:#?}", checked.faults);
+}
+
+/// A joint that stands under its load, on one count of its encoder, until the row after that of the next command.
+#[test]
+fn a_joint_that_stands_until_it_is_sent_elsewhere_is_not_stuck() {
+    let robot = robot("xl330_pendulum");
+    let mut text = String::from("t,cmd.swing,pos.swing\n");
+    for k in 0..600_u32 {
+        let way = if k / 100 % 2 == 0 { 0.9 } else { -0.9 };
+        let since_s = f64::from(k % 100) * 0.01;
+        let droop_rad = way * (0.6 - 1.2 * (-since_s / 0.05).exp());
+        text += &format!("{},{way},{:.3}\n", f64::from(k) * 0.01, droop_rad);
+    }
+    let meta = LogMeta::new("xl330_pendulum", BaseHold::Fixed, 100.0);
+    let log = RunLog::new(meta, Table::parse("log.csv", text.as_bytes()).unwrap());
+    let checked = one(&robot, &log);
     assert!(checked.faults.iter().all(|f| f.kind != "stuck"), "{:#?}", checked.faults);
 }
 

@@ -20,6 +20,7 @@ fn bench() -> Arc<RobotModel> {
     let text = std::fs::read_to_string(dir.join("xl330_pendulum.robot.toml")).unwrap();
     let mjcf = std::fs::read(dir.join("xl330_pendulum.xml")).unwrap();
     let text = text.replacen("friction_loss_nm = 0.0 ", "friction_loss_nm = 0.03 ", 1);
+    let text = text.replacen("kd_nm_s_per_rad = 0.0 ", "kd_nm_s_per_rad = 0.02 ", 1);
     // a servo that nobody knows: its encoder may be on either side
     let text = text.replace("xl330_m288", "own");
     Arc::new(RobotModel::from_bytes("bench", text.as_bytes(), &mjcf).unwrap())
@@ -54,6 +55,43 @@ fn sizes_at_a_slide_are_lengths() {
     near(&at(&slide, "pre_sliding").0, &[0.0001]);
     near(&at(&hinge, "hard_stop").0, &[-4.0, 4.0]);
     near(&at(&slide, "hard_stop").0, &[-4.0, 4.0]);
+}
+
+/// What was weighed to ± 2 g of 490 g is no heavier link, and its weight, ± 50 g, is off by no more than 100 g.
+#[test]
+fn what_was_measured_bounds_what_it_may_be() {
+    let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robots");
+    let text = std::fs::read_to_string(dir.join("xl330_pendulum.robot.toml")).unwrap();
+    let mjcf = std::fs::read(dir.join("xl330_pendulum.xml")).unwrap();
+    let weighed = |marks: &str| {
+        let text = format!("{text}\n[measured.arm]\n{marks}\n");
+        RobotModel::from_bytes("bench", text.as_bytes(), &mjcf)
+    };
+    let places = |model: &RobotModel, id: &str| effects::find(id).unwrap().places(model).len();
+    let exactly = weighed("mass_kg = 0.002").unwrap();
+    for id in ["link_mass", "point_mass"] {
+        assert_eq!(places(&exactly, id), 0, "{id}");
+    }
+    assert_eq!(places(&exactly, "link_com"), 1);
+    let roughly = weighed("mass_kg = 0.05\ncom_m = 0.0002").unwrap();
+    assert_eq!(places(&roughly, "link_com"), 0);
+    let bounds = |id: &str, index: usize| {
+        let effect = effects::find(id).unwrap();
+        let place = effect.places(&roughly).swap_remove(0);
+        effect.bounds(&roughly, &place, index)
+    };
+    let near = |got: (f64, f64), want: (f64, f64)| {
+        assert!((got.0 - want.0).abs() + (got.1 - want.1).abs() < 1e-9, "{got:?}");
+    };
+    near(bounds("link_mass", 0), (1.0 - 0.1 / 0.49, 1.0 + 0.1 / 0.49));
+    near(bounds("point_mass", 0), (-0.1, 0.1));
+    // where on the link a weight may be nobody said
+    assert!(bounds("point_mass", 1).1 > 0.1);
+    let unknown = weighed("mass_g = 1").unwrap_err().to_string();
+    assert!(unknown.contains("unknown field `mass_g`"), "{unknown}");
+    let stranger = text.clone() + "\n[measured.leg]\nmass_kg = 0.001\n";
+    let error = RobotModel::from_bytes("bench", stranger.as_bytes(), &mjcf).unwrap_err();
+    assert!(error.to_string().contains("there is no body `leg`"), "{error}");
 }
 
 /// A run of `joints`, in which every joint steps and swings; measured values are zeros, since only

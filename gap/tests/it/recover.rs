@@ -44,9 +44,17 @@ fn command(kind: usize, t: f64) -> f64 {
 /// A recording of `kind` by a robot with `change`; the command arrives `late` rows late.
 fn record(kind: usize, repeat: u64, late: usize, change: &dyn Fn(&mut LaneParams)) -> RunLog {
     let model = Arc::new(RobotModel::load(&path("xl330_pendulum.robot.toml")).unwrap());
+    let mut params = LaneParams::nominal(&model);
+    let key = Key { env: kind as u64, episode: repeat, ..Key::for_run(11) };
+    let mut noise = Stream::new(key, Purpose::Sensor);
+    // no two runs are the same
+    params.joint_friction_nm[0] = 0.01 * (1.0 + 0.05 * noise.normal());
+    change(&mut params);
+    // a loop takes the rate of its error over 1 ms
+    let substeps = if params.joints[0].kd_on_command > 0.0 { 10 } else { 20 };
     let config = EngineConfig {
-        dt_s: 0.0005,
-        substeps: 20,
+        dt_s: 1.0 / ROWS_HZ / f64::from(substeps),
+        substeps,
         precision: Precision::Double,
         fixed_base: true,
         centred: true,
@@ -54,12 +62,6 @@ fn record(kind: usize, repeat: u64, late: usize, change: &dyn Fn(&mut LaneParams
     };
     let terrain = Arc::new(Terrain::generate(&TerrainConfig::default(), 1).unwrap());
     let mut engine = BatchEngine::new(Arc::clone(&model), 1, config, terrain, 1).unwrap();
-    let mut params = LaneParams::nominal(&model);
-    let key = Key { env: kind as u64, episode: repeat, ..Key::for_run(11) };
-    let mut noise = Stream::new(key, Purpose::Sensor);
-    // no two runs are the same
-    params.joint_friction_nm[0] = 0.01 * (1.0 + 0.05 * noise.normal());
-    change(&mut params);
     engine.set_params(0, &params).unwrap();
     let mut init = InitialState::nominal(&model);
     init.joint_pos_rad[0] = command(kind, 0.0) as f32;
@@ -378,6 +380,38 @@ fn gains_of_position_and_of_speed_that_are_off_together_are_named() {
     for id in ["kp_error", "kd_error"] {
         assert!(d.report.causes.iter().any(|c| is(c, id)), "{id}: {:?}", names(&d));
     }
+}
+
+/// Kd of these rigs, where they have one, N·m·s/rad.
+const KD: f32 = 0.05;
+
+/// A request of runs that note Kd.
+fn damped(change: &dyn Fn(&mut LaneParams)) -> Request {
+    let mut request = request(0, &|p| {
+        p.kd_nms_per_rad[0] = KD;
+        change(p);
+    });
+    for run in &mut request.runs {
+        // a torque here is the mean of its row, with all kicks in it
+        let torque = |s: &Signal| matches!(s, Signal::Torque(_));
+        run.log = common::changed(&run.log, |s, _, _, v| v.filter(|_| !torque(s)));
+        run.log.meta.kd = Some(f64::from(KD));
+    }
+    request
+}
+
+#[test]
+fn damping_on_the_rate_of_the_error_is_named_and_none_where_the_robot_file_has_it() {
+    let mut request = damped(&|p| p.joints[0].kd_on_command = 1.0);
+    let found = diagnose(&request, &mut |_| {}).unwrap();
+    let cause = &found.report.causes[0];
+    assert_eq!(cause.effect, "damping_on_error", "{}", found.report.summary);
+    assert!((cause.parameters["share"].value - 1.0).abs() < 0.1, "{:?}", cause.parameters);
+    let text = String::from_utf8(request.robot_toml).unwrap();
+    let said = "kd_acts_on_error = true\nqd_tau_max_radps = ";
+    request.robot_toml = text.replacen("qd_tau_max_radps = ", said, 1).into_bytes();
+    let told = diagnose(&request, &mut |_| {}).unwrap();
+    assert_eq!(told.report.verdict, Verdict::NoGap, "{}", told.report.summary);
 }
 
 #[test]
