@@ -101,6 +101,8 @@ effects! {
         /// Share of the command's own speed that Kd does not damp: 1 where it acts on the rate of the error, 0 where
         /// it acts on the joint's speed. Nominal: the servo's.
         kd_on_command: 0.0, 1.0 => f64::from(u8::from(servo.kd_acts_on_error));
+        /// Time over which that speed is taken, s. Nominal: the servo's.
+        kd_rate_over_s: 1e-4, 0.1 => servo.kd_rate_over_s;
         /// Errors within ± this give no torque, and larger ones that much less, rad. Nominal 0.
         dead_band_rad: 0.0, 1.0 => 0.0;
         /// Share of that by which larger errors are not less: 1 where a controller acts on the whole error as

@@ -83,6 +83,9 @@ pub struct ServoParams {
     /// step of it is a kick; default: it acts on the joint's speed alone.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub kd_acts_on_error: bool,
+    /// Time over which it takes that rate, s; default 0.001, a period of the firmware of hobby servos.
+    #[serde(default = "default_kd_rate_over_s", skip_serializing_if = "is_default_rate")]
+    pub kd_rate_over_s: f64,
     /// Where its encoder sits. `None`: nobody says; simulated at the output, and a diagnosis tries both.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub encoder: Option<EncoderSide>,
@@ -90,6 +93,15 @@ pub struct ServoParams {
 
 fn default_stribeck_speed_radps() -> f64 {
     0.1
+}
+
+/// Default of [`ServoParams::kd_rate_over_s`].
+pub(crate) fn default_kd_rate_over_s() -> f64 {
+    0.001
+}
+
+fn is_default_rate(over_s: &f64) -> bool {
+    *over_s == default_kd_rate_over_s()
 }
 
 fn default_supply_lag_s() -> f64 {
@@ -105,7 +117,7 @@ impl ServoParams {
 
 /// How well the figures of a link were measured (robot file, `[measured.LINK]`): what stands there is the tolerance.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, expecting = "a table with the tolerances `mass_kg` and `com_m`")]
 pub struct Measured {
     /// Tolerance of its mass, ± kg; 0: as exactly as can be. `None`: nobody weighed it.
     #[serde(default, skip_serializing_if = "Option::is_none")]

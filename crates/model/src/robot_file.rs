@@ -8,7 +8,7 @@ use crate::error::ModelError;
 use crate::extension::Extension;
 use crate::params::{
     AddedShare, ContactParams, DragScale, EncoderSide, ImuParams, Measured, ServoParams,
-    SupplyParams,
+    SupplyParams, default_kd_rate_over_s,
 };
 
 /// Value of `format` that this version reads.
@@ -128,6 +128,9 @@ pub(crate) struct Brushless {
     /// As in a preset.
     #[serde(default)]
     pub kd_acts_on_error: bool,
+    /// As in a preset.
+    #[serde(default = "default_kd_rate_over_s")]
+    pub kd_rate_over_s: f64,
     /// Where it sits, as in a preset.
     pub encoder: Option<EncoderSide>,
 }
@@ -403,6 +406,7 @@ impl Checker<'_> {
         ] {
             self.within(&at(key), v, 0.0, hi)?;
         }
+        self.within(&at("kd_rate_over_s"), s.kd_rate_over_s, 1e-4, 0.1)?;
         let key = "stribeck_speed_radps";
         self.within(&at(key), s.stribeck_speed_radps, 1e-3, 1e2)?;
         if !(0.0 <= s.qd_tau_max_radps && s.qd_tau_max_radps < s.qd_max_radps) {

@@ -45,6 +45,7 @@ impl Brushless {
             load_friction_driving: 0.0,
             load_friction_driven: 0.0,
             kd_acts_on_error: self.kd_acts_on_error,
+            kd_rate_over_s: self.kd_rate_over_s,
             encoder: self.encoder,
         }
     }
@@ -185,6 +186,7 @@ mod tests {
             damping_nm_s_per_rad: 0.0,
             encoder_counts_per_turn: 32768,
             kd_acts_on_error: false,
+            kd_rate_over_s: 0.001,
             encoder: None,
         };
         let servo = motor.servo();

@@ -42,13 +42,18 @@ pub static KD_ERROR: Effect = Effect {
 
 pub static DAMPING_ON_ERROR: Effect = Effect {
     id: "damping_on_error",
-    parameters: &[parameter("share", "", 0.0, (0.0, 1.0), 0.1, One)],
-    grid: &one(&[0.5, 1.0]),
+    parameters: &[
+        parameter("share", "", 0.0, (0.0, 1.0), 0.1, One),
+        // over which the loop takes the rate
+        parameter("over_s", "s", 0.001, (0.0002, 0.03), 0.01, One),
+    ],
+    grid: &[&[0.5, 0.001], &[1.0, 0.001], &[0.5, 0.005], &[1.0, 0.005], &[1.0, 0.015]],
     of_servo: |servo| !servo.kd_acts_on_error,
     apply: |plant, place, v| {
         for &a in &place.items {
-            let share = &mut plant.lane.joints[a].kd_on_command;
-            *share = (*share + v[0] as f32).clamp(0.0, 1.0);
+            let joint = &mut plant.lane.joints[a];
+            joint.kd_on_command = (joint.kd_on_command + v[0] as f32).clamp(0.0, 1.0);
+            joint.kd_rate_over_s = v[1] as f32;
         }
     },
     look_alikes: "kd_error measurement_delay command_delay command_low_pass",

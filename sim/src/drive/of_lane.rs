@@ -54,6 +54,12 @@ impl ServoDrive<f64> {
             kp_nm_per_rad: wide(params.kp_nm_per_rad[a]),
             kd_nms_per_rad: wide(params.kd_nms_per_rad[a]),
             command_damping_nms_per_rad: wide(params.kd_nms_per_rad[a] * e.kd_on_command),
+            rate_share: (wide(e.kd_rate_over_s) / dt_s).min(1.0),
+            // a mean over a time is half of it late, as a low-pass of half of it is
+            rate_low_pass_share: filter::lag_share(
+                0.5 * (wide(e.kd_rate_over_s) - dt_s).max(0.0),
+                dt_s,
+            ),
             feed_forward_nm: 0.0,
             kd_min_nms_per_rad: wide(e.kd_min_nms_per_rad),
             tau_max_nm: servo.tau_max_nm * scale,

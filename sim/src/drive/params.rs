@@ -35,6 +35,10 @@ per_lane! {
         pub kd_nms_per_rad: R,
         /// Torque per speed of the target, N·m·s/rad: Kd where it acts on the rate of the error.
         pub command_damping_nms_per_rad: R,
+        /// Share of a step over which the target's speed is taken: 1 where it is taken over longer.
+        pub rate_share: R,
+        /// Part of the way that this speed makes per step where it is taken over longer; else 1.
+        pub rate_low_pass_share: R,
         /// Torque that was commanded beside the position, N·m.
         pub feed_forward_nm: R,
         /// Damping of the motor itself, on the motor's velocity, N·m·s/rad.

@@ -137,6 +137,7 @@ pub(crate) mod tests {
             load_friction_driving: 0.0,
             load_friction_driven: 0.0,
             kd_acts_on_error: false,
+            kd_rate_over_s: 0.001,
             encoder: None,
         }
     }

@@ -9,8 +9,6 @@ use super::{filter, friction, gear, servo, supply, thermal};
 use crate::per_lane::per_lane;
 use crate::real::Real;
 
-/// Period over which a loop takes the rate of its error, s: 1 ms in the firmware of hobby servos.
-const LOOP_PERIOD_S: f64 = 0.001;
 /// Stands for a target that there was not yet.
 const NO_TARGET_RAD: f64 = 1e9;
 
@@ -25,10 +23,6 @@ pub struct Step<R> {
     pub dt_s: R,
     /// 1/dt.
     pub per_dt: R,
-    /// One over the period over which a loop takes the rate of its error, 1/s: no longer than a step.
-    per_rate: R,
-    /// Share of a step that it is.
-    rate_share: R,
     /// Whether what damps acts at the time of the positions, see [`EngineConfig::centred`].
     ///
     /// [`EngineConfig::centred`]: crate::EngineConfig::centred
@@ -38,14 +32,7 @@ pub struct Step<R> {
 impl<R: Real> Step<R> {
     /// A step of `dt_s`.
     pub fn new(dt_s: f64, centred: bool) -> Self {
-        let rate_s = dt_s.min(LOOP_PERIOD_S);
-        Self {
-            dt_s: R::splat(dt_s),
-            per_dt: R::splat(1.0 / dt_s),
-            per_rate: R::splat(1.0 / rate_s),
-            rate_share: R::splat(rate_s / dt_s),
-            centred,
-        }
+        Self { dt_s: R::splat(dt_s), per_dt: R::splat(1.0 / dt_s), centred }
     }
 
     /// By how much a velocity is greater at the time of the positions, half a step on, with the last step's
@@ -324,14 +311,17 @@ fn follow<R: Real>(
     target_rad
 }
 
-/// How far the target moved in the last step and in this one, rad; nothing before the first.
+/// How far the target moved in the last step and in this one, rad, as a loop sees it; nothing before the first. A loop
+/// that takes its rate over more than a step sees a mean, and no steps.
 #[inline(always)]
-fn target_moved_rad<R: Real>(m: &mut JointMemory<R>, target_rad: R) -> (R, R) {
+fn target_moved_rad<R: Real>(p: &ServoDrive<R>, m: &mut JointMemory<R>, target_rad: R) -> (R, R) {
     let known = m.target_rad.lt(R::splat(0.5 * NO_TARGET_RAD));
     let now_rad = R::select(known, target_rad - m.target_rad, R::zero());
     let before_rad = m.target_moved_rad;
-    (m.target_rad, m.target_moved_rad) = (target_rad, now_rad);
-    (before_rad, now_rad)
+    m.target_rad = target_rad;
+    m.target_moved_rad = filter::low_pass(before_rad, now_rad, p.rate_low_pass_share);
+    let is_mean = p.rate_low_pass_share.lt(R::one());
+    (R::select(is_mean, R::zero(), before_rad), m.target_moved_rad)
 }
 
 /// Motor torque for a target and the angle that the loop sees, N·m.
@@ -378,13 +368,13 @@ fn motor<R: Real>(
     };
     let mut given_nm = limited_nm(wanted_nm);
     if f.command_damping {
-        // A step of the target kicks for one period of the loop, cut by the limits. Of a step that two physics steps
-        // share the second gives what both have beyond the first.
-        let (before_rad, now_rad) = target_moved_rad(m, target_rad);
-        let per_rad = p.command_damping_nms_per_rad * per_rho * step.per_rate;
+        // A step of the target kicks for the time over which the loop takes its rate, cut by the limits. Of a step that
+        // two physics steps share the second gives what both have beyond the first.
+        let (before_rad, now_rad) = target_moved_rad(p, m, target_rad);
+        let per_rad = p.command_damping_nms_per_rad * per_rho * step.per_dt / p.rate_share;
         let kick_nm = limited_nm(wanted_nm + per_rad * (before_rad + now_rad))
             - limited_nm(wanted_nm + per_rad * before_rad);
-        given_nm += step.rate_share * kick_nm;
+        given_nm += p.rate_share * kick_nm;
     }
     if f.integral {
         // Stands still while the motor cannot give more: no wind-up.

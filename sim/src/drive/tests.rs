@@ -27,6 +27,8 @@ fn servo() -> ServoDrive<f64> {
         current_limit_nm: params::NO_LIMIT,
         braking_current_limit_nm: params::NO_LIMIT,
         low_pass_share: 1.0,
+        rate_share: 1.0,
+        rate_low_pass_share: 1.0,
         profile_speed_radps: params::NO_LIMIT,
         profile_acceleration_radps2: params::NO_LIMIT,
         winding_scale: 1.0,
@@ -168,6 +170,13 @@ fn what_is_fed_forward_is_added_to_the_loop() {
     rig.step(0.2, 0.0);
     let kick_nm = rig.motor_nm - (15.0 * (0.2 - 15.0 * 0.1 / 0.0122 * DT * DT));
     near("kick", kick_nm, 0.3 * 0.1 / DT, 0.1);
+    // over 9 ms: after a fifth of a low-pass of 4 ms no more than that, and all of it in the end
+    let share = filter::lag_share(0.004, DT);
+    let mut rig = Rig::new(ServoDrive { rate_low_pass_share: share, ..on_error }, hinge());
+    rig.step(0.1, 0.0);
+    rig.step(0.2, 0.0);
+    let kick_nm = rig.motor_nm - (15.0 * (0.2 - 15.0 * 0.1 / 0.0122 * DT * DT));
+    near("spread", kick_nm, share * 0.3 * 0.1 / DT, 0.1);
     // as far as the motor can
     let weak = ServoDrive { tau_max_nm: 4.0, ..on_error };
     let mut rig = Rig::new(weak, hinge());
