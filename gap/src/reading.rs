@@ -152,6 +152,10 @@ fn in_their_units(model: &RobotModel, log: &RunLog) -> Result<(), String> {
             return Err(format!("{file}: `payload`: {at_m:?} m from its link: write it in m"));
         }
     }
+    if let Some(p) = meta.outer_force.iter().find(|p| p.at_m.iter().any(|x| x.abs() > FARTHEST_M)) {
+        let at_m = p.at_m;
+        return Err(format!("{file}: `outer_force`: {at_m:?} m from its link: write it in m"));
+    }
     let usual_v = model.supply_v();
     match meta.supply_v {
         Some(volt) if volt > NOT_THIS_UNIT * usual_v || volt * NOT_THIS_UNIT < usual_v => {

@@ -22,7 +22,7 @@ pub enum BaseHold {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(
     untagged,
-    expecting = "a setting of a run is a number, a text, true or false; weights are `[[payload]]`, what holds at one joint `[joint.NAME]`"
+    expecting = "a setting of a run is a number, a text, true or false; weights are `[[payload]]`, where forces act `[[outer_force]]`, what holds at one joint `[joint.NAME]`"
 )]
 pub enum Setting {
     /// true or false.
@@ -139,7 +139,7 @@ impl LogMeta {
         let meta: Self = toml::from_str(text).map_err(|e| LogError::Meta {
             file: file.to_owned(),
             line: e.span().map_or(1, |s| 1 + text[..s.start.min(text.len())].matches('\n').count()),
-            message: e.message().replace('\n', " "),
+            message: plainly(e.message()),
         })?;
         meta.check().map_err(|message| LogError::Meta {
             file: file.to_owned(),
@@ -218,6 +218,21 @@ impl LogMeta {
     }
 }
 
+/// What the parser says, in a line; of a list that was written as one table, what to write.
+fn plainly(message: &str) -> String {
+    match message {
+        "invalid type: map, expected a sequence" => {
+            "there may be several of these: write `[[payload]]`, `[[outer_force]]`, in two brackets"
+                .to_owned()
+        }
+        "missing field `at_m`" => {
+            "`[[outer_force]]` lacks `at_m`: where the force acts, in the link's frame, m"
+                .to_owned()
+        }
+        other => other.replace('\n', " "),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -281,6 +296,15 @@ mod tests {
         check(
             "robot = \"p\"\nbase = \"free\"\nrate_hz = 50\n[[payloads]]\nlink = \"arm\"\n",
             "[[payload]]",
+        );
+        check(
+            "robot = \"p\"\nbase = \"free\"\nrate_hz = 50\n[payload]\nlink = \"arm\"\n",
+            "write `[[payload]]`",
+        );
+        let place = "[[outer_force]]\nlink = \"arm\"\n";
+        check(
+            &format!("robot = \"p\"\nbase = \"free\"\nrate_hz = 50\n{place}"),
+            "`[[outer_force]]` lacks `at_m`",
         );
         check("robot = \"p\nbase = \"free\"\n", "log.toml:1");
     }

@@ -19,6 +19,8 @@ const MOVES: f64 = 0.08;
 /// The ratio of a speed to the change of position may be off one by this factor: a filter takes some of it
 /// away.
 const RATIO: f64 = 1.5;
+/// No torque is so many times what a servo can do.
+const ABSURD_TORQUE: f64 = 20.0;
 /// Least correlation of a speed with the change of position.
 const LEAST_R: f64 = 0.6;
 
@@ -48,27 +50,74 @@ pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
         }
     }
     second_encoders(run, joints, out);
+    beside(run, joints, out);
     imu(run, out);
     base(run, out);
     plain_ranges(run, joints, out);
 }
 
+/// Whether speeds and torques that are commanded beside positions are in their units, and joints that get them alone
+/// are not held at a position as well.
+fn beside(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
+    for joint in joints {
+        let of = |of: fn(String) -> Signal| run.grid.held(&run.log.table, &of(joint.name.clone()));
+        let (speed, torque) = (of(Signal::CommandVelocity), of(Signal::CommandTorque));
+        let kp = run.gains(joint.index).0;
+        if joint.cmd.is_none() && (speed.is_some() || torque.is_some()) && kp > 0.0 {
+            let name = &joint.name;
+            let detail = format!(
+                "is missing, and the gain of `{name}` is {kp:.3}: where it is sent no position, write `kp = 0` under `[joint.{name}]` in {}",
+                run.log.meta_name
+            );
+            out.push(joint.fatal("columns", "cmd", detail));
+        }
+        let parity = joint.cmd.as_ref().zip(speed.as_ref());
+        let parity = parity.and_then(|(cmd, speed)| speed_parity(run, cmd, speed));
+        if let Some(t) = parity.filter(|t| t.r > LEAST_R)
+            && let Some(unit) = unit_factor(t.slope)
+        {
+            let detail = format!(
+                "is {:.1} times the change of `cmd.{}` per second; is it in {unit}?",
+                t.slope, joint.name
+            );
+            out.push(joint.fatal("unit", "cmd_vel", detail));
+        }
+        let (most, most_nm) =
+            (largest(torque.iter().flatten()), run.robot.servo(joint.index).tau_max_nm);
+        if most > ABSURD_TORQUE * most_nm {
+            let detail = format!(
+                "reaches {most:.0} where the servo can do {most_nm:.1} N·m; is it in another unit?"
+            );
+            out.push(joint.fatal("unit", "cmd_tau", detail));
+        }
+    }
+}
+
 /// Encoders on either side of a gear do not differ by more all the time, rad: play and springs give on both sides.
 const OTHER_ZERO_RAD: f64 = 0.05;
+
+/// What varies by less than this share of itself, in the middle, stays.
+const STAYS: f64 = 0.2;
 
 /// Whether second encoders have the zero of the first.
 fn second_encoders(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
     for joint in joints {
         let second = run.grid.linear(&run.log.table, &Signal::SecondPosition(joint.name.clone()));
         let (Some(first), Some(second)) = (&joint.pos, second) else { continue };
-        let apart = second.iter().zip(first).map(|(b, a)| b - a).filter(|d| d.is_finite());
-        let Some(off) = median(apart.collect()) else { continue };
+        let apart: Vec<f64> = second.iter().zip(first).map(|(b, a)| b - a).collect();
+        let Some(off) = median(apart.clone()) else { continue };
+        let from_it = apart.iter().map(|d| (d - off).abs()).collect();
+        let varies = median(from_it).unwrap_or(0.0);
         if off.abs() > OTHER_ZERO_RAD * joint.per_radian {
             let detail = format!(
-                "is {off:+.3} {} from `pos.{}` all the time: where its zero is another one, take that off it",
+                "is {off:+.2} {} from `pos.{}` all the time: its zero is another one, take that off it",
                 joint.unit, joint.name
             );
-            out.push(joint.note("zero", "pos2", detail));
+            // a spring under load is off as well, and not always by the same
+            out.push(match varies < STAYS * off.abs() {
+                true => joint.fatal("zero", "pos2", detail),
+                false => joint.note("zero", "pos2", detail),
+            });
         }
     }
 }
@@ -364,7 +413,7 @@ fn plain_ranges(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
         }
         let torque = run.grid.linear(&run.log.table, &Signal::Torque(joint.name.clone()));
         let most = largest(torque.iter().flatten());
-        if most > 20.0 * servo.tau_max_nm {
+        if most > ABSURD_TORQUE * servo.tau_max_nm {
             let detail = format!(
                 "reaches {most:.0} where the servo can do {:.1} N·m; is it a current, or in another unit?",
                 servo.tau_max_nm

@@ -352,7 +352,8 @@ fn rate_hz(time_s: &[f64]) -> f64 {
     let most_s = PAUSE * steps().sum::<f64>() / steps().count().max(1) as f64;
     let (count, span_s) =
         steps().filter(|step| *step <= most_s).fold((0.0, 0.0), |(n, s), x| (n + 1.0, s + x));
-    count / f64::max(span_s, 1e-6)
+    // no stamp is finer
+    (count / f64::max(span_s, 1e-6) * 1e6).round() / 1e6
 }
 
 fn letters(c: char) -> char {

@@ -65,6 +65,49 @@ fn a_joint_at_its_stop_is_not_stuck() {
     assert!(checked.faults.iter().all(|f| f.kind != "stuck"), "{:#?}", checked.faults);
 }
 
+/// A log of a pendulum that swings as it is sent, 0.6·sin(3·t) rad, with `columns` beside it; the notes have `meta`.
+fn swinging(columns: &[(&str, fn(f64) -> f64)], meta: &str) -> RunLog {
+    let names: Vec<&str> = columns.iter().map(|c| c.0).collect();
+    let mut text = format!("t,pos.swing,{}\n", names.join(","));
+    for k in 0..800 {
+        let t = f64::from(k) * 0.01;
+        let values = columns.iter().map(|c| c.1(t).to_string()).collect::<Vec<_>>();
+        text += &format!("{t},{},{}\n", 0.6 * (3.0 * t).sin(), values.join(","));
+    }
+    let head = "robot = \"xl330_pendulum\"\nbase = \"fixed\"\nrate_hz = 100\n";
+    let meta = LogMeta::parse("log.toml", &format!("{head}{meta}")).unwrap();
+    RunLog::new(meta, Table::parse("log.csv", text.as_bytes()).unwrap())
+}
+
+#[test]
+fn what_is_commanded_beside_positions_has_its_units_and_no_position_is_forgotten() {
+    let robot = robot("xl330_pendulum");
+    let position = ("cmd.swing", (|t| 0.6 * (3.0 * t).sin()) as fn(f64) -> f64);
+    let told = |columns: &[(&str, fn(f64) -> f64)], meta: &str, kind: &str, at: &str| {
+        found(&one(&robot, &swinging(columns, meta)), kind, at);
+    };
+    let degrees = ("cmd_vel.swing", (|t| 57.3 * 1.8 * (3.0 * t).cos()) as fn(f64) -> f64);
+    told(&[position, degrees], "", "unit", "cmd_vel.swing");
+    told(&[position, ("cmd_tau.swing", |t| 300.0 * t.sin())], "", "unit", "cmd_tau.swing");
+    told(&[("cmd_tau.swing", |t| 0.3 * t.sin())], "", "columns", "cmd.swing");
+    told(&[position, ("pos2.swing", |t| 0.4 + 0.6 * (3.0 * t).sin())], "", "zero", "pos2.swing");
+    // a spring in the gear gives now one way and now the other
+    let gives =
+        ("pos2.swing", (|t| 0.1 + 0.6 * (3.0 * t).sin() - 0.05 * t.sin()) as fn(f64) -> f64);
+    let faults = one(&robot, &swinging(&[position, gives], "")).faults;
+    assert!(faults.iter().any(|f| f.kind == "zero" && !f.fatal), "{faults:#?}");
+    let good = [
+        swinging(&[position, ("cmd_vel.swing", |t| 1.8 * (3.0 * t).cos())], ""),
+        swinging(&[position, ("pos2.swing", |t| 0.02 + 0.6 * (3.0 * t).sin())], ""),
+        swinging(&[("cmd_tau.swing", |t| 0.3 * t.sin())], "[joint.swing]\nkp = 0\n"),
+    ];
+    for log in &good {
+        let faults = one(&robot, log).faults;
+        let beside = |at: &str| ["cmd", "pos2"].iter().any(|s| at.contains(s));
+        assert!(faults.iter().all(|f| !beside(&f.location)), "{faults:#?}");
+    }
+}
+
 /// A joint that stands under its load, on one count of its encoder, until the row after that of the next command.
 #[test]
 fn a_joint_that_stands_until_it_is_sent_elsewhere_is_not_stuck() {
