@@ -346,7 +346,7 @@ fn is_a_lead(quiet: f64, worth: &Worth) -> bool {
 
 /// Which of the causes in `order`, greatest first, are leads and no findings ([`is_a_lead`] with all others in the
 /// model, or among the terms `inconstant`, which have no one size): beside one that is surely greater. Of two that take
-/// as much nobody knows which makes up for the other.
+/// as much nobody knows which makes up for the other. What hardly matters is never more.
 pub fn leads(context: &Context, best: &State, order: &[Named], inconstant: &[usize]) -> Vec<bool> {
     let mut out: Vec<bool> = Vec::new();
     let place = |n: &Named| &best.terms[n.index].place;
@@ -358,7 +358,7 @@ pub fn leads(context: &Context, best: &State, order: &[Named], inconstant: &[usi
         });
         let makes_up =
             || inconstant.contains(&n.index) || is_a_lead(gates::quiet(context), &n.worth);
-        out.push(greater && makes_up());
+        out.push(gates::hardly_matters(context, &best.terms[n.index]) || greater && makes_up());
     }
     out
 }
@@ -433,8 +433,7 @@ fn rivals_of(
     })
 }
 
-/// Likelihood of a model that leaves `rival` floors, where one that leaves `own` has 1 and they differ at the share
-/// `concerned` of the joints.
+/// Likelihood of a model that leaves `rival` floors, where `own` have 1 and they differ at this share of the joints.
 fn likelihood(own: f64, rival: f64, concerned: f64) -> f64 {
     let ratio = (own + RIGHT_LEAVES) / (rival + RIGHT_LEAVES);
     ratio.powf(0.5 * ERRORS_OF_LAW / concerned).min(1.0 / AS_LIKELY)
