@@ -3,7 +3,6 @@
 
 use caudata_random::{Key, Purpose, Stream};
 
-use super::doubt::sizes;
 use super::judge::{Judge, group};
 use super::levels::{CAREFUL_LAB, MANY_JOINTS, NOTHING_LEFT};
 use super::product::dot;
@@ -297,15 +296,12 @@ pub fn matters(context: &Context, term: &Term) -> bool {
     size(context, term) >= 1.0
 }
 
-/// Of what matters least, so little is no finding: what was taken in for more, and then left that to others.
-const HARDLY: f64 = 0.5;
+/// What was taken in for more, and then left that to others, is no finding below this share of what matters least.
+const TOO_LITTLE: f64 = 0.5;
 
 /// Whether a term has become so small that nobody would act on it.
 pub fn hardly_matters(context: &Context, term: &Term) -> bool {
-    let model = context.replayer.model();
-    let neutral = term.neutral(model);
-    let far = |p: usize| (term.values[p] - neutral[p]).abs() < HARDLY * term.scale(model, p).abs();
-    sizes(term.effect).all(far)
+    size(context, term) < TOO_LITTLE
 }
 
 /// How far a term is from nothing, in the least that matters.

@@ -55,11 +55,7 @@ impl ServoDrive<f64> {
             kd_nms_per_rad: wide(params.kd_nms_per_rad[a]),
             command_damping_nms_per_rad: wide(params.kd_nms_per_rad[a] * e.kd_on_command),
             rate_share: (wide(e.kd_rate_over_s) / dt_s).min(1.0),
-            // a mean over a time is half of it late, as a low-pass of half of it is
-            rate_low_pass_share: filter::lag_share(
-                0.5 * (wide(e.kd_rate_over_s) - dt_s).max(0.0),
-                dt_s,
-            ),
+            rate_low_pass_share: mean_share(wide(e.kd_rate_over_s) - dt_s, dt_s),
             feed_forward_nm: 0.0,
             kd_min_nms_per_rad: wide(e.kd_min_nms_per_rad),
             tau_max_nm: servo.tau_max_nm * scale,
@@ -115,6 +111,11 @@ impl ServoDrive<f64> {
     pub fn armature_kgm2(&self) -> f64 {
         self.rotor_kgm2 * (1.0 - self.gear_is_soft)
     }
+}
+
+/// Part of the way per step of a low-pass that stands for a mean over `time_s`: it is half of that late, as the mean is.
+fn mean_share(time_s: f64, dt_s: f64) -> f64 {
+    filter::lag_share(0.5 * time_s.max(0.0), dt_s)
 }
 
 impl JointPassive<f64> {
