@@ -65,8 +65,11 @@ fn a_joint_at_its_stop_is_not_stuck() {
     assert!(checked.faults.iter().all(|f| f.kind != "stuck"), "{:#?}", checked.faults);
 }
 
+/// A signal, and what it is at a time, s.
+type Column = (&'static str, fn(f64) -> f64);
+
 /// A log of a pendulum that swings as it is sent, 0.6·sin(3·t) rad, with `columns` beside it; the notes have `meta`.
-fn swinging(columns: &[(&str, fn(f64) -> f64)], meta: &str) -> RunLog {
+fn swinging(columns: &[Column], meta: &str) -> RunLog {
     let names: Vec<&str> = columns.iter().map(|c| c.0).collect();
     let mut text = format!("t,pos.swing,{}\n", names.join(","));
     for k in 0..800 {
@@ -82,18 +85,17 @@ fn swinging(columns: &[(&str, fn(f64) -> f64)], meta: &str) -> RunLog {
 #[test]
 fn what_is_commanded_beside_positions_has_its_units_and_no_position_is_forgotten() {
     let robot = robot("xl330_pendulum");
-    let position = ("cmd.swing", (|t| 0.6 * (3.0 * t).sin()) as fn(f64) -> f64);
-    let told = |columns: &[(&str, fn(f64) -> f64)], meta: &str, kind: &str, at: &str| {
+    let position: Column = ("cmd.swing", |t| 0.6 * (3.0 * t).sin());
+    let told = |columns: &[Column], meta: &str, kind: &str, at: &str| {
         found(&one(&robot, &swinging(columns, meta)), kind, at);
     };
-    let degrees = ("cmd_vel.swing", (|t| 57.3 * 1.8 * (3.0 * t).cos()) as fn(f64) -> f64);
+    let degrees: Column = ("cmd_vel.swing", |t| 57.3 * 1.8 * (3.0 * t).cos());
     told(&[position, degrees], "", "unit", "cmd_vel.swing");
     told(&[position, ("cmd_tau.swing", |t| 300.0 * t.sin())], "", "unit", "cmd_tau.swing");
     told(&[("cmd_tau.swing", |t| 0.3 * t.sin())], "", "columns", "cmd.swing");
     told(&[position, ("pos2.swing", |t| 0.4 + 0.6 * (3.0 * t).sin())], "", "zero", "pos2.swing");
     // a spring in the gear gives now one way and now the other
-    let gives =
-        ("pos2.swing", (|t| 0.1 + 0.6 * (3.0 * t).sin() - 0.05 * t.sin()) as fn(f64) -> f64);
+    let gives: Column = ("pos2.swing", |t| 0.1 + 0.6 * (3.0 * t).sin() - 0.05 * t.sin());
     let faults = one(&robot, &swinging(&[position, gives], "")).faults;
     assert!(faults.iter().any(|f| f.kind == "zero" && !f.fatal), "{faults:#?}");
     let good = [
