@@ -187,9 +187,11 @@ fn measured(
     let mut all = vec![Measured::default(); links.len()];
     for (name, own) in &file.measured {
         let place = find(c, "measured", "body", name, links.iter().map(|l| l.name.as_str()))?;
-        for (key, tolerance) in [("mass_kg", own.mass_kg), ("com_m", own.com_m)] {
+        let mass_kg = links[place].mass_kg;
+        for (key, tolerance, most) in [("mass_kg", own.mass_kg, mass_kg), ("com_m", own.com_m, 1.0)]
+        {
             let at = format!("measured.{name}.{key}");
-            c.within(&at, tolerance.unwrap_or(0.0), 0.0, links[place].mass_kg.max(1.0))?;
+            c.within(&at, tolerance.unwrap_or(0.0), 0.0, most)?;
         }
         all[place] = *own;
     }
