@@ -6,7 +6,7 @@ use caudata_model::RobotModel;
 use caudata_runlog::BaseHold;
 
 use crate::place::{Domain, Place};
-use crate::trial::{Kind, Trial};
+use crate::trial::{Kind, Steps, Trial};
 
 /// One joint's part in the runs.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -17,6 +17,10 @@ pub struct JointExcitation {
     pub range_rad: (f64, f64),
     /// Largest product of gain and error over the servo's largest torque.
     pub most_torque_share: f64,
+    /// Largest torque that is commanded beside its position, N·m or N.
+    pub fed_nm: f64,
+    /// Largest speed that is, rad/s or m/s.
+    pub fed_radps: f64,
 }
 
 /// What runs excite.
@@ -30,6 +34,8 @@ pub struct Excitation {
     pub fastest_command_radps: f64,
     /// Longest run, s.
     pub longest_s: f64,
+    /// Largest part of a force from outside along an axis, N.
+    pub outer_n: f64,
     /// Number of runs.
     pub runs: usize,
     /// Whether a run stands on the ground.
@@ -65,6 +71,16 @@ impl Excitation {
                     all.fastest_command_radps = all.fastest_command_radps.max(rate);
                     t += span;
                 }
+            }
+            let outer = trial.forces.iter().flat_map(|f| &f.axes).flat_map(|axis| &axis.1);
+            all.outer_n = outer.fold(all.outer_n, |most, f| most.max(f.abs()));
+            for (a, joint) in all.joints.iter_mut().enumerate() {
+                let most = |of: &[Option<Steps>]| {
+                    let values = of.get(a).and_then(Option::as_ref).map_or(&[][..], |s| &s.value);
+                    values.iter().fold(0.0, |most: f64, v| most.max(v.abs()))
+                };
+                joint.fed_nm = joint.fed_nm.max(most(&trial.torques));
+                joint.fed_radps = joint.fed_radps.max(most(&trial.speeds));
             }
             for channel in trial.channels.iter().filter(|c| c.kind == Kind::Position) {
                 let joint = &mut all.joints[channel.index];
@@ -110,7 +126,8 @@ impl Excitation {
         self.most(place, |j| j.most_torque_share)
     }
 
-    fn most(&self, place: &Place, f: impl Fn(&JointExcitation) -> f64) -> f64 {
+    /// The most that a joint at `place` has of `f`.
+    pub fn most(&self, place: &Place, f: impl Fn(&JointExcitation) -> f64) -> f64 {
         let at = |a: usize| place.domain != Domain::Joints || place.items.contains(&a);
         (self.joints.iter().enumerate())
             .filter(|(a, _)| at(*a))

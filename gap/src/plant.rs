@@ -114,6 +114,19 @@ pub struct Plant {
     pub session: f64,
     /// Dry friction that a joint has at the beginning of every run and loses (or gains) while it moves. `[A]`
     pub run_in: Vec<RunIn>,
+    /// How much of what is commanded beside its position a joint does. `[A]`
+    pub fed: Vec<Fed>,
+    /// How much of the forces from outside there was.
+    pub outer_force: f64,
+}
+
+/// Shares of what is commanded beside a position; 1: as logged.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fed {
+    /// Of the torque.
+    pub torque: f64,
+    /// Of the speed.
+    pub speed: f64,
 }
 
 /// Friction that goes away within a run: `extra_nm·e^(−t/time_s)`.
@@ -142,6 +155,8 @@ impl Plant {
             },
             session: 0.0,
             run_in: vec![RunIn { extra_nm: 0.0, time_s: 1.0 }; joints],
+            fed: vec![Fed { torque: 1.0, speed: 1.0 }; joints],
+            outer_force: 1.0,
         }
     }
 

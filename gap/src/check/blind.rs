@@ -167,7 +167,8 @@ pub fn blind(
     let excitation = excitation(logs, robot);
     let trials = excite::names(robot, None);
     let mut out = BTreeMap::new();
-    for effect in effects::ALL.iter().filter(|e| !impossible(e)) {
+    let had = |e: &&&Effect| excitation.as_ref().is_none_or(|runs| (e.of_runs)(runs));
+    for effect in effects::ALL.iter().filter(|e| !impossible(e)).filter(had) {
         let need = NEEDS.iter().find(|n| n.0.contains(&effect.id));
         let unseen = || {
             let places = effect.places(robot);

@@ -348,6 +348,7 @@ fn context(
     };
     let excitation = Excitation::of(model, &fit_trials.iter().collect::<Vec<_>>());
     let judged = |trials| judge::Judge::new(&replayer, Data::new(model, trials, options), options);
+    effects.retain(|e| (e.of_runs)(&excitation));
     let [fit, holdout] = [judged(fit_trials)?, judged(held_out)?];
     let scout = scout::Scout::new(&replayer, &fit, options)?;
     Ok(state::Context {

@@ -99,6 +99,8 @@ pub struct Effect {
     pub apart: bool,
     /// Whether its parameters are the lowest and the highest position of a joint: where the joint came to is tried too.
     pub ends: bool,
+    /// Whether runs have what it is about at all.
+    pub of_runs: fn(&Excitation) -> bool,
     /// Whether a joint with this servo may have it.
     pub of_servo: fn(&ServoParams) -> bool,
     /// How far the parameters of a link's effect may be from neutral where the robot file says how well that was
@@ -324,6 +326,7 @@ pub(super) const PLAIN: Effect = Effect {
     drifts: false,
     apart: false,
     ends: false,
+    of_runs: |_| true,
     of_servo: |_| true,
     measured: |_, _| None,
     apply: |_, _, _| {},

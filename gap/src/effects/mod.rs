@@ -7,6 +7,7 @@
 
 mod contact;
 mod effect;
+mod fed;
 mod friction;
 mod gear;
 mod imu;
@@ -45,6 +46,9 @@ pub static ALL: &[&Effect] = &[
     &servo::KP_ERROR,
     &servo::KD_ERROR,
     &servo::DAMPING_ON_ERROR,
+    &fed::FED_TORQUE,
+    &fed::FED_SPEED,
+    &fed::OUTER_FORCE,
     &servo::INTEGRAL_ACTION,
     &servo::TORQUE_CONSTANT,
     &servo::WINDING_RESISTANCE,

@@ -1,6 +1,6 @@
 //! What acts beside the position commands: speeds and torques that are commanded with them, and forces from outside.
 
-use caudata_model::{BaseKind, JointMotion, Kinematics, Pose, RobotModel, pose};
+use caudata_model::{BaseKind, JointMotion, Kinematics, Pose, pose};
 use caudata_sim::batch::BatchEngine;
 use caudata_sim::sensors::EncoderErrors;
 use caudata_sim::{Engine, State};
@@ -69,11 +69,13 @@ impl<'a> Fed<'a> {
             let constant = f64::from(joint.torque_constant_nm_per_a)
                 / plant.model.servo(a).torque_per_current_nm_per_a;
             let kd = f64::from(plant.lane.kd_nms_per_rad[a]);
-            *commanded_nm =
-                (kd * read(&mut self.speeds) + constant * read(&mut self.torques)) as f32;
+            let share = plant.fed[a];
+            let (speed_radps, torque_nm) = (read(&mut self.speeds), read(&mut self.torques));
+            *commanded_nm = (kd * share.speed * speed_radps
+                + constant * share.torque * torque_nm) as f32;
         }
         if !self.forces.is_empty()
-            && !self.push(engine.state(), lane, &plant.model, 0.5 * (from_s + to_s), wrench)
+            && !self.push(engine.state(), lane, plant, 0.5 * (from_s + to_s), wrench)
         {
             return false;
         }
@@ -86,10 +88,11 @@ impl<'a> Fed<'a> {
         &mut self,
         state: &State,
         lane: usize,
-        model: &RobotModel,
+        plant: &Plant,
         t_s: f64,
         wrench: &mut [f32],
     ) -> bool {
+        let model = &plant.model;
         let joints = model.joints().len();
         let row = |values: &[f32], width: usize| -> Vec<f64> {
             values[width * lane..width * (lane + 1)].iter().map(|&x| f64::from(x)).collect()
@@ -112,7 +115,7 @@ impl<'a> Fed<'a> {
         self.outer_nm.fill(0.0);
         wrench.fill(0.0);
         for force in self.forces {
-            let force_n = force.at(t_s);
+            let force_n = force.at(t_s).map(|f| plant.outer_force * f);
             let place_m = self.places.links[force.link].point(force.at_m);
             let turning = pose::cross(pose::sub(place_m, torso_m), force_n);
             for (to, own) in wrench.iter_mut().zip(force_n.iter().chain(&turning)) {

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use caudata_gap::effects::{self, Effect, Place};
+use caudata_gap::excitation::Excitation;
 use caudata_gap::replay::{Data, Replayer, SegmentOptions, Term};
 use caudata_gap::trial::{Role, Run};
 use caudata_model::RobotModel;
@@ -94,15 +95,18 @@ fn what_was_measured_bounds_what_it_may_be() {
     assert!(error.to_string().contains("there is no body `leg`"), "{error}");
 }
 
-/// A run of `joints`, in which every joint steps and swings; measured values are zeros, since only
-/// predictions are compared.
-fn run(model: &RobotModel, base: &str, body: bool, seconds: f64) -> Run {
+/// A run of `joints`, in which every joint steps and swings, and what is `fed` with them; measured values are zeros,
+/// since only predictions are compared.
+fn run(model: &RobotModel, base: &str, body: bool, seconds: f64, fed: &[&str]) -> Run {
     let joints = model.actuated_names();
     let mut text = String::from("t");
     for j in &joints {
         text += &format!(",cmd.{j},pos.{j},vel.{j},cur.{j}");
     }
     text += ",volt";
+    for signal in fed {
+        text += &format!(",{signal}");
+    }
     if body {
         text += ",imu.gyro.x,imu.gyro.y,imu.gyro.z,imu.acc.x,imu.acc.y,imu.acc.z,base.pos.x,base.pos.y,base.pos.z";
         text += ",base.quat.w,base.quat.x,base.quat.y,base.quat.z";
@@ -119,6 +123,9 @@ fn run(model: &RobotModel, base: &str, body: bool, seconds: f64) -> Run {
             text += &format!(",{},{q0},0,0", q0 + step + swing);
         }
         text += ",12";
+        for _ in fed {
+            text += &format!(",{}", 0.2 * (4.0 * t).cos());
+        }
         if body {
             let z = if base == "water" { 1.98 } else { 0.16 };
             text += &format!(",0,0,0,0,0,9.81,0,0,{z},1,0,0,0,0,0,0");
@@ -138,7 +145,11 @@ fn run(model: &RobotModel, base: &str, body: bool, seconds: f64) -> Run {
 }
 
 fn data(model: &RobotModel, base: &str, body: bool, seconds: f64) -> Data {
-    let mut trial = caudata_gap::reading::trial(model, &run(model, base, body, seconds)).unwrap();
+    of_run(model, &run(model, base, body, seconds, &[]))
+}
+
+fn of_run(model: &RobotModel, run: &Run) -> Data {
+    let mut trial = caudata_gap::reading::trial(model, run).unwrap();
     trial.session = 1.0;
     Data::new(model, vec![trial], SegmentOptions::default())
 }
@@ -211,9 +222,29 @@ fn effects_of_a_joint_show_on_a_bench_rig() {
         ]
         .contains(&effect.id);
         // one joint has no pattern along the bus; a drift needs the end of a session, which this run is
-        if joint && !["bus_skew", "payload"].contains(&effect.id) {
+        let elsewhere = ["bus_skew", "payload", "fed_torque", "fed_speed"];
+        if joint && !elsewhere.contains(&effect.id) {
             check(&replayer, &data, effect);
         }
+    }
+}
+
+/// What is commanded beside positions, and what pushes, may be other than noted where a run has it, and only there.
+#[test]
+fn what_is_fed_may_be_other_than_noted() {
+    let model = bench();
+    let replayer = Replayer::new(Arc::clone(&model), 2).unwrap();
+    let signals = ["cmd_tau.swing", "cmd_vel.swing", "force.arm.x"];
+    let fed = of_run(&model, &run(&model, "fixed", false, 3.0, &signals));
+    let bare = data(&model, "fixed", false, 3.0);
+    let has = |effect: &Effect, data: &Data| {
+        let trials: Vec<_> = data.trials.iter().collect();
+        (effect.of_runs)(&Excitation::of(&model, &trials))
+    };
+    for id in ["fed_torque", "fed_speed", "outer_force"] {
+        let effect = effects::find(id).unwrap();
+        check(&replayer, &fed, effect);
+        assert!(has(effect, &fed) && !has(effect, &bare), "{id}");
     }
 }
 

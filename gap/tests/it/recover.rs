@@ -415,6 +415,24 @@ fn damping_on_the_rate_of_the_error_is_named_and_none_where_the_robot_file_has_i
 }
 
 #[test]
+fn a_torque_that_is_logged_and_not_applied_is_named() {
+    let mut request = request(0, &|_| {});
+    for run in &mut request.runs {
+        let mut signals = run.log.table.signals().to_vec();
+        signals.push(Signal::CommandTorque("swing".into()));
+        run.log = common::rebuilt(&run.log, &signals, |k, t| {
+            let mut row = run.log.table.row(k).unwrap().to_vec();
+            row.push(Some(0.1 * (0.9 * t).sin()));
+            (t, row)
+        });
+    }
+    let found = diagnose(&request, &mut |_| {}).unwrap();
+    let cause = &found.report.causes[0];
+    assert_eq!(cause.effect, "fed_torque", "{}", found.report.summary);
+    assert!(cause.parameters["share"].value.abs() < 0.05, "{:?}", cause.parameters);
+}
+
+#[test]
 fn a_late_command_is_named() {
     let (_, d) = run(2, &|_| {});
     let first = &d.report.causes[0];

@@ -160,6 +160,28 @@ fn what_is_commanded_beside_positions_and_pushes_from_outside_is_replayed() {
     assert!(rests_at(&[], "", &[])[0].abs() < 1e-6);
 }
 
+/// A torque of 0.4 N·m, half of which is applied, and such a force turn it as 0.2 N·m do.
+#[test]
+fn of_what_is_fed_a_share_may_act() {
+    let model = crate::common::robot("xl330_pendulum");
+    let half = |id: &str, joints: &[String]| {
+        let effect = effects::find(id).unwrap();
+        let place = Place::named(&model, effect.domain, joints).unwrap();
+        [Term { effect, place, values: vec![0.5] }]
+    };
+    let swing = ["swing".to_owned()];
+    let turned = |column: (&str, f64), meta: &str, term: &[Term]| rests_at(&[column], meta, term)[0];
+    for (noted, applied, meta, id, joints) in [
+        (("cmd_tau.swing", 0.4), ("cmd_tau.swing", 0.2), "", "fed_torque", &swing[..]),
+        (("cmd_vel.swing", 4.0), ("cmd_vel.swing", 2.0), "kd = 0.05\n", "fed_speed", &swing),
+        (("force.arm.x", -3.0), ("force.arm.x", -1.5), "", "outer_force", &[]),
+    ] {
+        let (noted, applied) = (turned(noted, meta, &half(id, joints)), turned(applied, meta, &[]));
+        assert_eq!(noted, applied, "{id}");
+        assert!(noted.abs() > 0.05, "{id}: {noted}");
+    }
+}
+
 /// A drive that takes 0.5 N·m for what is 0.4 gives less of what it is fed as well.
 #[test]
 fn a_torque_that_is_fed_forward_goes_through_the_drive() {
