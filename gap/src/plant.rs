@@ -114,19 +114,12 @@ pub struct Plant {
     pub session: f64,
     /// Dry friction that a joint has at the beginning of every run and loses (or gains) while it moves. `[A]`
     pub run_in: Vec<RunIn>,
-    /// How much of what is commanded beside its position a joint does. `[A]`
-    pub fed: Vec<Fed>,
-    /// How much of the forces from outside there was.
+    /// Share of the torque that is commanded beside its position which a joint's drive applies. `[A]`
+    pub fed_torque: Vec<f64>,
+    /// The same of the speed. `[A]`
+    pub fed_speed: Vec<f64>,
+    /// Share of the forces from outside which there was.
     pub outer_force: f64,
-}
-
-/// Shares of what is commanded beside a position; 1: as logged.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Fed {
-    /// Of the torque.
-    pub torque: f64,
-    /// Of the speed.
-    pub speed: f64,
 }
 
 /// Friction that goes away within a run: `extra_nm·e^(−t/time_s)`.
@@ -155,7 +148,8 @@ impl Plant {
             },
             session: 0.0,
             run_in: vec![RunIn { extra_nm: 0.0, time_s: 1.0 }; joints],
-            fed: vec![Fed { torque: 1.0, speed: 1.0 }; joints],
+            fed_torque: vec![1.0; joints],
+            fed_speed: vec![1.0; joints],
             outer_force: 1.0,
         }
     }

@@ -5,7 +5,7 @@ use super::effect::{Effect, Layer, PLAIN, one, parameter};
 use crate::place::Domain;
 
 /// Nothing of it, the other way round, half, twice.
-const SHARES: [f64; 6] = [-1.0, 0.0, 0.5, 0.8, 1.25, 2.0];
+const NOTED_SHARES: [f64; 6] = [-1.0, 0.0, 0.5, 0.8, 1.25, 2.0];
 
 const OF_COMMANDS: Effect =
     Effect { layer: Layer::Actuation, domain: Domain::Joints, hinge: true, ..PLAIN };
@@ -13,8 +13,8 @@ const OF_COMMANDS: Effect =
 pub static FED_TORQUE: Effect = Effect {
     id: "fed_torque",
     parameters: &[parameter("share", "", 1.0, (-2.0, 3.0), 0.05, One)],
-    grid: &one(&SHARES),
-    apply: |plant, place, v| place.each(|a| plant.fed[a].torque *= v[0]),
+    grid: &one(&NOTED_SHARES),
+    apply: |plant, place, v| place.each(|a| plant.fed_torque[a] *= v[0]),
     look_alikes: "link_mass link_com point_mass torque_constant kp_error",
     of_runs: |e| e.joints.iter().any(|j| j.fed_nm > 0.0),
     unseen: |e, place| {
@@ -28,8 +28,8 @@ pub static FED_TORQUE: Effect = Effect {
 pub static FED_SPEED: Effect = Effect {
     id: "fed_speed",
     parameters: &[parameter("share", "", 1.0, (-2.0, 3.0), 0.05, One)],
-    grid: &one(&SHARES),
-    apply: |plant, place, v| place.each(|a| plant.fed[a].speed *= v[0]),
+    grid: &one(&NOTED_SHARES),
+    apply: |plant, place, v| place.each(|a| plant.fed_speed[a] *= v[0]),
     look_alikes: "kd_error damping_on_error command_delay viscous_friction",
     of_runs: |e| e.joints.iter().any(|j| j.fed_radps > 0.0),
     unseen: |e, place| {
@@ -44,7 +44,7 @@ pub static OUTER_FORCE: Effect = Effect {
     id: "outer_force",
     layer: Layer::Sensing,
     parameters: &[parameter("share", "", 1.0, (-2.0, 3.0), 0.05, One)],
-    grid: &one(&SHARES),
+    grid: &one(&NOTED_SHARES),
     hinge: true,
     apply: |plant, _, v| plant.outer_force *= v[0],
     look_alikes: "link_mass point_mass parallel_spring",

@@ -69,10 +69,9 @@ impl<'a> Fed<'a> {
             let constant = f64::from(joint.torque_constant_nm_per_a)
                 / plant.model.servo(a).torque_per_current_nm_per_a;
             let kd = f64::from(plant.lane.kd_nms_per_rad[a]);
-            let share = plant.fed[a];
-            let (speed_radps, torque_nm) = (read(&mut self.speeds), read(&mut self.torques));
-            *commanded_nm = (kd * share.speed * speed_radps
-                + constant * share.torque * torque_nm) as f32;
+            let speed_radps = plant.fed_speed[a] * read(&mut self.speeds);
+            let torque_nm = plant.fed_torque[a] * read(&mut self.torques);
+            *commanded_nm = (kd * speed_radps + constant * torque_nm) as f32;
         }
         if !self.forces.is_empty()
             && !self.push(engine.state(), lane, plant, 0.5 * (from_s + to_s), wrench)
