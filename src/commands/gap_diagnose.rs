@@ -74,7 +74,9 @@ fn verdict(report: &Report) -> Result<(), Failure> {
     Err(match &report.next_experiment {
         Some(next) => failure.hint(match excite::names_in(&next.trial) {
             Some(trial) => {
-                format!("record the trial {trial} (`caudata gap excite --trial {trial}`)")
+                format!(
+                    "record the trial {trial} (`caudata gap excite --robot R.robot.toml --trial {trial} --out DIR`)"
+                )
             }
             // a run of the user's own
             None => format!("record {} once more", next.trial),

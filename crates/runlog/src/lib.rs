@@ -26,7 +26,7 @@ mod writer;
 
 pub use error::LogError;
 pub use log::{CSV_NAME, META_NAME, ROWS, RunLog, meta_file, names_a_robot, read_rows, rows_file};
-pub use meta::{BaseHold, JointConditions, LogMeta, Payload, Setting};
+pub use meta::{BaseHold, ForcePoint, JointConditions, LogMeta, Payload, Setting};
 pub use signal::{Axis, QuatPart, Signal, SignalError};
 pub use table::Table;
 pub use writer::{LogWriter, TableWriter};

@@ -350,9 +350,11 @@ mod tests {
         let state = "stamp,ticks\n0,0\n10,1024\n20,\n";
         std::fs::write(folder.join("goal.csv"), goal).unwrap();
         std::fs::write(folder.join("state.csv"), state).unwrap();
-        let map = Map::parse("map.toml", MAP).unwrap();
+        let place = "[[outer_force]]\nlink = \"arm\"\nat_m = [0, 0, -0.1]\n";
+        let map = Map::parse("map.toml", &format!("{MAP}{place}")).unwrap();
         let run = read(&folder, &map, &robot()).unwrap();
         assert_eq!((run.name.as_str(), run.meta.kp), ("run_1", Some(2.0)));
+        assert_eq!(run.meta.outer_force[0].at_m, [0.0, 0.0, -0.1]);
         let pi = std::f64::consts::PI;
         let want = [
             (0.0, [Some(0.5 * pi), Some(1.0)]),

@@ -24,7 +24,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use caudata_model::RobotModel;
-use caudata_runlog::{BaseHold, JointConditions, LogMeta, Payload, Setting, Signal};
+use caudata_runlog::{BaseHold, ForcePoint, JointConditions, LogMeta, Payload, Setting, Signal};
 use serde::Deserialize;
 
 use super::run::{ImportError, Imported};
@@ -53,6 +53,8 @@ pub struct Map {
     joint: BTreeMap<String, JointConditions>,
     #[serde(default)]
     payload: Vec<Payload>,
+    #[serde(default)]
+    outer_force: Vec<ForcePoint>,
     time: Column,
     #[serde(default)]
     signal: Vec<SignalColumn>,
@@ -439,6 +441,7 @@ impl Map {
         (meta.kp, meta.kd, meta.supply_v) = (self.kp, self.kd, self.supply_v);
         meta.joint.clone_from(&self.joint);
         meta.payload.clone_from(&self.payload);
+        meta.outer_force.clone_from(&self.outer_force);
         if let Some(level_m) = self.water_level_m {
             let key = "water_level_m".to_owned();
             meta.settings.insert(key, Setting::Number(level_m));

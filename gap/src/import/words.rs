@@ -160,7 +160,11 @@ impl Words {
             return None;
         }
         match (self.says(COMMANDS), kind) {
-            _ if self.says(FED_FORWARD) => (kind == Some("tau")).then_some("cmd_tau"),
+            _ if self.says(FED_FORWARD) => {
+                let in_torque =
+                    || self.unit.is_some_and(|u| unit(u).is_ok_and(|u| u.1 == "torque"));
+                (kind == Some("tau") || (kind.is_none() && in_torque())).then_some("cmd_tau")
+            }
             (true, None | Some("pos")) => Some("cmd"),
             // whether a drive heeds it no file says
             (true, Some(_)) => None,
@@ -264,6 +268,7 @@ mod tests {
             ("vel_deg_s", Some("deg/s"), None),
             ("velocity_rad_per_sec", Some("rad/s"), None),
             ("vel_dps", Some("deg/s"), None),
+            ("vel_degps", Some("deg/s"), None),
             ("speed [rpm]", Some("rev/min"), None),
             ("vel_turns_s", Some("rev/s"), None),
             ("torque_Nmm", Some("mNm"), None),
@@ -301,8 +306,8 @@ mod tests {
         let said = |header: &str| Words::of(header).kind();
         assert_eq!([said("torque_enable"), said("position_flag")], [None, None]);
         assert_eq!([said("pwm_enable1"), said("torque_status")], [None, None]);
-        let fed = ["tau_ff", "feed_forward_torque_elbow", "q_ff"].map(said);
-        assert_eq!(fed, [Some("cmd_tau"), Some("cmd_tau"), None]);
+        let fed = ["tau_ff", "feed_forward_torque_elbow", "q_ff", "knee_ff_Nm"].map(said);
+        assert_eq!(fed, [Some("cmd_tau"), Some("cmd_tau"), None, Some("cmd_tau")]);
         assert!(Words::of("qd_des").commands_otherwise().is_some_and(|w| w.contains("cmd_vel")));
         assert_eq!(said("motor_status_velocity"), Some("vel"));
         assert_eq!(said("drive_on_current_a"), Some("cur"));

@@ -170,7 +170,8 @@ fn of_what_is_fed_a_share_may_act() {
         [Term { effect, place, values: vec![0.5] }]
     };
     let swing = ["swing".to_owned()];
-    let turned = |column: (&str, f64), meta: &str, term: &[Term]| rests_at(&[column], meta, term)[0];
+    let turned =
+        |column: (&str, f64), meta: &str, term: &[Term]| rests_at(&[column], meta, term)[0];
     for (noted, applied, meta, id, joints) in [
         (("cmd_tau.swing", 0.4), ("cmd_tau.swing", 0.2), "", "fed_torque", &swing[..]),
         (("cmd_vel.swing", 4.0), ("cmd_vel.swing", 2.0), "kd = 0.05\n", "fed_speed", &swing),
