@@ -19,7 +19,7 @@ pub struct JointExcitation {
     pub most_torque_share: f64,
     /// Largest torque that is commanded beside its position, N·m or N.
     pub fed_nm: f64,
-    /// Largest speed that is, rad/s or m/s.
+    /// Largest speed that is, where Kd heeds it, rad/s or m/s.
     pub fed_radps: f64,
 }
 
@@ -80,7 +80,11 @@ impl Excitation {
                     values.iter().fold(0.0, |most: f64, v| most.max(v.abs()))
                 };
                 joint.fed_nm = joint.fed_nm.max(most(&trial.torques));
-                joint.fed_radps = joint.fed_radps.max(most(&trial.speeds));
+                let kd = trial.meta.gains(model.actuated_names()[a]).1;
+                // without damping a speed does nothing
+                if kd.unwrap_or(model.kd_nm_s_per_rad(a)) > 0.0 {
+                    joint.fed_radps = joint.fed_radps.max(most(&trial.speeds));
+                }
             }
             for channel in trial.channels.iter().filter(|c| c.kind == Kind::Position) {
                 let joint = &mut all.joints[channel.index];
@@ -126,8 +130,7 @@ impl Excitation {
         self.most(place, |j| j.most_torque_share)
     }
 
-    /// The most that a joint at `place` has of `f`.
-    pub fn most(&self, place: &Place, f: impl Fn(&JointExcitation) -> f64) -> f64 {
+    fn most(&self, place: &Place, f: impl Fn(&JointExcitation) -> f64) -> f64 {
         let at = |a: usize| place.domain != Domain::Joints || place.items.contains(&a);
         (self.joints.iter().enumerate())
             .filter(|(a, _)| at(*a))

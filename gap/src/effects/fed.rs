@@ -4,7 +4,7 @@ use super::effect::Reference::One;
 use super::effect::{Effect, Layer, PLAIN, one, parameter};
 use crate::place::Domain;
 
-/// Nothing of it, the other way round, half, twice.
+/// Nothing of it, the other way round, half, twice. Shares add up, so that one that a robot file has can be undone.
 const NOTED_SHARES: [f64; 6] = [-1.0, 0.0, 0.5, 0.8, 1.25, 2.0];
 
 const OF_COMMANDS: Effect =
@@ -14,11 +14,12 @@ pub static FED_TORQUE: Effect = Effect {
     id: "fed_torque",
     parameters: &[parameter("share", "", 1.0, (-2.0, 3.0), 0.05, One)],
     grid: &one(&NOTED_SHARES),
-    apply: |plant, place, v| place.each(|a| plant.fed_torque[a] *= v[0]),
+    apply: |plant, place, v| place.each(|a| plant.fed_torque[a] += v[0] - 1.0),
     look_alikes: "link_mass link_com point_mass torque_constant kp_error",
     of_runs: |e| e.joints.iter().any(|j| j.fed_nm > 0.0),
     unseen: |e, place| {
-        (e.most(place, |j| j.fed_nm) == 0.0).then_some("no torque is commanded there")
+        let any_bare = place.items.iter().any(|&a| e.joints[a].fed_nm == 0.0);
+        any_bare.then_some("no torque is commanded there")
     },
     trial: "holds",
     signature: "what is off goes with the commanded torque, whatever the joint does",
@@ -29,11 +30,12 @@ pub static FED_SPEED: Effect = Effect {
     id: "fed_speed",
     parameters: &[parameter("share", "", 1.0, (-2.0, 3.0), 0.05, One)],
     grid: &one(&NOTED_SHARES),
-    apply: |plant, place, v| place.each(|a| plant.fed_speed[a] *= v[0]),
+    apply: |plant, place, v| place.each(|a| plant.fed_speed[a] += v[0] - 1.0),
     look_alikes: "kd_error damping_on_error command_delay viscous_friction",
     of_runs: |e| e.joints.iter().any(|j| j.fed_radps > 0.0),
     unseen: |e, place| {
-        (e.most(place, |j| j.fed_radps) == 0.0).then_some("no speed is commanded there")
+        let any_bare = place.items.iter().any(|&a| e.joints[a].fed_radps == 0.0);
+        any_bare.then_some("no speed is commanded there")
     },
     trial: "chirp_medium",
     signature: "what is off goes with the commanded speed; a damping that is off goes with the joint's",
@@ -42,11 +44,11 @@ pub static FED_SPEED: Effect = Effect {
 
 pub static OUTER_FORCE: Effect = Effect {
     id: "outer_force",
-    layer: Layer::Sensing,
+    layer: Layer::Structure,
     parameters: &[parameter("share", "", 1.0, (-2.0, 3.0), 0.05, One)],
     grid: &one(&NOTED_SHARES),
     hinge: true,
-    apply: |plant, _, v| plant.outer_force *= v[0],
+    apply: |plant, _, v| plant.outer_force += v[0] - 1.0,
     look_alikes: "link_mass point_mass parallel_spring",
     of_runs: |e| e.outer_n > 0.0,
     trial: "holds",

@@ -163,7 +163,8 @@ impl Words {
             _ if self.says(FED_FORWARD) => {
                 let in_torque =
                     || self.unit.is_some_and(|u| unit(u).is_ok_and(|u| u.1 == "torque"));
-                (kind == Some("tau") || (kind.is_none() && in_torque())).then_some("cmd_tau")
+                let short = kind.is_none() && self.says("ff feedforward") && in_torque();
+                (kind == Some("tau") || short).then_some("cmd_tau")
             }
             (true, None | Some("pos")) => Some("cmd"),
             // whether a drive heeds it no file says
