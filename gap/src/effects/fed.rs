@@ -1,10 +1,13 @@
 //! What is commanded beside positions, and what pushes from outside, is not what the log says (A17 to A19).
 
 use super::effect::Reference::One;
-use super::effect::{Effect, Layer, PLAIN, one, parameter};
+use super::effect::{Effect, Layer, PLAIN, ParameterSpec, one, parameter};
 use crate::place::Domain;
 
-/// Nothing of it, the other way round, half, twice. Shares add up, so that one that a robot file has can be undone.
+/// Of what is noted, how much acts. Shares add up, so that one that a robot file has can be undone.
+const SHARE: &[ParameterSpec] = &[parameter("share", "", 1.0, (-2.0, 3.0), 0.05, One)];
+
+/// The other way round, nothing of it, a part, more.
 const NOTED_SHARES: [f64; 6] = [-1.0, 0.0, 0.5, 0.8, 1.25, 2.0];
 
 const OF_COMMANDS: Effect =
@@ -12,7 +15,7 @@ const OF_COMMANDS: Effect =
 
 pub static FED_TORQUE: Effect = Effect {
     id: "fed_torque",
-    parameters: &[parameter("share", "", 1.0, (-2.0, 3.0), 0.05, One)],
+    parameters: SHARE,
     grid: &one(&NOTED_SHARES),
     apply: |plant, place, v| place.each(|a| plant.fed_torque[a] += v[0] - 1.0),
     look_alikes: "link_mass link_com point_mass torque_constant kp_error",
@@ -28,7 +31,7 @@ pub static FED_TORQUE: Effect = Effect {
 
 pub static FED_SPEED: Effect = Effect {
     id: "fed_speed",
-    parameters: &[parameter("share", "", 1.0, (-2.0, 3.0), 0.05, One)],
+    parameters: SHARE,
     grid: &one(&NOTED_SHARES),
     apply: |plant, place, v| place.each(|a| plant.fed_speed[a] += v[0] - 1.0),
     look_alikes: "kd_error damping_on_error command_delay viscous_friction",
@@ -45,7 +48,7 @@ pub static FED_SPEED: Effect = Effect {
 pub static OUTER_FORCE: Effect = Effect {
     id: "outer_force",
     layer: Layer::Structure,
-    parameters: &[parameter("share", "", 1.0, (-2.0, 3.0), 0.05, One)],
+    parameters: SHARE,
     grid: &one(&NOTED_SHARES),
     hinge: true,
     apply: |plant, _, v| plant.outer_force += v[0] - 1.0,
