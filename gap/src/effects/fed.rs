@@ -4,7 +4,7 @@ use super::effect::Reference::One;
 use super::effect::{Effect, Layer, PLAIN, ParameterSpec, one, parameter};
 use crate::place::Domain;
 
-/// Of what is noted, how much acts. Shares add up, so that one that a robot file has can be undone.
+/// The share of what is noted that acts. Shares add up, so that one in a robot file can be undone.
 const SHARE: &[ParameterSpec] = &[parameter("share", "", 1.0, (-2.0, 3.0), 0.05, One)];
 
 /// The other way round, nothing of it, a part, more.
