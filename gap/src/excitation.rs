@@ -17,6 +17,8 @@ pub struct JointExcitation {
     pub range_rad: (f64, f64),
     /// Largest product of gain and error over the servo's largest torque.
     pub most_torque_share: f64,
+    /// Largest gain on its speed, N·m·s/rad or N·s/m.
+    pub kd_nms_per_rad: f64,
     /// Largest torque that is commanded beside its position, N·m or N.
     pub fed_nm: f64,
     /// Largest speed that is, where Kd heeds it, rad/s or m/s.
@@ -81,8 +83,10 @@ impl Excitation {
                 };
                 joint.fed_nm = joint.fed_nm.max(most(&trial.torques));
                 let kd = trial.meta.gains(model.actuated_names()[a]).1;
+                let kd = kd.unwrap_or(model.kd_nm_s_per_rad(a));
+                joint.kd_nms_per_rad = joint.kd_nms_per_rad.max(kd);
                 // without damping a speed does nothing
-                if kd.unwrap_or(model.kd_nm_s_per_rad(a)) > 0.0 {
+                if kd > 0.0 {
                     joint.fed_radps = joint.fed_radps.max(most(&trial.speeds));
                 }
             }

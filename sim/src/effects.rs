@@ -113,6 +113,8 @@ effects! {
         /// Delay between what the loop wants and what the motor gives, s (computing time). At most
         /// [`MAX_LOOP_DELAY_S`]. Nominal 0.
         loop_delay_s: 0.0, MAX_LOOP_DELAY_S => 0.0;
+        /// Time constant of a first-order low-pass on the speed that Kd damps, s. Nominal 0: none.
+        damping_lag_s: 0.0, 1.0 => 0.0;
         /// Factor on the motor's speed without load (a lower back-EMF constant is a faster motor). Nominal 1.
         speed_scale: 0.05, 20.0 => 1.0;
         /// Share of the bus voltage that the motor gets at most. Nominal 1.

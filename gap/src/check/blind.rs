@@ -107,6 +107,7 @@ const NEEDS: &[Need] = &[
     (&["kp_error", "duty_supply", "controller_dead_band", "integral_action"], |e| unless(e.total(|j| j.holds as f64) >= 3.0, "holds under load"), "holds"),
     (&["kd_error"], |e| unless(e.total(|j| (j.steps[0] + j.steps[1] + j.steps[2]) as f64) >= 2.0 || e.joint(|j| j.band_hz[1] > 2.5), "steps, or commands above 2.5 Hz"), "steps_medium"),
     (&["damping_on_error"], |e| unless(e.joint(|j| j.band_hz[1] > 1.0) || e.total(|j| j.steps[2] as f64) >= 2.0, "commands that move, above 1 Hz or in steps"), "steps_medium"),
+    (&["damping_lag"], |e| unless(e.joint(|j| j.band_hz[1] > 2.5) || e.total(|j| j.fast_s) > 0.3, "fast motion"), "chirp_large"),
     (&["torque_constant"], |e| unless(e.has("cur"), "motor current"), "holds"),
     (&["winding_resistance", "voltage_limit", "supply_level"], |e| unless(e.total(|j| j.fast_s) > 0.3, "fast motion (above 1.5 rad/s) for 0.3 s or more"), "steps_large"),
     (&["torque_limit", "motor_torque", "braking_asymmetry"], |e| unless(e.joint(|j| j.steps[2] > 0) || e.joint(|j| j.effort > 0.5), "large steps or loads near the torque limit"), "steps_large"),

@@ -46,6 +46,7 @@ pub static ALL: &[&Effect] = &[
     &servo::KP_ERROR,
     &servo::KD_ERROR,
     &servo::DAMPING_ON_ERROR,
+    &servo::DAMPING_LAG,
     &fed::FED_TORQUE,
     &fed::FED_SPEED,
     &fed::OUTER_FORCE,

@@ -1,4 +1,4 @@
-//! Position loop and motor (A1 to A7, A11 to A13).
+//! Position loop and motor (A1 to A7, A11 to A16, A20).
 
 use super::effect::Reference::{Angle, Damping, Gain, One, Torque};
 use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
@@ -61,6 +61,43 @@ pub static DAMPING_ON_ERROR: Effect = Effect {
     unseen: needs_motion,
     trial: "steps_medium",
     signature: "the loop damps the rate of the error: a moving command is not braked, and a step of it kicks",
+    ..OF_SERVOS
+};
+
+/// A low-pass on the speed that the loop damps. A short one is an inertia of −Kd·time.
+pub static DAMPING_LAG: Effect = Effect {
+    id: "damping_lag",
+    parameters: &[
+        parameter("time_s", "s", 0.0, (0.0, 0.05), 0.0005, One),
+        // 1: the speed that a servo reports is that one; 0: it has no such lag
+        parameter("reported", "", 0.0, (0.0, 1.0), 0.2, One),
+    ],
+    grid: &[
+        &[0.0005, 0.0],
+        &[0.001, 0.0],
+        &[0.002, 0.0],
+        &[0.002, 1.0],
+        &[0.004, 0.0],
+        &[0.004, 1.0],
+        &[0.008, 0.0],
+        &[0.008, 1.0],
+        &[0.016, 0.0],
+        &[0.016, 1.0],
+    ],
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            plant.lane.joints[a].damping_lag_s += v[0] as f32;
+            plant.sensing.velocity_lag_s[a] += (v[0] * v[1]) as f32;
+        }
+    },
+    look_alikes: "armature servo_loop_delay link_inertia kd_error damping_on_error gear_compliance",
+    of_runs: |e| e.joints.iter().any(|j| j.kd_nms_per_rad > 0.0),
+    unseen: |e, place| {
+        let any_free = place.items.iter().any(|&a| e.joints[a].kd_nms_per_rad == 0.0);
+        any_free.then_some("the loop does not damp there").or_else(|| needs_motion(e, place))
+    },
+    trial: "chirp_large",
+    signature: "as a lighter rotor, the more the higher Kd; a joint without torque has its full inertia",
     ..OF_SERVOS
 };
 

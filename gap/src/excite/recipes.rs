@@ -112,7 +112,7 @@ pub(super) const RECIPES: &[Recipe] = &[
     // frequency
     joint("chirp_small", "50 mrad, 0.5 to 10 Hz: within what the servo follows", &["command_delay", "command_low_pass", "servo_loop_delay", "measurement_delay", "armature", "gear_compliance"], |w| { let c = w.place(0.0); w.chirp(c, 0.05, 0.5, 10.0, 12.0); }),
     joint("chirp_medium", "0.2 rad, 0.2 to 6 Hz", &["velocity_lag", "current_lag", "command_low_pass", "command_delay", "kd_error", "viscous_friction", "link_inertia"], |w| { let c = w.place(0.0); w.chirp(c, 0.2, 0.2, 6.0, 14.0); }),
-    joint("chirp_large", "0.6 rad, 0.1 to 3 Hz, up to the speed limit", &["armature", "link_inertia", "voltage_limit", "viscous_friction", "profile_limit"], |w| { let c = w.place(0.0); w.chirp(c, 0.6, 0.1, 3.0, 16.0); }),
+    joint("chirp_large", "0.6 rad, 0.1 to 3 Hz, up to the speed limit", &["armature", "damping_lag", "link_inertia", "voltage_limit", "viscous_friction", "profile_limit"], |w| { let c = w.place(0.0); w.chirp(c, 0.6, 0.1, 3.0, 16.0); }),
     joint("chirp_raised", "0.15 rad, 0.3 to 5 Hz, about a raised pose", &["load_dependent_friction", "link_com", "gear_backlash", "play_behind_encoder"], |w| { let c = w.place(0.8); w.chirp(c, 0.15, 0.3, 5.0, 10.0); }),
     joint("chirp_lowered", "the same about a lowered pose: the load the other way", &["load_dependent_friction", "link_com", "gear_backlash", "play_behind_encoder"], |w| { let c = w.place(-0.8); w.chirp(c, 0.15, 0.3, 5.0, 10.0); }),
     joint("sines", "three sizes at three frequencies", &["viscous_friction", "linear_drag", "quadratic_drag", "added_mass", "command_low_pass"], |w| {

@@ -716,10 +716,13 @@ fn what_cannot_be_told_is_listed_with_what_would_tell_it() {
             checked.runs
         );
     }
-    assert!(
-        !checked.cannot_tell.contains_key("contact_friction"),
-        "a rig without feet cannot have it"
-    );
+    for (effect, why) in [
+        ("contact_friction", "a rig without feet cannot have it"),
+        ("fed_torque", "no torque is commanded"),
+        ("outer_force", "nothing pushes"),
+    ] {
+        assert!(!checked.cannot_tell.contains_key(effect), "{why}");
+    }
 }
 
 proptest! {

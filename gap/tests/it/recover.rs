@@ -414,6 +414,21 @@ fn damping_on_the_rate_of_the_error_is_named_and_none_where_the_robot_file_has_i
     assert_eq!(told.report.verdict, Verdict::NoGap, "{}", told.report.summary);
 }
 
+/// Whether a diagnosis had `effect` among its candidates.
+fn tried(d: &Diagnosis, effect: &str) -> bool {
+    d.report.detection_floor.keys().any(|key| key.split('@').next() == Some(effect))
+}
+
+#[test]
+fn damping_by_an_old_speed_is_named_where_the_loop_damps() {
+    let found = diagnose(&damped(&|p| p.joints[0].damping_lag_s = 0.02), &mut |_| {}).unwrap();
+    let cause = &found.report.causes[0];
+    assert_eq!(cause.effect, "damping_lag", "{}", found.report.summary);
+    assert!((cause.parameters["time_s"].value - 0.02).abs() < 0.003, "{:?}", cause.parameters);
+    let (_, undamped) = run(0, &|_| {});
+    assert!(tried(&undamped, "servo_loop_delay") && !tried(&undamped, "damping_lag"));
+}
+
 #[test]
 fn a_torque_that_is_logged_and_not_applied_is_named() {
     let mut request = request(0, &|_| {});
@@ -430,6 +445,8 @@ fn a_torque_that_is_logged_and_not_applied_is_named() {
     let cause = &found.report.causes[0];
     assert_eq!(cause.effect, "fed_torque", "{}", found.report.summary);
     assert!(cause.parameters["share"].value.abs() < 0.05, "{:?}", cause.parameters);
+    // what no run has cannot be other than noted
+    assert!(tried(&found, "fed_torque") && !tried(&found, "fed_speed"));
 }
 
 #[test]

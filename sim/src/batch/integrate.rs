@@ -149,6 +149,7 @@ fn select_memory<R: Lanes>(
         profile_radps: R::select(mask, yes.profile_radps, no.profile_radps),
         target_rad: R::select(mask, yes.target_rad, no.target_rad),
         target_moved_rad: R::select(mask, yes.target_moved_rad, no.target_moved_rad),
+        loop_radps: R::select(mask, yes.loop_radps, no.loop_radps),
         integral_nm: R::select(mask, yes.integral_nm, no.integral_nm),
         load_nm: R::select(mask, yes.load_nm, no.load_nm),
         lead_rad: R::select(mask, yes.lead_rad, no.lead_rad),

@@ -63,7 +63,7 @@ pub const MAX_LANES: usize = 1 << 20;
 const MOST_NM: f32 = 1e6;
 
 /// Changes whenever what a snapshot holds does.
-const BATCH_FORMAT: &str = "caudata-batch-6";
+const BATCH_FORMAT: &str = "caudata-batch-7";
 
 /// The batch engine.
 pub struct BatchEngine {

@@ -37,6 +37,8 @@ features! {
     profile: servo.profile_speed_radps < NO_LIMIT || servo.profile_acceleration_radps2 < NO_LIMIT,
     /// Damping that acts on the rate of the error.
     command_damping: servo.command_damping_nms_per_rad > 0.0,
+    /// Low-pass on the speed that the loop damps.
+    speed_low_pass: servo.speed_low_pass_share < 1.0,
     /// Torque that is commanded.
     feed_forward: servo.feed_forward_nm != 0.0,
     /// Controller dead band.

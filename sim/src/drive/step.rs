@@ -83,6 +83,8 @@ per_lane! {
         pub target_rad: R,
         /// How far that was from what it aimed at before, rad.
         pub target_moved_rad: R,
+        /// Speed that the loop damps, after its low-pass, rad/s.
+        pub loop_radps: R,
         /// Integral part of the loop, N·m.
         pub integral_nm: R,
         /// Estimate of the torque passed on to the load, N·m.
@@ -113,6 +115,7 @@ impl JointMemory<f64> {
             filtered_rad: command_rad,
             profile_rad: command_rad,
             target_rad: NO_TARGET_RAD,
+            loop_radps: qd_radps,
             rotor_radps: qd_radps,
             ..Self::default()
         }
@@ -346,7 +349,12 @@ fn motor<R: Real>(
     if f.back_drive {
         kp = kp * servo::back_drive_factor(p.back_drive_kp_ratio, error_rad, qd_radps);
     }
-    let mut wanted_nm = kp * error_rad - p.kd_nms_per_rad * qd_radps;
+    let mut damped_radps = qd_radps;
+    if f.speed_low_pass {
+        damped_radps = filter::low_pass(m.loop_radps, qd_radps, p.speed_low_pass_share);
+        m.loop_radps = damped_radps;
+    }
+    let mut wanted_nm = kp * error_rad - p.kd_nms_per_rad * damped_radps;
     if f.feed_forward {
         wanted_nm += p.feed_forward_nm;
     }

@@ -28,6 +28,7 @@ fn servo() -> ServoDrive<f64> {
         braking_current_limit_nm: params::NO_LIMIT,
         low_pass_share: 1.0,
         rate_share: 1.0,
+        speed_low_pass_share: 1.0,
         rate_low_pass_share: 1.0,
         profile_speed_radps: params::NO_LIMIT,
         profile_acceleration_radps2: params::NO_LIMIT,
@@ -404,6 +405,24 @@ fn torque_arrives_after_the_loops_delay() {
 }
 
 #[test]
+fn damping_follows_its_low_pass() {
+    // ω rises by 2 rad/s a step; kd 0.5; a third of the way per step. From rest at speed 0: ω_f = 0, 2/3, 16/9
+    let p = ServoDrive { kp_nm_per_rad: 0.0, kd_nms_per_rad: 0.5, ..servo() };
+    let mut rig = Rig::new(ServoDrive { speed_low_pass_share: 1.0 / 3.0, ..p }, hinge());
+    for (speed_radps, want_nm) in [(0.0, 0.0), (2.0, -1.0 / 3.0), (4.0, -8.0 / 9.0)] {
+        rig.qd = speed_radps;
+        rig.step(0.0, 0.0);
+        near("damping", rig.motor_nm, want_nm, 1e-12);
+    }
+    // back-EMF is no part of the loop
+    let coasting = ServoDrive { kd_nms_per_rad: 0.0, kd_min_nms_per_rad: 0.2, ..p };
+    let mut rig = Rig::new(ServoDrive { speed_low_pass_share: 1.0 / 3.0, ..coasting }, hinge());
+    rig.qd = 2.0;
+    rig.step(0.0, 0.0);
+    near("back-EMF", rig.motor_nm, -0.4, 1e-12);
+}
+
+#[test]
 fn late_damping_is_stable_up_to_a_quarter_turn() {
     // ω' = −kd/J·ω(t − d) rings for good at kd·d/J = π/2. 20 ms and half a step (torque holds for one), J =
     // 0.0122 kg·m²: kd = 0.9349 N·m·s/rad. 2 % off: its growth is π/2/(1 + π²/4)·Δ(kd/J) = 0.453·1.53 = 0.69
@@ -506,6 +525,7 @@ fn a_lane_that_does_not_need_a_stage_is_not_touched_by_it() {
         low_pass: true,
         profile: true,
         command_damping: true,
+        speed_low_pass: true,
         feed_forward: true,
         dead_band: true,
         integral: true,

@@ -13,7 +13,7 @@ use crate::snapshot::{Owner, decode, encode, refused};
 use crate::{InitialState, LaneParams, SimError};
 
 /// Changes whenever the layout below or Rapier's own layout does.
-const RAPIER_FORMAT: &str = "caudata-rapier-9 rapier-0.36.1";
+const RAPIER_FORMAT: &str = "caudata-rapier-10 rapier-0.36.1";
 
 fn owner(shared: &Shared) -> Owner<'_> {
     Owner {

@@ -75,6 +75,8 @@ pub const CATALOGUE: &[Hidden] = &[
         "N·m·s/rad",
         |m, a| m.kd_nm_s_per_rad(a),
     ),
+    adds("damping_lag", "actuation", (0.002, 0.03), |w, a| &mut w.joint(a).damping_lag_s)
+        .sum(&["lag", "delay", "time"], "s"),
     adds("integral_action", "actuation", (3.0, 120.0), |w, a| &mut w.joint(a).ki_nm_per_rad_s)
         .sum(&["ki", "gain"], "N·m/(rad·s)"),
     // a weaker magnet: less torque per ampere and less back-EMF, e^−size

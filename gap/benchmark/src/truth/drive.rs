@@ -50,6 +50,7 @@ pub struct Firmware {
     profile_radps: f64,
     integral_nm: f64,
     last_read_rad: f64,
+    damped_radps: f64,
     /// Torques on their way (loop delay), oldest first.
     waiting_nm: Vec<f64>,
     saturated: bool,
@@ -93,12 +94,14 @@ impl Firmware {
         }
         let speed = (read_rad - self.last_read_rad) / tick_s;
         self.last_read_rad = read_rad;
+        let way = if p.damping_lag_s > 0.0 { 1.0 - (-tick_s / p.damping_lag_s).exp() } else { 1.0 };
+        self.damped_radps += way * (speed - self.damped_radps);
         let winds_up = self.saturated && error * self.integral_nm > 0.0;
         if p.ki_nm_per_rad_s > 0.0 && !winds_up {
             self.integral_nm += p.ki_nm_per_rad_s * error * tick_s;
         }
         let kp = p.kp_nm_per_rad * (1.0 + p.kp_growth_per_rad * error.abs());
-        let mut wanted = kp * error - p.kd_nms_per_rad * speed + self.integral_nm;
+        let mut wanted = kp * error - p.kd_nms_per_rad * self.damped_radps + self.integral_nm;
         let late = (p.loop_delay_s / tick_s).round() as usize;
         if late > 0 {
             self.waiting_nm.push(wanted);

@@ -19,6 +19,8 @@ pub struct JointSpec {
     pub kp_growth_per_rad: f64,
     /// Derivative gain, N·m·s/rad.
     pub kd_nms_per_rad: f64,
+    /// Low-pass on the speed that this gain acts on, s.
+    pub damping_lag_s: f64,
     /// Integral gain, N·m/(rad·s).
     pub ki_nm_per_rad_s: f64,
     /// Errors within ± this count as none; beyond it the whole error counts, rad.

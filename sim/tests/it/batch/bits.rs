@@ -237,6 +237,7 @@ fn a_neighbours_effects_are_nothing_to_a_lane() {
                 j.dead_band_jump = 0.5;
                 j.ki_nm_per_rad_s = 2.0;
                 j.loop_delay_s = 0.004;
+                j.damping_lag_s = 0.003;
                 j.back_drive_kp_ratio = 0.7;
                 j.winding_scale = 1.2;
                 j.resistance_per_k = 0.004;

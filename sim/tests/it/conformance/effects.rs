@@ -120,6 +120,33 @@ pub fn a_late_loop_gives_its_torque_later(config: &EngineConfig) {
     assert!(refused.contains("loop_delay_s"), "{refused}");
 }
 
+/// A wheel of 0.0122 kg·m² coasts at 1 rad/s against 0.122 N·m·s/rad. Where that damps a speed 0.1 s old, ω'' + 10·ω' +
+/// 100·ω = 0 from ω = 1 and ω' = −10: it swings back to −e^(−2π/3√3) = −0.2984 rad/s. Without the lag it stops.
+pub fn lagging_damping_swings_back(config: &EngineConfig) {
+    let model = robots::wheels();
+    let coasting = |lag_s: f32| LaneParams {
+        kp_nm_per_rad: vec![0.0; 2],
+        kd_nms_per_rad: vec![0.122; 2],
+        ..geared(&model, |j| {
+            j.damping_lag_s = lag_s;
+            j.kd_min_nms_per_rad = 0.0;
+        })
+    };
+    let mut e = lanes(config, &model, &[coasting(0.1), coasting(0.0)]);
+    let mut slowest = [1.0_f64; 2];
+    for lane in 0..2 {
+        let init = InitialState { joint_vel_radps: vec![1.0; 2], ..InitialState::nominal(&model) };
+        e.reset(lane, &init).unwrap();
+    }
+    run(e.as_mut(), periods(config, 1.0), &[0.0; 4], |_, e| {
+        for (lane, slowest) in slowest.iter_mut().enumerate() {
+            *slowest = slowest.min(f64::from(e.state().joint_vel_radps[2 * lane]));
+        }
+    });
+    near("late", slowest[0], -0.2984, 0.01);
+    near("at once", slowest[1], 0.0, 1e-3);
+}
+
 /// Pushed with 0.3 N·m (its flat limit) a wheel reaches the speed at which friction takes it: viscous 0.05
 /// alone 6 rad/s, with Coulomb 0.1 4 rad/s, with 0.02 more in this direction 3.6 rad/s.
 pub fn friction_sets_the_speed(config: &EngineConfig) {

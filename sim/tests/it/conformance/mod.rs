@@ -116,6 +116,7 @@ macro_rules! suite {
                 droop_says_which,
                 limits_limit,
                 a_late_loop_gives_its_torque_later,
+                lagging_damping_swings_back,
                 friction_sets_the_speed,
                 load_friction_lifts_and_lowers,
                 stribeck_grips_at_rest,
@@ -227,6 +228,7 @@ conformance!(
         effects::{
             droop_says_which,
             a_late_loop_gives_its_torque_later,
+                lagging_damping_swings_back,
             one_joints_load_slows_another,
             delay_and_skew_shift_the_phase,
             low_pass_lags_and_damps,

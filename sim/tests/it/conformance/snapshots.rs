@@ -36,6 +36,7 @@ fn everything(model: &RobotModel) -> LaneParams {
         joint.profile_speed_radps = 4.0;
         joint.ki_nm_per_rad_s = 5.0;
         joint.loop_delay_s = 0.007;
+        joint.damping_lag_s = 0.005;
         joint.load_friction_driving = 0.1;
         joint.load_friction_driven = 0.1;
         joint.gear_half_gap_rad = 0.002;
