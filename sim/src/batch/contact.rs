@@ -72,7 +72,10 @@ pub(super) fn touch<R: Lanes, const FLAT: bool>(
     let depth = meeting.depth.min(R::uniform(point.deepest));
     let vel = add_cross(frame.lin, frame.ang, arm);
     // classical acceleration with the bias alone, without what turns the touching point of a rim up again
-    let carried = meeting.above.map_or(vel, |at| add_cross(frame.lin, frame.ang, at));
+    let carried = match meeting.above {
+        Some(at) => add_cross(frame.lin, frame.ang, at),
+        None => vel,
+    };
     let acc = add_cross(add_cross(frame.bias_lin, frame.bias_ang, arm), frame.ang, carried);
     let (f0, m);
     if law.convex {

@@ -48,7 +48,11 @@ pub(super) fn force<R: Lanes>(
     let mid_t = add_scaled(mid, normal, -mid_n);
 
     // accelerations that the contact would have to give to get what it wants
-    let wish = [0, 1, 2].map(|c| damper.mul_add(-vel[c], -free[c]));
+    let wish = [
+        damper.mul_add(-vel[0], -free[0]),
+        damper.mul_add(-vel[1], -free[1]),
+        damper.mul_add(-vel[2], -free[2]),
+    ];
     let along_n = dot(wish, normal);
     let wish_t = add_scaled(wish, normal, -along_n);
     let wish_n = spring.mul_add(depth, along_n);

@@ -370,18 +370,16 @@ fn motor<R: Real>(
         per_rho = thermal::per_rho(p, m.rise_k);
         wanted_nm = wanted_nm * per_rho;
     }
-    let limited_nm = |wanted_nm: R| {
-        let given_nm = servo::clamp_nm(p, bus_v, per_rho, wanted_nm, motor_radps);
-        if f.current_limit { servo::limit_current_nm(p, given_nm, motor_radps) } else { given_nm }
-    };
-    let mut given_nm = limited_nm(wanted_nm);
+    let mut given_nm = limited_nm(f, p, bus_v, per_rho, wanted_nm, motor_radps);
     if f.command_damping {
         // A step of the target kicks for the time over which the loop takes its rate, cut by the limits. Of a step that
         // two physics steps share the second gives what both have beyond the first.
         let (before_rad, now_rad) = target_moved_rad(p, m, target_rad);
         let per_rad = p.command_damping_nms_per_rad * per_rho * step.per_dt / p.rate_share;
-        let kick_nm = limited_nm(wanted_nm + per_rad * (before_rad + now_rad))
-            - limited_nm(wanted_nm + per_rad * before_rad);
+        let before_nm = wanted_nm + per_rad * before_rad;
+        let both_nm = wanted_nm + per_rad * (before_rad + now_rad);
+        let kick_nm = limited_nm(f, p, bus_v, per_rho, both_nm, motor_radps)
+            - limited_nm(f, p, bus_v, per_rho, before_nm, motor_radps);
         given_nm += p.rate_share * kick_nm;
     }
     if f.integral {
@@ -395,6 +393,21 @@ fn motor<R: Real>(
         given_nm = servo::saturated_nm(p, given_nm);
     }
     given_nm
+}
+
+/// What a motor gives of a wanted torque, N·m. No closure of [`motor`]: one that is called in several places is a
+/// function of its own, without the vector instructions that its caller was compiled for.
+#[inline(always)]
+fn limited_nm<R: Real>(
+    f: DriveFeatures,
+    p: &ServoDrive<R>,
+    bus_v: R,
+    per_rho: R,
+    wanted_nm: R,
+    motor_radps: R,
+) -> R {
+    let given_nm = servo::clamp_nm(p, bus_v, per_rho, wanted_nm, motor_radps);
+    if f.current_limit { servo::limit_current_nm(p, given_nm, motor_radps) } else { given_nm }
 }
 
 /// Bound of the dry friction, N·m.

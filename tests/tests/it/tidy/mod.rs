@@ -11,3 +11,4 @@ mod pages;
 mod product;
 mod sizes;
 mod tokens;
+mod vectors;
