@@ -45,10 +45,11 @@ impl Shapes {
         let neighbours = |a: usize, b: usize| {
             a == b || parent(a) == Some(b) || parent(b) == Some(a) || parent(a) == parent(b)
         };
+        let placed = shapes.placed(&at);
         for i in 0..shapes.capsules.len() {
             for j in i + 1..shapes.capsules.len() {
                 let (a, b) = (shapes.capsules[i].link, shapes.capsules[j].link);
-                if !neighbours(a, b) && shapes.depth_m((i, j), &at) <= 0.0 {
+                if !neighbours(a, b) && depth_m(&placed[i], &placed[j]) <= 0.0 {
                     shapes.pairs.push((i, j));
                 }
             }
@@ -74,8 +75,10 @@ impl Shapes {
         if !self.place(joint_pos_rad, at) {
             return 0.0;
         }
-        let depths = self.pairs.iter().map(|&pair| self.depth_m(pair, at));
-        depths.fold(0.0, f64::max)
+        let placed = self.placed(at);
+        let pairs = self.pairs.iter().map(|&(i, j)| (&placed[i], &placed[j]));
+        let near = pairs.filter(|(a, b)| a.ball_meets(b));
+        near.map(|(a, b)| depth_m(a, b)).fold(0.0, f64::max)
     }
 
     /// Places the links; false where the number of joints is not the robot's.
@@ -85,12 +88,37 @@ impl Shapes {
         placed.is_ok()
     }
 
-    /// How deep two shapes are in each other, m; negative: how far apart they are.
-    fn depth_m(&self, (i, j): (usize, usize), at: &Kinematics) -> f64 {
-        let place = |c: &Capsule| c.ends_m.map(|end| at.links[c.link].point(end));
-        let (a, b) = (&self.capsules[i], &self.capsules[j]);
-        a.radius_m + b.radius_m - apart_m(place(a), place(b))
+    /// The shapes where links are placed as in `at`.
+    fn placed(&self, at: &Kinematics) -> Vec<Placed> {
+        let place = |c: &Capsule| {
+            let ends_m = c.ends_m.map(|end| at.links[c.link].point(end));
+            let middle_m = pose::add(ends_m[0], ends_m[1]).map(|x| 0.5 * x);
+            let ball_m = c.radius_m + pose::norm(pose::sub(ends_m[1], middle_m));
+            Placed { ends_m, radius_m: c.radius_m, middle_m, ball_m }
+        };
+        self.capsules.iter().map(place).collect()
     }
+}
+
+/// A capsule in the world, and the ball around it.
+struct Placed {
+    ends_m: [[f64; 3]; 2],
+    radius_m: f64,
+    middle_m: [f64; 3],
+    ball_m: f64,
+}
+
+impl Placed {
+    /// Whether the balls around two capsules meet: those of most pairs do not.
+    fn ball_meets(&self, other: &Self) -> bool {
+        let apart_m = pose::sub(self.middle_m, other.middle_m);
+        pose::dot(apart_m, apart_m) < (self.ball_m + other.ball_m).powi(2)
+    }
+}
+
+/// How deep two shapes are in each other, m; negative: how far apart they are.
+fn depth_m(a: &Placed, b: &Placed) -> f64 {
+    a.radius_m + b.radius_m - apart_m(a.ends_m, b.ends_m)
 }
 
 /// The capsule in a shape; `None` for a plane.
