@@ -80,10 +80,13 @@ pub fn run(args: &ApplyArgs) -> Result<(), Failure> {
         );
     }
     let out = args.out.display();
+    let found = extension.effect.iter().filter(|e| e.confidence > 0.0).count();
     let (effects, lane) = (effects.len(), extension.lane.len());
     say::line(match effects {
         0 => format!("{out}: the robot as given, nothing was found that it lacks"),
-        _ => format!("{out}: {effects} effect(s), {lane} parameter(s) of the simulator"),
+        _ => format!(
+            "{out}: {effects} effect(s), of which {found} have a name in the report; {lane} parameter(s) of the simulator"
+        ),
     });
     Ok(())
 }

@@ -112,6 +112,8 @@ const WIDER: &[(&str, &str)] = &[
     ("load_dependent_friction", "drive_asymmetry"),
     ("coulomb_friction", "friction_drift"),
     ("link_inertia", "link_com"),
+    // a lag that is short against the motion is an inertia less
+    ("damping_lag", "armature"),
 ];
 
 /// The same on a rig with one joint. Of a hanging link two numbers show, its moment of gravity and its

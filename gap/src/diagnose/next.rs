@@ -248,6 +248,10 @@ fn in_the_dark<'a>(
         let made_for = |trial: &excite::Trial| {
             let mut excited = Excitation::of(model, &[&as_run(trial, &[Kind::Position])]);
             excited.kinds.extend(&context.excitation.kinds);
+            // the gain is the one that is noted, not the file's
+            for (joint, noted) in excited.joints.iter_mut().zip(&context.excitation.joints) {
+                joint.kd_nms_per_rad = noted.kd_nms_per_rad;
+            }
             let seen = || (effect.unseen)(&excited, &place).is_none();
             trial.excites.iter().any(|e| e == effect.id) && seen()
         };

@@ -101,7 +101,7 @@ pub static ARMATURE: Effect = Effect {
             plant.lane.joint_armature_kgm2[a] = rotor.max(1e-4);
         }
     },
-    look_alikes: "link_inertia link_com link_mass added_mass",
+    look_alikes: "link_inertia link_com link_mass damping_lag added_mass",
     corrects: "armature_kgm2",
     unseen: needs_motion,
     trial: "chirp_large",

@@ -86,15 +86,18 @@ pub static DAMPING_LAG: Effect = Effect {
     ],
     apply: |plant, place, v| {
         for &a in &place.items {
-            plant.lane.joints[a].damping_lag_s += v[0] as f32;
-            plant.sensing.velocity_lag_s[a] += (v[0] * v[1]) as f32;
+            // a loop without damping, among those of a robot, filters no speed
+            if plant.lane.kd_nms_per_rad[a] > 0.0 {
+                plant.lane.joints[a].damping_lag_s += v[0] as f32;
+                plant.sensing.velocity_lag_s[a] += (v[0] * v[1]) as f32;
+            }
         }
     },
-    look_alikes: "armature servo_loop_delay link_inertia kd_error damping_on_error gear_compliance",
+    look_alikes: "armature servo_loop_delay link_inertia kd_error damping_on_error velocity_lag gear_compliance",
     of_runs: |e| e.joints.iter().any(|j| j.kd_nms_per_rad > 0.0),
     unseen: |e, place| {
-        let any_free = place.items.iter().any(|&a| e.joints[a].kd_nms_per_rad == 0.0);
-        any_free.then_some("the loop does not damp there").or_else(|| needs_motion(e, place))
+        let all_free = place.items.iter().all(|&a| e.joints[a].kd_nms_per_rad == 0.0);
+        all_free.then_some("the loop does not damp there").or_else(|| needs_motion(e, place))
     },
     trial: "chirp_large",
     signature: "as a lighter rotor, the more the higher Kd; a joint without torque has its full inertia",

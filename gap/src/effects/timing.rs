@@ -155,7 +155,7 @@ pub static SERVO_LOOP_DELAY: Effect = Effect {
             joint.loop_delay_s = (joint.loop_delay_s + v[0] as f32).clamp(0.0, MAX_LOOP_DELAY_S);
         }
     },
-    look_alikes: "kd_error command_low_pass gear_compliance gear_backlash",
+    look_alikes: "kd_error damping_lag command_low_pass gear_compliance gear_backlash",
     unseen: needs_motion,
     trial: "steps_medium",
     signature: "damping is lost, the more the higher the gain; a delay outside the loop only shifts",

@@ -257,7 +257,10 @@ pub fn print(report: &Report) {
         "policy version {}, sha256 {} {}",
         report.policy.version,
         report.policy.learner,
-        if report.policy.same { "(the same everywhere)" } else { "(NOT the same everywhere)" }
+        match report.policy.same {
+            true => "(learner, server and file have the same)",
+            false => "(learner, server and file do NOT have the same)",
+        }
     ));
     if let Some(actors) = &report.policy.actors {
         say::line(format!(

@@ -55,9 +55,9 @@ pub struct TrainArgs {
     /// Run folder; otherwise runs/<time>_<name>
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Go on with the run in --out, or with the newest one
-    #[arg(long)]
-    resume: bool,
+    /// Go on with the run in DIR (or in --out), or with the newest one
+    #[arg(long, value_name = "DIR", num_args = 0..=1)]
+    resume: Option<Option<PathBuf>>,
     /// Go on from this checkpoint of the run in --out, for instance iter_000100
     #[arg(long, value_name = "NAME", requires = "out", conflicts_with = "resume")]
     resume_from: Option<String>,
@@ -85,8 +85,20 @@ impl TrainArgs {
     fn resume(&self) -> Resume {
         match &self.resume_from {
             Some(name) => Resume::Named(name.clone()),
-            None if self.resume => Resume::Latest,
+            None if self.resume.is_some() => Resume::Latest,
             None => Resume::No,
+        }
+    }
+
+    /// The run folder that was named.
+    fn out(&self) -> Result<Option<&Path>, Failure> {
+        match (self.out.as_deref(), self.resume.as_ref().and_then(Option::as_deref)) {
+            (Some(out), Some(resumed)) if out != resumed => {
+                let message = "--resume and --out name two folders";
+                Err(Failure::message(ExitCode::BadConfig, message)
+                    .hint("name the run's folder once"))
+            }
+            (out, resumed) => Ok(out.or(resumed)),
         }
     }
 }
@@ -197,7 +209,7 @@ fn prepare(
     let mut resume = args.resume();
     let mut before = None;
     let mut config = Config::load(&source(args, None)).or_exit(ExitCode::BadConfig)?;
-    let out = args.out.as_deref();
+    let out = args.out()?;
     let mut folder = if args.resume() != Resume::No {
         let folder = RunFolder::reopen(out, &config.run.out_dir, wait)?;
         if !folder.config().is_file() {
@@ -328,6 +340,9 @@ mod tests {
     fn a_checkpoint_can_be_named_for_a_run_that_is() {
         assert_eq!(args("").resume(), Resume::No);
         assert_eq!(args("--resume").resume(), Resume::Latest);
+        assert_eq!(args("--resume r").out().unwrap(), Some(Path::new("r")));
+        assert_eq!(args("--resume --out r").out().unwrap(), Some(Path::new("r")));
+        assert!(args("--resume r --out s").out().is_err(), "which of the two?");
         let named = args("--out r --resume-from iter_000004");
         assert_eq!(named.resume(), Resume::Named("iter_000004".into()));
         let refused = |line: &str| Command::try_parse_from(line.split_whitespace()).is_err();

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use caudata_model::RobotModel;
 use caudata_sim::drive::loss::LossMemory;
+use caudata_sim::drive::{ServoDrive, filter};
 use caudata_sim::{CommandLoss, Engine, EngineConfig, InitialState, JointEffects, LaneParams};
 
 use crate::conformance::{engine, near, periods, robots, run};
@@ -145,6 +146,24 @@ pub fn lagging_damping_swings_back(config: &EngineConfig) {
     });
     near("late", slowest[0], -0.2984, 0.01);
     near("at once", slowest[1], 0.0, 1e-3);
+}
+
+/// 0.5 ms of lag in steps of 2 ms: 2/(2 + 0.5) of the way per step. A speed that grows by 1 per step is then 0.25
+/// behind, as long as the lag is of a step. Without one it is the speed itself.
+#[test]
+fn a_lag_shorter_than_a_step_is_as_late_as_it_says() {
+    let model = robots::wheels();
+    let share = |lag_s: f32| {
+        let p = geared(&model, |j| j.damping_lag_s = lag_s);
+        ServoDrive::new(&model, &p, 0, 0.002).speed_low_pass_share
+    };
+    assert!((share(0.0005) - 0.8).abs() < 1e-7, "{}", share(0.0005));
+    let behind = |share: f64| {
+        let last = (0..40).fold(0.0, |speed, k| filter::low_pass(speed, f64::from(k), share));
+        39.0 - last
+    };
+    assert!((behind(share(0.0005)) - 0.25).abs() < 1e-6);
+    assert_eq!((share(0.0), behind(share(0.0))), (1.0, 0.0));
 }
 
 /// Pushed with 0.3 N·m (its flat limit) a wheel reaches the speed at which friction takes it: viscous 0.05

@@ -228,7 +228,7 @@ conformance!(
         effects::{
             droop_says_which,
             a_late_loop_gives_its_torque_later,
-                lagging_damping_swings_back,
+            lagging_damping_swings_back,
             one_joints_load_slows_another,
             delay_and_skew_shift_the_phase,
             low_pass_lags_and_damps,

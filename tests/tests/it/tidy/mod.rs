@@ -11,4 +11,5 @@ mod pages;
 mod product;
 mod sizes;
 mod tokens;
+#[cfg(target_arch = "x86_64")]
 mod vectors;

@@ -8,7 +8,7 @@ const MOST_BYTES: u64 = 40 << 20;
 /// The same for a program that goes to a robot.
 const MOST_BYTES_ON_A_ROBOT: u64 = 20 << 20;
 /// Whether each goes to a robot.
-pub(super) const PROGRAMS: [(&str, bool); 6] = [
+const PROGRAMS: [(&str, bool); 6] = [
     ("caudata", false),
     ("caudata-actor", false),
     ("caudata-learner", false),
