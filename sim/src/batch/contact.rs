@@ -26,7 +26,7 @@ use super::frame::Frame;
 use super::ground::Ground;
 use super::program::Point;
 use super::vec3::{
-    Inertia, V3, add, add_cross, add_scaled, cross, dot, scale, select3, sub, turn, zero3,
+    Inertia, V3, add, add_cross, add_scaled, cross, dot, scale, select3, sub, turn, uniform3, zero3,
 };
 use crate::real::Mask;
 use crate::simd::Lanes;
@@ -113,10 +113,10 @@ fn meet<R: Lanes, const FLAT: bool>(
     point: &Point<R>,
 ) -> Option<Meeting<R>> {
     let (o, one) = (R::zero(), R::one());
-    let c = point.centre.map(R::uniform);
+    let c = uniform3(point.centre);
     let radius = R::uniform(point.radius);
     if let Some(axle) = point.axle {
-        return meet_rim::<R, FLAT>(ground, base, frame, point, axle.map(R::uniform));
+        return meet_rim::<R, FLAT>(ground, base, frame, point, uniform3(axle));
     }
     let z = coordinate(frame, c, 2);
     if FLAT {

@@ -16,6 +16,8 @@ use crate::simd::Lanes;
 
 /// MuJoCo's `impratio` in its converged setting.
 const RATIO: f64 = 100.0;
+/// Row and column of each entry of a symmetric matrix as it is stored.
+const UPPER: [[usize; 2]; 6] = [[0, 0], [0, 1], [0, 2], [1, 1], [1, 2], [2, 2]];
 /// Slips below this are none, m/s².
 const LEAST_SLIP: f64 = 1e-6;
 
@@ -90,17 +92,11 @@ pub(super) fn force<R: Lanes>(
         add_scaled(scale(normal, -a), e, m_e),
     );
     let q = select3(sticks, zero3(), add_scaled(scale(s, -a), e, m_e * friction));
-    let entry = |r: usize, c: usize, diagonal: R| {
-        let value = q[r].mul_add(s[c], p[r].mul_add(normal[c], diagonal));
-        R::select(on, value, o)
-    };
-    let m = [
-        entry(0, 0, a),
-        entry(0, 1, o),
-        entry(0, 2, o),
-        entry(1, 1, a),
-        entry(1, 2, o),
-        entry(2, 2, a),
-    ];
+    let mut m = [a, o, o, a, o, a];
+    for k in 0..6 {
+        let [r, c] = UPPER[k];
+        let value = q[r].mul_add(s[c], p[r].mul_add(normal[c], m[k]));
+        m[k] = R::select(on, value, o);
+    }
     (f0, m)
 }

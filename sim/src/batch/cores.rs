@@ -5,7 +5,7 @@ use super::group::Group;
 use super::pairs::{self, Meeting};
 use super::program::Program;
 use super::rounded::{Box3, Core, nearest};
-use super::vec3::{Inertia, V3, add_scaled, dot, scale, select3, sub, turn};
+use super::vec3::{Inertia, V3, add_scaled, dot, scale, select3, sub, turn, uniform3};
 use crate::real::Mask;
 use crate::simd::Lanes;
 
@@ -59,11 +59,10 @@ pub(super) fn collide<R: Lanes>(
 
 #[inline(always)]
 fn world<R: Lanes>(core: &Core<R>, frame: &Frame<R>, centre: V3<R>) -> Box3<R> {
-    let uniform = |v: [R::Elem; 3]| [R::uniform(v[0]), R::uniform(v[1]), R::uniform(v[2])];
     let columns = [
-        turn(&frame.rot, uniform(core.columns[0])),
-        turn(&frame.rot, uniform(core.columns[1])),
-        turn(&frame.rot, uniform(core.columns[2])),
+        turn(&frame.rot, uniform3(core.columns[0])),
+        turn(&frame.rot, uniform3(core.columns[1])),
+        turn(&frame.rot, uniform3(core.columns[2])),
     ];
-    (centre, columns, uniform(core.half))
+    (centre, columns, uniform3(core.half))
 }

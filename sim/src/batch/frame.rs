@@ -1,6 +1,6 @@
 //! A frame of the robot in motion.
 
-use super::vec3::{V3, add, add_cross, turn, zero3};
+use super::vec3::{V3, add, add_cross, turn, uniform3, zero3};
 use crate::simd::Lanes;
 
 /// A node's frame in motion.
@@ -48,8 +48,7 @@ impl<R: Lanes> Frame<R> {
     /// A constant place of the frame, from the reference point, world.
     #[inline(always)]
     pub fn point(&self, at: [R::Elem; 3]) -> V3<R> {
-        let v = [R::uniform(at[0]), R::uniform(at[1]), R::uniform(at[2])];
-        add(self.pos, turn(&self.rot, v))
+        add(self.pos, turn(&self.rot, uniform3(at)))
     }
 
     /// Velocity of the material point at `arm` (from the reference point), world.

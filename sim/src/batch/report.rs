@@ -9,7 +9,7 @@ use super::program::Program;
 use super::readout::Readout;
 use super::shared::{Scratch, Shared};
 use super::vec3::{
-    V3, add, add_scaled, cross, scale, sub, sym_times, turn, turn_back, turn_sym, zero3,
+    V3, add, add_scaled, cross, scale, sub, sym_times, turn, turn_back, turn_sym, uniform3, zero3,
 };
 use crate::simd::Lanes;
 
@@ -103,7 +103,7 @@ fn put_base<R: Lanes>(
     let q = Layout::QUAT;
     if program.base_joint_count == 0 {
         // not by way of the reference point: a held base stands exactly where it was put
-        let at = turn(&frame.rot, constant(place.at));
+        let at = turn(&frame.rot, uniform3(place.at));
         w.put(&add(take3(&group.x, Layout::POS), at));
         // a held base may be placed turned in its node; a free one is its node
         let own = [group.x[q], group.x[q + 1], group.x[q + 2], group.x[q + 3]];
@@ -112,17 +112,12 @@ fn put_base<R: Lanes>(
         w.put(&add(base, arm));
         let mut rot = [zero3(); 3];
         for c in 0..3 {
-            rot[c] = turn(&frame.rot, constant(place.columns[c]));
+            rot[c] = turn(&frame.rot, uniform3(place.columns[c]));
         }
         w.put(&quat_of(&rot));
     }
     w.put(&frame.velocity(arm));
     w.put(&into_place(place, frame, frame.ang));
-}
-
-#[inline(always)]
-fn constant<R: Lanes>(v: [R::Elem; 3]) -> V3<R> {
-    [R::uniform(v[0]), R::uniform(v[1]), R::uniform(v[2])]
 }
 
 #[inline(always)]
@@ -157,7 +152,7 @@ fn quat_of<R: Lanes>(columns: &[V3<R>; 3]) -> [R; 4] {
 fn into_place<R: Lanes>(place: &Place<R>, frame: &Frame<R>, v: V3<R>) -> V3<R> {
     let node = turn_back(&frame.rot, v);
     turn_back(
-        &[constant(place.columns[0]), constant(place.columns[1]), constant(place.columns[2])],
+        &[uniform3(place.columns[0]), uniform3(place.columns[1]), uniform3(place.columns[2])],
         node,
     )
 }
@@ -248,7 +243,7 @@ fn heading<R: Lanes>(program: &Program<R>, frames: &[Frame<R>]) -> R {
         }
         None => {
             let place = &program.base_place;
-            turn(&frames[place.node].rot, constant(place.columns[0]))
+            turn(&frames[place.node].rot, uniform3(place.columns[0]))
         }
     };
     let mut yaw = R::zero();

@@ -2,6 +2,7 @@
 //! [`crate::simd`]).
 
 use crate::real::Real;
+use crate::simd::Lanes;
 
 /// Three numbers per lane.
 pub(crate) type V3<R> = [R; 3];
@@ -9,6 +10,12 @@ pub(crate) type V3<R> = [R; 3];
 #[inline(always)]
 pub(super) fn zero3<R: Real>() -> V3<R> {
     [R::zero(); 3]
+}
+
+/// The same vector in every lane.
+#[inline(always)]
+pub(super) fn uniform3<R: Lanes>(v: [R::Elem; 3]) -> V3<R> {
+    [R::uniform(v[0]), R::uniform(v[1]), R::uniform(v[2])]
 }
 
 #[inline(always)]

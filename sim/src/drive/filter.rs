@@ -1,12 +1,12 @@
-//! What a servo does to a command before it follows it: low-pass, and a profile that limits speed and
-//! acceleration.
+//! What a servo does to a command before it follows it (low-pass, and a profile that limits speed and
+//! acceleration) and to the speed that it damps.
 
 use super::ServoDrive;
 use super::params::NO_LIMIT;
 use crate::real::Real;
 
-/// A first-order low-pass `y' = (u − y)/τ` over one step with constant input, exactly; `share` is 1 −
-/// exp(−dt/τ).
+/// A first-order low-pass over one step, `share` of the way to its input: 1 − exp(−dt/τ) is `y' = (u − y)/τ` with
+/// constant input, exactly.
 #[inline(always)]
 pub fn low_pass<R: Real>(filtered: R, input: R, share: R) -> R {
     // exactly the input at share 1: a lane without the lag must not notice a neighbour's

@@ -56,7 +56,6 @@ impl ServoDrive<f64> {
             command_damping_nms_per_rad: wide(params.kd_nms_per_rad[a] * e.kd_on_command),
             rate_share: (wide(e.kd_rate_over_s) / dt_s).min(1.0),
             rate_low_pass_share: mean_share(wide(e.kd_rate_over_s) - dt_s, dt_s),
-            // so that a speed that grows evenly is late by the time constant, however short that is
             speed_low_pass_share: dt_s / (dt_s + wide(e.damping_lag_s)),
             feed_forward_nm: 0.0,
             kd_min_nms_per_rad: wide(e.kd_min_nms_per_rad),

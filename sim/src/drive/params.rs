@@ -39,7 +39,8 @@ per_lane! {
         pub rate_share: R,
         /// Part of the way that this speed makes per step where it is taken over longer; else 1.
         pub rate_low_pass_share: R,
-        /// Part of the way that the low-pass on the speed that Kd damps makes per step.
+        /// Part of the way that the low-pass on the speed that Kd damps makes per step: dt/(dt + τ), so that a speed
+        /// that grows evenly is late by τ, however short that is.
         pub speed_low_pass_share: R,
         /// Torque that was commanded beside the position, N·m.
         pub feed_forward_nm: R,

@@ -352,8 +352,9 @@ fn motor<R: Real>(
     let mut damped_radps = qd_radps;
     if f.speed_low_pass {
         damped_radps = filter::low_pass(m.loop_radps, qd_radps, p.speed_low_pass_share);
-        m.loop_radps = damped_radps;
     }
+    // always, so that a lane that gets the lag begins with its own speed, whatever its neighbours have
+    m.loop_radps = damped_radps;
     let mut wanted_nm = kp * error_rad - p.kd_nms_per_rad * damped_radps;
     if f.feed_forward {
         wanted_nm += p.feed_forward_nm;

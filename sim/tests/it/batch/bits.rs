@@ -267,6 +267,31 @@ fn a_neighbours_effects_are_nothing_to_a_lane() {
     assert_ne!(plain.joint_pos_rad, busy.joint_pos_rad, "lane 1 moves otherwise");
 }
 
+/// A lane that gets a lag of its damping while it moves begins with its own speed, to the bit, whether or not a
+/// neighbour had one before.
+#[test]
+fn a_lag_that_comes_during_life_begins_with_the_present_speed() {
+    let model = robots::polymander();
+    let run = |neighbour_s: f32| {
+        let mut e = engine(&model, 2, &EngineConfig::default(), 1, |l| l);
+        let lagging = |e: &mut dyn Engine, lane: usize, lag_s: f32| {
+            let mut params = e.params(lane).clone();
+            params.joints.iter_mut().for_each(|j| j.damping_lag_s = lag_s);
+            e.set_params(lane, &params).unwrap();
+        };
+        lagging(e.as_mut(), 1, neighbour_s);
+        for period in 0..30 {
+            if period == 15 {
+                lagging(e.as_mut(), 0, 0.01);
+            }
+            e.step(&command(&model, 2, period, |l| l), &[0.0; 12]).unwrap();
+        }
+        let q = &e.state().joint_pos_rad;
+        q[..q.len() / 2].iter().map(|x| x.to_bits()).collect::<Vec<_>>()
+    };
+    assert_eq!(run(0.0), run(0.008));
+}
+
 /// What a lane's loops have under way is its own: delays come, grow, shrink and go, and a neighbour that
 /// needs a longer memory all along (or only at first) changes nothing, to the bit.
 #[test]
