@@ -94,8 +94,11 @@ impl Firmware {
         }
         let speed = (read_rad - self.last_read_rad) / tick_s;
         self.last_read_rad = read_rad;
-        let way = if p.damping_lag_s > 0.0 { 1.0 - (-tick_s / p.damping_lag_s).exp() } else { 1.0 };
-        self.damped_radps += way * (speed - self.damped_radps);
+        self.damped_radps = match p.damping_lag_s > 0.0 {
+            true => speed + (-tick_s / p.damping_lag_s).exp() * (self.damped_radps - speed),
+            // to the bit: teeth that bounce make another recording of a rounding
+            false => speed,
+        };
         let winds_up = self.saturated && error * self.integral_nm > 0.0;
         if p.ki_nm_per_rad_s > 0.0 && !winds_up {
             self.integral_nm += p.ki_nm_per_rad_s * error * tick_s;
