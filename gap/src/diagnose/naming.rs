@@ -7,6 +7,7 @@ use caudata_model::RobotModel;
 
 use super::alike::{indistinguishable, trades, wider};
 use super::both_gains::{tangles, told_apart};
+use super::delete::delete;
 use super::doubt::{one_place, outgrown};
 use super::fits::{Before, fitted, penalised, polished, with_each};
 use super::gates::{self, Worth};
@@ -117,7 +118,7 @@ pub fn name(context: &Context, found: &mut Found, out: &mut Vec<Named>) -> Resul
         for (index, without) in withouts.into_iter().enumerate().rev() {
             let screened = screened.pop().unwrap_or_default();
             let named = rivals_of(context, &found.best, index, without, &screened)?;
-            if let Some(better) = better(context, &found.best, &named, &seen)? {
+            if let Some(better) = better(context, found, &named, &seen)? {
                 found.best = better;
                 continue 'again;
             }
@@ -127,13 +128,14 @@ pub fn name(context: &Context, found: &mut Found, out: &mut Vec<Named>) -> Resul
     }
 }
 
-/// A model that is to be believed before `best` and its cause in `named`, and was not the best before (`seen`).
+/// A model that is to be believed before the best and its cause in `named`, and was not the best before (`seen`).
 fn better(
     context: &Context,
-    best: &State,
+    found: &Found,
     named: &Named,
     seen: &BTreeSet<Vec<String>>,
 ) -> Result<Option<State>, GapError> {
+    let best = &found.best;
     if let Some(simpler) = simpler(context, best, named, seen)? {
         return Ok(Some(simpler));
     }
@@ -145,6 +147,9 @@ fn better(
         return Ok(Some(other));
     }
     if let Some(other) = likelier(context, best, named)?.filter(new) {
+        return Ok(Some(other));
+    }
+    if let Some(other) = fewer(context, found, named)?.filter(new) {
         return Ok(Some(other));
     }
     match better_pair(context, best, named).filter(new) {
@@ -207,6 +212,26 @@ fn simpler(
         }
     }
     Ok(first.map(|(_, r)| r.state.clone()))
+}
+
+/// The model with a rival in the answer set of the cause in `named` that does without another cause, if what that one
+/// adds would not earn its place beside it: it made up for where the name was wrong.
+fn fewer(context: &Context, found: &Found, named: &Named) -> Result<Option<State>, GapError> {
+    let best = &found.best;
+    if best.terms.len() < 2 {
+        return Ok(None);
+    }
+    for r in named.rivals.iter().filter(|r| r.in_set) {
+        let shorter = delete(context, &found.base, r.state.clone())?;
+        let has = shorter.terms.iter().any(|t| t.same(&r.state.terms[r.index]));
+        if has && shorter.terms.len() < best.terms.len() {
+            let more = gates::worth(context, &shorter, best, None);
+            if !more.passed || is_a_lead(gates::quiet(context), &more) {
+                return Ok(Some(shorter));
+            }
+        }
+    }
+    Ok(None)
 }
 
 /// Whether `best` says nothing beyond rival `r` of its cause in `named`, which needs so `few` parameters.
