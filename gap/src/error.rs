@@ -22,7 +22,7 @@ pub enum GapError {
     #[error("extension: {0}")]
     Extension(String),
     /// An effect that is asked for or left out.
-    #[error("there is no effect `{0}`; there are {ids}", ids = crate::effects::ids())]
+    #[error("there is no effect `{0}`; {meant}", meant = crate::effects::meant(.0))]
     UnknownEffect(String),
     /// The map from evidence to confidence.
     #[error("calibration: {0}; make one with caudata bench calibrate")]

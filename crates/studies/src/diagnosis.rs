@@ -64,7 +64,7 @@ pub(crate) fn seconds(text: &str) -> Result<f64, String> {
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
     let unit_s = match text[digits.len()..].trim() {
         "s" => 1.0,
-        "min" => 60.0,
+        "m" | "min" => 60.0,
         "h" => 3600.0,
         _ => return Err("a time is a number with s, min or h: 90s, 3min, 1h".to_owned()),
     };
@@ -159,11 +159,11 @@ fn place(log: &Path) -> PathBuf {
     log.canonicalize().unwrap_or_else(|_| log.to_owned())
 }
 
-/// Whether there is an extended robot file. Where a gap has been found and no model that is nearer to held-out
-/// runs than the robot as given, there is none.
+/// Whether there is an extended robot file. Where data were refused, and where a gap has been found and no model
+/// that is nearer to held-out runs than the robot as given, there is none.
 pub fn carries(report: &Report) -> bool {
-    let gap = [Verdict::Unexplained, Verdict::InsufficientData];
-    !report.model.is_empty() || !gap.contains(&report.verdict)
+    let without = [Verdict::Unexplained, Verdict::InsufficientData, Verdict::DataFault];
+    !report.model.is_empty() || !without.contains(&report.verdict)
 }
 
 /// Each file whole.

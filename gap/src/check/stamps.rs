@@ -42,7 +42,9 @@ pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
     }
     let unit = unit_of_steps(median);
     if unit != "s" {
-        let detail = format!("rows come {median:.1} s apart; is `t` in {unit}?");
+        let detail = format!(
+            "rows come {median:.1} s apart; is `t` in {unit}? Of an imported log correct `unit` in [time] of its map"
+        );
         out.push(Finding::fatal("unit", "t", detail));
         return;
     }

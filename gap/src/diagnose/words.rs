@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use super::alike::wider;
 use super::carried::NO_NEARER;
 use super::doubt::Doubts;
 use super::gates;
@@ -40,9 +41,13 @@ pub fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {
         };
         let other = &rival.state.terms[rival.index];
         let label = other.label();
-        lines.push(match rival.short > 0.0 {
+        let does = match rival.short > 0.0 {
             true => format!("{as_what} {label} {} of it", leaves(rival.short)),
             false => format!("{as_what} {label} takes as much off, or more"),
+        };
+        lines.push(match wider(term.effect, other.effect) {
+            true => format!("{does}: the wider law, which must earn its further parameters"),
+            false => format!("{does} (probability {:.0} %)", 100.0 * rival.probability),
         });
     };
     tell(false, "the next best name");

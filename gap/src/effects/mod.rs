@@ -105,7 +105,14 @@ pub fn find(id: &str) -> Option<&'static Effect> {
     ALL.iter().copied().find(|e| e.id == id)
 }
 
-/// The ids of all effects, in a line.
-pub fn ids() -> String {
-    ALL.iter().map(|e| e.id).collect::<Vec<_>>().join(", ")
+/// Which effects somebody who wrote `asked` may have meant: those that have a word of it, else all.
+pub fn meant(asked: &str) -> String {
+    let asked = asked.to_lowercase();
+    let words: Vec<&str> = asked.split(|c: char| !c.is_ascii_alphanumeric()).collect();
+    let has = |id: &str| words.iter().any(|w| w.len() > 2 && id.contains(w));
+    let near: Vec<&str> = ALL.iter().map(|e| e.id).filter(|id| has(id)).collect();
+    match near.is_empty() {
+        true => format!("there are {}", ALL.iter().map(|e| e.id).collect::<Vec<_>>().join(", ")),
+        false => format!("did you mean {}? `caudata gap effects` lists all", near.join(" or ")),
+    }
 }

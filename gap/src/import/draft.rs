@@ -339,7 +339,10 @@ impl Draft<'_> {
                     joint_called(self.robot, &words.whole).or(self.order.joint(&words, self.robot))
                 };
                 let kind = words.kind_in(file.filter(|_| joint().is_some()));
-                kind.or(self.by_numbers.get(column).copied())
+                // `bus_mV`: what is in volts and of no joint is the supply
+                let of_robot = || joint_called(self.robot, &words.whole).is_none();
+                let supply = matches!(words.unit, Some("V" | "mV")) && of_robot();
+                kind.or(self.by_numbers.get(column).copied()).or(supply.then_some("volt"))
             }
         };
         let not_taken = || words.commands_otherwise().unwrap_or_default().to_owned();
@@ -488,8 +491,8 @@ mod tests {
     fn columns_find_their_joints_and_units() {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("dog.csv");
-        let text = "timestamp,FL_hip_cmd,FL_hip_pos_deg,q_1,torque.HR_calf,cmd_vel_2,target_99,FL_hip_vel_deg_s,FR_hip_vel_deg_s2,HL_hip_vel_deg\n\
-            1000000,0.1,205.0,2048,1.0,0,0,1,1,1\n1010000,0.1,205.0,2100,1.0,0,0,1,1,1\n";
+        let text = "timestamp,FL_hip_cmd,FL_hip_pos_deg,q_1,torque.HR_calf,cmd_vel_2,target_99,FL_hip_vel_deg_s,FR_hip_vel_deg_s2,HL_hip_vel_deg,bus_mV\n\
+            1000000,0.1,205.0,2048,1.0,0,0,1,1,1,24000\n1010000,0.1,205.0,2100,1.0,0,0,1,1,1,24010\n";
         std::fs::write(&file, text).unwrap();
         let recordings = open(&file, Format::Csv, None).unwrap();
         let draft = map(&recordings, &robot("quadruped")).unwrap().map;
@@ -502,6 +505,7 @@ mod tests {
             "signal = \"tau.HR_calf\"",
             "signal = \"vel.FL_hip\"\ncolumn = \"FL_hip_vel_deg_s\"\nunit = \"deg/s\"",
             "# not read: \"cmd_vel_2\"",
+            "signal = \"volt\"\ncolumn = \"bus_mV\"\nunit = \"mV\"",
             "# not read: \"FR_hip_vel_deg_s2\", as its unit `deg/s2` is one of angular acceleration",
             "# not read: \"HL_hip_vel_deg\", as its unit `deg` is one of angle, and not of speed",
             "# not read: \"target_99\", as none",

@@ -14,7 +14,7 @@ const KIND_WORDS: &[(&str, &str)] = &[
     ),
     ("cur", "cur current currents amps i strom courant corriente"),
     ("tau", "tau torque torques effort drehmoment moment"),
-    ("volt", "volt volts voltage supply vbat vin spannung"),
+    ("volt", "volt volts voltage supply vbat vbus vin spannung"),
     ("temp", "temp temperature"),
     ("pwm", "pwm duty"),
     (

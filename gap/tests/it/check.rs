@@ -565,7 +565,7 @@ fn wrong_stamps_are_found() {
         let quick = rebuilt(log, &signals, |k, _| (0.5 * k as f64, row(k)));
         let checked = one(&robot, &quick);
         found(&checked, "unit", "t");
-        assert!(checked.faults[0].detail.ends_with("is `t` in ms?"), "{:?}", checked.faults);
+        assert!(checked.faults[0].detail.contains("is `t` in ms?"), "{:?}", checked.faults);
         // a clock that runs twice too fast, with its rate claimed accordingly
         let mut fast = rebuilt(log, &signals, |k, t| (0.5 * t, row(k)));
         fast.meta.rate_hz = 200.0;
