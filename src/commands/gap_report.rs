@@ -27,7 +27,9 @@ pub struct ReportArgs {
 }
 
 pub fn run(args: &ReportArgs) -> Result<(), Failure> {
-    let report: Report = files::read_json(&args.folder.join(REPORT))?;
+    let report: Report = files::read_json(&args.folder.join(REPORT)).map_err(|failure| {
+        failure.hint("give the folder that `caudata gap diagnose --out` wrote")
+    })?;
     if let Some(path) = &args.html {
         let plots = files::read_json(&args.folder.join(PLOTS)).ok();
         let robot = robot_name(&args.folder);

@@ -333,7 +333,7 @@ fn import(args: &ImportArgs) -> Result<(), Failure> {
             let hint = "each is said above, with what to do";
             return Err(Failure::message(ExitCode::BadInput, message).hint(hint));
         }
-        Err(ImportError::File(ModelError::Read { path, source })) => {
+        Err(ImportError::File(ModelError::Read { path, source, .. })) => {
             let message = format!("cannot read {}: {source}", path.display());
             return Err(Failure::message(ExitCode::NoInput, message));
         }

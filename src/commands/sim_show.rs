@@ -65,7 +65,7 @@ pub struct ShowArgs {
     /// How long its walk is drawn after it has settled, s
     #[arg(long, default_value_t = 4.0, requires = "policy")]
     seconds: f64,
-    /// Moment of the log, s
+    /// Moment of the log that a `.png` shows, s; default: its middle
     #[arg(long, value_name = "T", requires = "log")]
     at: Option<f64>,
     /// From where
@@ -289,8 +289,14 @@ fn moments_of_log(
         return Err(Failure::message(ExitCode::BadInput, "the log has no rows"));
     };
     let reader = LogReader::new(&log.table, model, terrain);
+    if animated && args.at.is_some() {
+        return Err(Failure::message(
+            ExitCode::BadConfig,
+            "--at is one moment of the log, and a .gif shows all of it: give --out a .png",
+        ));
+    }
     if !animated {
-        let at = args.at.unwrap_or(first);
+        let at = args.at.unwrap_or(0.5 * (first + last));
         if !(first..=last).contains(&at) {
             let message =
                 format!("--at {at} is outside the log, which runs from {first:.2} to {last:.2} s");

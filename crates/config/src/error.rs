@@ -19,8 +19,12 @@ pub enum ConfigError {
     #[error("unknown key `{key}` in {origin}{}", suggestion.as_ref().map(|s| format!("; did you mean `{s}`?")).unwrap_or_default())]
     UnknownKey { key: String, origin: String, suggestion: Option<String> },
     /// A value of the wrong type, or a word that is not one of the allowed ones.
-    #[error("wrong value{}: {message}", key.as_ref().map(|k| format!(" for `{k}`")).unwrap_or_default())]
-    WrongType { key: Option<String>, message: String },
+    #[error(
+        "wrong value{}{}: {message}",
+        key.as_ref().map(|k| format!(" for `{k}`")).unwrap_or_default(),
+        origin.as_ref().map(|o| format!(" in {o}")).unwrap_or_default()
+    )]
+    WrongType { key: Option<String>, origin: Option<String>, message: String },
     /// A value outside its range, or values that do not fit each other.
     #[error("`{key}` = {value}: {rule}")]
     OutOfRange { key: &'static str, value: String, rule: String },

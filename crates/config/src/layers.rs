@@ -66,11 +66,11 @@ pub(crate) fn lay(mut merged: Table, layers: &[(String, Table)]) -> Result<Confi
                     };
                     ConfigError::UnknownKey { key, origin, suggestion }
                 }
-                None => wrong_type(&error),
+                None => wrong_type(&error, Some(origin)),
             });
         }
     }
-    Config::deserialize_from(&merged).map_err(|error| wrong_type(&error))
+    Config::deserialize_from(&merged).map_err(|error| wrong_type(&error, None))
 }
 
 impl Config {
@@ -235,14 +235,14 @@ fn lay_over_named(items: &mut [Value], layer: &Table) -> bool {
     true
 }
 
-/// The parser says `… in \`a.b\`` below its message; that is the key.
-fn wrong_type(error: &toml::de::Error) -> ConfigError {
+/// The parser says `… in \`a.b\`` below its message; that is the key. `origin`: the layer that has it.
+fn wrong_type(error: &toml::de::Error, origin: Option<&String>) -> ConfigError {
     let text = error.to_string();
     let key = text
         .lines()
         .find_map(|line| line.strip_prefix("in `")?.strip_suffix('`'))
         .map(str::to_owned);
-    ConfigError::WrongType { key, message: in_words(error.message()) }
+    ConfigError::WrongType { key, origin: origin.cloned(), message: in_words(error.message()) }
 }
 
 /// The parser's message, without the names of Rust's types.

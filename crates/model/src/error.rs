@@ -27,9 +27,9 @@ impl fmt::Display for Remark {
 #[derive(Debug, thiserror::Error)]
 #[expect(missing_docs, reason = "a message says what its fields are")]
 pub enum ModelError {
-    /// A file could not be read.
-    #[error("cannot read {}: {source}", path.display())]
-    Read { path: PathBuf, source: std::io::Error },
+    /// A file could not be read: `of` says which file names it.
+    #[error("cannot read {}{}: {source}", path.display(), of.as_deref().unwrap_or_default())]
+    Read { path: PathBuf, of: Option<String>, source: std::io::Error },
     /// A file is larger than any robot description.
     #[error("{file} has more than {limit} bytes; is it the right file?")]
     TooLarge { file: String, limit: u64 },

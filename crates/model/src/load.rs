@@ -42,7 +42,12 @@ fn from_path(robot_toml: &Path) -> Result<RobotModel, ModelError> {
     let toml_bytes = bytes(robot_toml)?;
     let file = robot_file::parse(&label, utf8(&label, &toml_bytes)?)?;
     let mjcf_path = robot_toml.with_file_name(&file.mjcf);
-    let mjcf_bytes = bytes(&mjcf_path)?;
+    let mjcf_bytes = bytes(&mjcf_path).map_err(|error| match error {
+        ModelError::Read { path, source, .. } => {
+            ModelError::Read { path, of: Some(format!(", `mjcf` of {label}")), source }
+        }
+        other => other,
+    })?;
     build(&label, &mjcf_path.display().to_string(), file, &toml_bytes, &mjcf_bytes)
 }
 

@@ -238,7 +238,7 @@ pub(crate) fn bytes(path: &Path) -> Result<Vec<u8>, ModelError> {
         ErrorKind::FileTooLarge => {
             ModelError::TooLarge { file: path.display().to_string(), limit: FILE_LIMIT_BYTES }
         }
-        _ => ModelError::Read { path: path.to_owned(), source },
+        _ => ModelError::Read { path: path.to_owned(), of: None, source },
     })
 }
 

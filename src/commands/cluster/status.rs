@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use caudata_config::{Config, Source};
@@ -21,7 +21,14 @@ const PATIENCE: Duration = Duration::from_secs(5);
 /// Largest page that is read.
 const PAGE_BYTES_MAX: u64 = 4 << 20;
 
+/// What the figures are.
+const FIGURES: &str = "\
+chunks_waiting: rollouts that wait for the learner. lag: how many versions the policy that made the last ones was
+older than the learner's. effective_sample_share: how much importance weights leave of them, 1 where nothing is
+old. frames: messages by what became of them. advice: more actors where the learner waits, fewer where rollouts do.";
+
 #[derive(Debug, Args)]
+#[command(after_help = FIGURES)]
 pub struct StatusArgs {
     /// Folder of the run [default: the one that the configuration names, else the newest one]
     #[arg(value_name = "RUN")]
@@ -45,17 +52,21 @@ pub fn run(args: &StatusArgs) -> Result<(), Failure> {
     let source = Source { preset: None, file, overrides };
     let config = Config::load(&source).or_exit(ExitCode::BadConfig)?;
     let configured = config.telemetry.metrics_addr;
-    let address = match &args.metrics {
-        Some(address) => address.clone(),
+    let (address, folder) = match &args.metrics {
+        Some(address) => (address.clone(), None),
         None if args.run.is_some() => announced(&config, args.run.clone())?,
         None if configured.port() != 0 && configured.ip().is_unspecified() => {
-            format!("127.0.0.1:{}", configured.port())
+            (format!("127.0.0.1:{}", configured.port()), None)
         }
-        None if configured.port() != 0 => configured.to_string(),
+        None if configured.port() != 0 => (configured.to_string(), None),
         None => announced(&config, None)?,
     };
-    let page = fetch(&address).or_exit_with(ExitCode::Unavailable, || {
-        format!("the learner's metrics at {address} do not answer")
+    let silent = || format!("the learner's metrics at {address} do not answer");
+    let page = fetch(&address).or_exit_with(ExitCode::Unavailable, silent).map_err(|failure| {
+        failure.hint_if(folder.as_deref().map(|folder: &Path| {
+            let folder = folder.display();
+            format!("the run did not say that it ended: if it was killed, go on with caudata train --resume --out {folder}")
+        }))
     })?;
     let status = Status::of(&page);
     say::either(args.json, &status.json(&address), |status| {
@@ -66,8 +77,8 @@ pub fn run(args: &StatusArgs) -> Result<(), Failure> {
     })
 }
 
-/// The address that a run has announced: this one, else the configuration's, else the newest one.
-fn announced(config: &Config, run: Option<PathBuf>) -> Result<String, Failure> {
+/// The address that a run has announced, and its folder: this one, else the configuration's, else the newest one.
+fn announced(config: &Config, run: Option<PathBuf>) -> Result<(String, Option<PathBuf>), Failure> {
     let mut hint = "give its folder, --metrics HOST:PORT, or --config with telemetry.metrics_addr";
     let folders: Vec<PathBuf> = match run {
         Some(run) => files::run_folder(&run).map(|()| vec![run])?,
@@ -85,7 +96,7 @@ fn announced(config: &Config, run: Option<PathBuf>) -> Result<String, Failure> {
     let last = events.find(|event| event["event"] == "started" || event["event"] == "finished");
     let last = last.unwrap_or_default();
     let (code, message) = match (last["event"].as_str(), last["metrics"].as_str()) {
-        (Some("started"), Some(address)) => return Ok(address.to_owned()),
+        (Some("started"), Some(address)) => return Ok((address.to_owned(), Some(folder))),
         (Some("finished"), _) => {
             hint = "`caudata runs list` has its figures";
             let folder = folder.display();
@@ -229,16 +240,17 @@ caudata_policy_staleness_versions 0.25
         let last =
             started("\"127.0.0.1:2\"") + &started("\"127.0.0.1:3\"") + "{\"event\":\"warning\"}\n";
         run("20260102-000000_quick", &last);
-        assert_eq!(announced(&config, None).unwrap(), "127.0.0.1:3");
+        assert_eq!(announced(&config, None).unwrap().0, "127.0.0.1:3");
         let end = "{\"event\":\"finished\",\"iteration\":7,\"reason\":\"completed\"}\n";
         run("20260102-000000_quick", &(last + end));
         assert!(refused(&config).contains("has ended after iteration 7 (completed)"));
         // The run that the configuration names comes first.
         run(&config.run.name, &started("\"127.0.0.1:4\""));
-        assert_eq!(announced(&config, None).unwrap(), "127.0.0.1:4");
+        assert_eq!(announced(&config, None).unwrap().0, "127.0.0.1:4");
         // and one that is named before that
         let named = dir.path().join("20260101-000000_quick");
         std::fs::write(named.join("config.toml"), "").unwrap();
-        assert_eq!(announced(&config, Some(named)).unwrap(), "127.0.0.1:1");
+        let (address, folder) = announced(&config, Some(named.clone())).unwrap();
+        assert_eq!((address.as_str(), folder), ("127.0.0.1:1", Some(named)));
     }
 }
