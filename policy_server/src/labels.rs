@@ -191,12 +191,32 @@ impl Store {
         reports.map_or(0, Reports::good)
     }
 
-    /// Takes a version out of use for good, one that retired too. Answers what stands there where it is out of use
-    /// already.
+    /// Takes a version out of use for good, one that retired too, and with it whatever else of its stream has the same
+    /// bytes: a revert gives them another number. Answers what stands there where it is out of use already.
     ///
     /// # Errors
     /// [`StoreError::NotFound`], [`StoreError::ReadOnly`]; what the disk says.
     pub fn quarantine(
+        &mut self,
+        origin: &Origin,
+        state: QuarantineState,
+    ) -> Result<QuarantineState, StoreError> {
+        let done = self.quarantine_one(origin, state)?;
+        let key = (done.stream.clone(), done.version);
+        let sha256 = self.quarantined.get(&key).and_then(|known| known.sha256);
+        let twin =
+            |r: &&Record| Some(r.manifest.sha256) == sha256 && r.manifest.version != done.version;
+        let twins = self.records(Some(&done.stream)).filter(twin);
+        let twins: Vec<u64> = twins.map(|r| r.manifest.version).collect();
+        for version in twins {
+            let reason = format!("the bytes of version {}: {}", done.version, done.reason);
+            self.quarantine_one(origin, QuarantineState { version, reason, ..done.clone() })?;
+        }
+        Ok(done)
+    }
+
+    /// The same of this version alone.
+    fn quarantine_one(
         &mut self,
         origin: &Origin,
         mut state: QuarantineState,

@@ -618,6 +618,35 @@ mod tests {
     }
 
     #[test]
+    fn a_quarantine_takes_the_same_bytes_under_other_numbers_with_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut store = Store::open(folder.path(), StoreLimits::default()).unwrap();
+        // 3 is what a revert to 1 makes
+        for (version, bytes) in [(1, b"bad"), (2, b"own"), (3, b"bad")] {
+            store.publish(manifest("s", version, bytes), bytes).unwrap();
+        }
+        let out = caudata_proto::registry::QuarantineState {
+            stream: name("s"),
+            version: 1,
+            reason: "falls".into(),
+            by: String::new(),
+            generation: 0,
+            unix_ms: 0,
+        };
+        let said = store.quarantine(&Origin::local(), out).unwrap();
+        assert_eq!((said.version, said.reason.as_str()), (1, "falls"));
+        for _start in 0..2 {
+            let gone = [1, 2, 3].map(|version| store.is_quarantined(&name("s"), version));
+            assert_eq!(gone, [true, false, true]);
+            assert_eq!(store.newest_usable(&name("s")).map(|r| r.manifest.version), Some(2));
+            let why = store.quarantines().find(|q| q.version == 3).unwrap().reason.clone();
+            assert_eq!(why, "the bytes of version 1: falls");
+            drop(store);
+            store = Store::open(folder.path(), StoreLimits::default()).unwrap();
+        }
+    }
+
+    #[test]
     fn numbers_of_retired_versions_and_quarantined_bytes_never_come_back() {
         let folder = tempfile::tempdir().unwrap();
         let limits = StoreLimits { versions_kept: 2, ..StoreLimits::default() };
