@@ -113,6 +113,13 @@ impl Destination {
         robot: Option<&RobotModel>,
         notes: Vec<String>,
     ) -> Result<(), Failure> {
+        if let (Ok(from), Ok(out)) = (from.canonicalize(), self.out.canonicalize())
+            && from == out
+        {
+            let message = format!("--out {} is what is read", self.out.display());
+            return Err(Failure::message(ExitCode::CannotCreate, message)
+                .hint("give another --out: the new form may hold less than the old one"));
+        }
         if let Some(folder) = self.out.parent() {
             files::make_folder(folder)?;
         }

@@ -108,12 +108,17 @@ pub fn run(command: &PolicyCommand) -> Result<(), Failure> {
 
 fn list(server: &ServerArgs, limit: u32, json: bool) -> Result<(), Failure> {
     let stream = server.stream()?;
-    let (page, overview) = block_on(async {
+    let (page, overview, all) = block_on(async {
         let mut client = server.client()?;
         let page = client.list(stream.as_ref(), limit, None).await?;
         let overview = client.overview(stream.as_ref()).await?;
-        Ok((page, overview))
+        let all = client.overview(None).await?;
+        Ok((page, overview, all))
     })?;
+    let mut streams: Vec<String> = all.labels.iter().map(|s| s.stream.to_string()).collect();
+    streams.sort();
+    streams.dedup();
+    let streams = streams.join(", ");
     let marks = |m: &Manifest| -> Vec<String> {
         let labels = overview.labels.iter();
         let labels = labels.filter(|s| s.stream == m.stream && s.version == m.version);
@@ -134,15 +139,17 @@ fn list(server: &ServerArgs, limit: u32, json: bool) -> Result<(), Failure> {
         return say::json(&json!({ "policies": policies, "more": page.more }));
     }
     if policies.is_empty() {
-        let of = stream.map_or(String::new(), |s| {
-            format!(" of the stream {s}; `caudata policy list` without --stream shows all")
-        });
+        let of = stream.filter(|_| !streams.is_empty());
+        let of = of.map_or(String::new(), |s| format!(" of the stream {s}; it has {streams}"));
         say::line(format!("the server has no policy{of}"));
         return Ok(());
     }
     say::records(&policies, "stream version sha256 bytes env_steps labels");
     if page.more {
-        say::line("… and older ones; --limit shows more");
+        say::line("… and more; --limit shows them");
+    }
+    if stream.is_none() {
+        say::line(format!("streams: {streams}"));
     }
     Ok(())
 }

@@ -83,7 +83,8 @@ pub struct RunArgs {
     /// CSV file of commands over time: t,vx,vy,yaw_rate
     #[arg(long, value_name = "FILE.csv")]
     pub(super) commands: Option<PathBuf>,
-    /// How long the policy is in charge, s; until stopped when absent
+    /// How long the policy is in charge, s; until stopped when absent. While a robot stands because nobody drives it
+    /// (`--link-addr`), none of it passes
     #[arg(long, value_name = "N", value_parser = positive)]
     pub(super) seconds: Option<f64>,
     /// Swap in what the label comes to lead to, at safe moments: standing, or before walking
@@ -120,7 +121,9 @@ impl FromStr for BusAddress {
     fn from_str(text: &str) -> Result<Self, String> {
         match text.split_once(':') {
             Some(("sim", address)) if address.contains(':') => Ok(Self::Sim(address.to_owned())),
-            Some(("wiring", path)) if !path.is_empty() => Ok(Self::Wiring(path.into())),
+            Some(("wiring", path)) if !path.is_empty() => {
+                Ok(Self::Wiring(caudata_durable::shipped(path.as_ref())))
+            }
             _ => Err("must be sim:HOST:PORT or wiring:FILE.toml".to_owned()),
         }
     }

@@ -218,6 +218,12 @@ fn prepare(
                 .hint("a run cannot go on without its configuration"));
         }
         let old = Config::load(&Source::file(&folder.config())).or_exit(ExitCode::BadConfig)?;
+        if args.config.preset.is_some() || args.config.config.is_some() {
+            // a run goes on with its own: another one that is given must not be passed over in silence
+            same_training(&old, &with_absolute_paths(config)?).map_err(|failure| {
+                failure.hint("leave --preset and --config out: a run goes on with its own")
+            })?;
+        }
         config =
             Config::load(&source(args, Some(&folder.config()))).or_exit(ExitCode::BadConfig)?;
         same_training(&old, &config)?;
@@ -240,10 +246,7 @@ fn prepare(
         }
         folder
     };
-    config.robot = std::path::absolute(config.robot_path()).or_exit(ExitCode::NoInput)?;
-    if !config.terrain.map.as_os_str().is_empty() {
-        config.terrain.map = std::path::absolute(&config.terrain.map).or_exit(ExitCode::NoInput)?;
-    }
+    config = with_absolute_paths(config)?;
     // What says the same stays as it is: the version that wrote it may be the only one that can go on.
     let text = config.to_toml().or_exit(ExitCode::BadConfig)?;
     match before {
@@ -251,6 +254,15 @@ fn prepare(
         None => folder.write("config.toml", text.as_bytes()).map(drop)?,
     }
     Ok((config, folder, resume))
+}
+
+/// A configuration that means the same from any folder.
+fn with_absolute_paths(mut config: Config) -> Result<Config, Failure> {
+    config.robot = std::path::absolute(config.robot_path()).or_exit(ExitCode::NoInput)?;
+    if !config.terrain.map.as_os_str().is_empty() {
+        config.terrain.map = std::path::absolute(&config.terrain.map).or_exit(ExitCode::NoInput)?;
+    }
+    Ok(config)
 }
 
 /// A record of changes that fits a configuration, as it is to lie in the run folder.
