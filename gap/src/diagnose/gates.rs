@@ -29,14 +29,6 @@ const HELD_OUT: f64 = 0.98;
 /// … or at one joint.
 const HELD_OUT_JOINT: f64 = 0.9;
 
-/// What takes less off than this of what a careful lab would not leave, beside a greater cause, is a lead and no
-/// finding ([`is_a_lead`]): of the benchmark's second names (seeds 73, 79 and 83) 23 such were wrong and 2 right;
-/// of those with more, 13 (8 of them beside what is not in the catalogue) and 29.
-const GREAT_SHARE: f64 = 0.5;
-/// The same of the runs that are fitted, where they ask for it more: of 19 wrong leads (pairs and laws
-/// outside the catalogue, seeds 101 to 113) none took more than 0.51 off those, and three of four right ones
-/// 0.69 to 0.82.
-const GREAT_SHARE_OF_FIT: f64 = 0.6;
 /// What a step is worth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Worth {
@@ -108,14 +100,6 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
         passed: why.is_empty(),
         why,
     }
-}
-
-/// Whether what is worth `worth` on top of a greater cause at its place makes the model better and may as
-/// well make up for what that one's law lacks: of what careful labs would not leave (`quiet` floors they do)
-/// it takes less off than it leaves, in cross-validation and of the runs as they are fitted.
-pub fn is_a_lead(quiet: f64, worth: &Worth) -> bool {
-    worth.cross < GREAT_SHARE * (worth.of - quiet)
-        && worth.fit < GREAT_SHARE_OF_FIT * (worth.fit_of - quiet)
 }
 
 /// An effect that acts rarely (a limit, a stop) gains in few blocks, which resampling may miss: it must gain in two
@@ -352,36 +336,5 @@ mod tests {
         assert!(rare(&[4.0, 4.0, 0.0, -0.2]));
         // too much is lost elsewhere
         assert!(!rare(&[4.0, 4.0, -2.0]));
-    }
-
-    /// Takes `cross` of 1 off in cross-validation and `fit` of 1 off the runs as they are fitted.
-    fn worth(cross: f64, fit: f64) -> Worth {
-        Worth {
-            fit,
-            fit_of: 1.0,
-            cross,
-            of: 1.0,
-            interval: (0.0, 0.0),
-            beyond_doubt: false,
-            rest: false,
-            passed: true,
-            why: "",
-        }
-    }
-
-    #[test]
-    fn runs_that_ask_for_a_cause_most_say_whether_it_takes_most() {
-        assert!(!is_a_lead(0.0, &worth(0.5, 0.1)));
-        // parts that are left out hardly ask for an integral part, and all of them together do
-        assert!(!is_a_lead(0.0, &worth(0.18, 0.69)));
-        assert!(is_a_lead(0.0, &worth(0.46, 0.51)));
-    }
-
-    #[test]
-    fn what_careful_labs_leave_is_nothing_that_a_cause_should_have_taken() {
-        // 0.37 of 1, and of 0.6 that need an explanation more than half
-        assert!(is_a_lead(0.0, &worth(0.37, 0.37)));
-        assert!(!is_a_lead(0.4, &worth(0.37, 0.37)));
-        assert!(!is_a_lead(1.0, &worth(0.01, 0.01)));
     }
 }

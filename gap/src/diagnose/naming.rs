@@ -11,7 +11,7 @@ use super::doubt::{one_place, outgrown};
 use super::fits::{Before, fitted, penalised, polished, with_each};
 use super::gates::{self, Worth};
 use super::levels::RIGHT_LEAVES;
-use super::pairs::{Pair, misfit_with, missed_least, pairs, parameters};
+use super::pairs::{Pair, misfit_with, pairs, parameters};
 use super::refine::refine;
 use super::screen::{Screened, look_alikes, screen};
 use super::search::{Found, MOST_TERMS};
@@ -39,6 +39,14 @@ const STANDS_IN: f64 = 0.5;
 /// A rival that fails to explain this share of what the cause does is none, even if what it does could as well be
 /// done by other sizes of the model's effects ([`trades`]).
 const TRADES_AT_MOST: f64 = 0.03;
+/// What takes less off than this of what a careful lab would not leave, beside a greater cause, is a lead and no
+/// finding ([`is_a_lead`]): of the benchmark's second names (seeds 73, 79 and 83) 23 such were wrong and 2 right;
+/// of those with more, 13 (8 of them beside what is not in the catalogue) and 29.
+const GREAT_SHARE: f64 = 0.5;
+/// The same of the runs that are fitted, where they ask for it more: of 19 wrong leads (pairs and laws
+/// outside the catalogue, seeds 101 to 113) none took more than 0.51 off those, and three of four right ones
+/// 0.69 to 0.82.
+const GREAT_SHARE_OF_FIT: f64 = 0.6;
 /// Two look-alikes are both there if together they take this share off what the cause alone leaves, of the runs
 /// that are fitted and in cross-validation.
 const MORE_TOGETHER: f64 = 0.2;
@@ -139,9 +147,6 @@ fn better(
     if let Some(other) = likelier(context, best, named)?.filter(new) {
         return Ok(Some(other));
     }
-    if let Some(other) = fewer(context, best, named)?.filter(new) {
-        return Ok(Some(other));
-    }
     match better_pair(context, best, named).filter(new) {
         None => Ok(both(context, best, named)?.filter(new)),
         pair => Ok(pair),
@@ -194,34 +199,14 @@ fn simpler(
     let mut first: Option<((usize, usize), &Rival)> = None;
     for r in named.rivals.iter().filter(|r| r.in_set).filter(new).filter(special) {
         let few = parameters(context, &r.state, r.index)?;
-        let size = (few, r.state.chances());
+        let size = (few, chances(&r.state));
         // rivals come best first
         let ahead = first.as_ref().is_none_or(|(f, _)| size < *f);
-        if ahead && size < (count, best.chances()) && says_the_same(context, best, named, r, few)? {
+        if ahead && size < (count, chances(best)) && says_the_same(context, best, named, r, few)? {
             first = Some((size, r));
         }
     }
     Ok(first.map(|(_, r)| r.state.clone()))
-}
-
-/// The model with a rival in the answer set of the cause in `named` that does without another cause at its place, if
-/// what that one adds would not earn its place beside the rival: it made up for where the name was wrong.
-fn fewer(context: &Context, best: &State, named: &Named) -> Result<Option<State>, GapError> {
-    let place = &best.terms[named.index].place;
-    let near = |k: &usize| *k != named.index && one_place(context, place, &best.terms[*k].place);
-    let beside: Vec<usize> = (0..best.terms.len()).filter(near).collect();
-    if beside.is_empty() {
-        return Ok(None);
-    }
-    for r in named.rivals.iter().filter(|r| r.in_set) {
-        let dropped = missed_least(context, &r.state, &beside)?;
-        let shorter = without(context, &r.state, dropped)?;
-        let more = gates::worth(context, &shorter, best, Some(&best.terms[dropped].place));
-        if !more.passed || gates::is_a_lead(gates::quiet(context), &more) {
-            return Ok(Some(shorter));
-        }
-    }
-    Ok(None)
 }
 
 /// Whether `best` says nothing beyond rival `r` of its cause in `named`, which needs so `few` parameters.
@@ -242,7 +227,7 @@ fn says_the_same(
     }
     // what more parameters say beyond it must earn its place as a further cause beside it would
     let more = gates::worth(context, &r.state, best, Some(&best.terms[named.index].place));
-    Ok(!more.passed || gates::is_a_lead(gates::quiet(context), &more))
+    Ok(!more.passed || is_a_lead(gates::quiet(context), &more))
 }
 
 /// The best pair in the place of the cause in `named`, if that would have to be larger than it can plausibly be, and
@@ -297,6 +282,13 @@ fn without(context: &Context, best: &State, index: usize) -> Result<State, GapEr
     Ok(state)
 }
 
+/// How many joints have the size of another one by chance: places of effects of joints that are several
+/// joints.
+fn chances(state: &State) -> usize {
+    let of_joints = state.terms.iter().filter(|t| t.place.domain == Domain::Joints);
+    of_joints.map(|t| t.place.items.len().saturating_sub(1)).sum()
+}
+
 /// The model with a rival of the answer set beside the cause in `named`, if there is one with which it says
 /// far more than alone: two look-alikes that are both there leave little of each other, less than what ends
 /// the search.
@@ -344,7 +336,15 @@ fn both(context: &Context, best: &State, named: &Named) -> Result<Option<State>,
         .min_by(|a, b| penalised(context, a).total_cmp(&penalised(context, b))))
 }
 
-/// Which of the causes in `order`, greatest first, are leads and no findings ([`gates::is_a_lead`] with all others in the
+/// Whether what is worth `worth` on top of a greater cause at its place makes the model better and may as
+/// well make up for what that one's law lacks: of what careful labs would not leave (`quiet` floors they do)
+/// it takes less off than it leaves, in cross-validation and of the runs as they are fitted.
+fn is_a_lead(quiet: f64, worth: &Worth) -> bool {
+    worth.cross < GREAT_SHARE * (worth.of - quiet)
+        && worth.fit < GREAT_SHARE_OF_FIT * (worth.fit_of - quiet)
+}
+
+/// Which of the causes in `order`, greatest first, are leads and no findings ([`is_a_lead`] with all others in the
 /// model, or among the terms `inconstant`, which have no one size): beside one that is surely greater. Of two that take
 /// as much nobody knows which makes up for the other. What hardly matters is never more.
 pub fn leads(context: &Context, best: &State, order: &[Named], inconstant: &[usize]) -> Vec<bool> {
@@ -357,7 +357,7 @@ pub fn leads(context: &Context, best: &State, order: &[Named], inconstant: &[usi
                 && one_place(context, place(greater), place(n))
         });
         let makes_up =
-            || inconstant.contains(&n.index) || gates::is_a_lead(gates::quiet(context), &n.worth);
+            || inconstant.contains(&n.index) || is_a_lead(gates::quiet(context), &n.worth);
         out.push(gates::hardly_matters(context, &best.terms[n.index]) || greater && makes_up());
     }
     out
@@ -512,5 +512,36 @@ mod tests {
         assert!(likelihood(0.5, 4.0, 1.0) < 1e-4);
         // of one joint in four the mean over all shows a quarter
         assert!((likelihood(0.24, 0.265, 0.25) - little).abs() < 0.1);
+    }
+
+    /// Takes `cross` of 1 off in cross-validation and `fit` of 1 off the runs as they are fitted.
+    fn worth(cross: f64, fit: f64) -> Worth {
+        Worth {
+            fit,
+            fit_of: 1.0,
+            cross,
+            of: 1.0,
+            interval: (0.0, 0.0),
+            beyond_doubt: false,
+            rest: false,
+            passed: true,
+            why: "",
+        }
+    }
+
+    #[test]
+    fn runs_that_ask_for_a_cause_most_say_whether_it_takes_most() {
+        assert!(!is_a_lead(0.0, &worth(0.5, 0.1)));
+        // parts that are left out hardly ask for an integral part, and all of them together do
+        assert!(!is_a_lead(0.0, &worth(0.18, 0.69)));
+        assert!(is_a_lead(0.0, &worth(0.46, 0.51)));
+    }
+
+    #[test]
+    fn what_careful_labs_leave_is_nothing_that_a_cause_should_have_taken() {
+        // 0.37 of 1, and of 0.6 that need an explanation more than half
+        assert!(is_a_lead(0.0, &worth(0.37, 0.37)));
+        assert!(!is_a_lead(0.4, &worth(0.37, 0.37)));
+        assert!(!is_a_lead(1.0, &worth(0.01, 0.01)));
     }
 }

@@ -111,29 +111,6 @@ fn several(context: &Context, best: &State, index: usize) -> Result<bool, GapErr
     Ok(parameters(context, best, index)? > others + 1)
 }
 
-/// Which of the terms `among` of `state` the others make up for best, to first order.
-///
-/// # Errors
-/// As [`crate::replay::Replayer::predict`].
-pub fn missed_least(context: &Context, state: &State, among: &[usize]) -> Result<usize, GapError> {
-    let (columns, _) = context.jacobian(&context.fit, &state.terms)?;
-    let variants: Vec<Variant> = among.iter().map(|&k| state.without(k)).collect();
-    let bare = context.replayer.predict(&context.fit.data, &variants)?;
-    let mut least = (among[0], f64::INFINITY);
-    for (&k, bare) in among.iter().zip(&bare) {
-        let first: usize = state.terms[..k].iter().map(|t| t.values.len()).sum();
-        let own = first..first + state.terms[k].values.len();
-        let others: Vec<usize> = (0..columns.len()).filter(|c| !own.contains(c)).collect();
-        let asked = context.fit.change(&state.fit.prediction, bare);
-        let share = Span::new(&columns, &asked).of(&others).map_or(1.0, |(left, _)| left);
-        let left = share * dot(&asked, &asked);
-        if left < least.1 {
-            least = (k, left);
-        }
-    }
-    Ok(least.0)
-}
-
 /// Number of parameters of `state` without those sizes of its term `index` without which it is the same model.
 ///
 /// # Errors

@@ -10,7 +10,7 @@ use super::product::widen;
 use super::scout::{Scout, WINDOW_S};
 use super::stops::Passed;
 use crate::calibration::Calibration;
-use crate::effects::{Domain, Effect};
+use crate::effects::Effect;
 use crate::error::GapError;
 use crate::excitation::Excitation;
 use crate::replay::{Replayer, Term, Variant};
@@ -111,12 +111,6 @@ impl State {
             t.values.len() - same.count()
         };
         self.terms.iter().map(moved).sum()
-    }
-
-    /// How many joints have the size of another one by chance: places of effects of joints that are several joints.
-    pub fn chances(&self) -> usize {
-        let of_joints = self.terms.iter().filter(|t| t.place.domain == Domain::Joints);
-        of_joints.map(|t| t.place.items.len().saturating_sub(1)).sum()
     }
 
     /// Its effects in words.

@@ -35,7 +35,11 @@ pub fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {
         format!("its mark: {}", term.effect.signature),
     ];
     let mut tell = |same: bool, as_what: &str| {
-        let of = |r: &&Rival| (r.state.terms[r.index].effect == term.effect) == same;
+        let of = |r: &&Rival| {
+            let other = r.state.terms[r.index].effect;
+            // a wider law says the same with more sizes
+            (other == term.effect) == same && !wider(term.effect, other)
+        };
         let Some(rival) = named.rivals.iter().find(of) else {
             return;
         };
@@ -45,10 +49,7 @@ pub fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {
             true => format!("{as_what} {label} {} of it", leaves(rival.short)),
             false => format!("{as_what} {label} takes as much off, or more"),
         };
-        lines.push(match wider(term.effect, other.effect) {
-            true => format!("{does}: the wider law, which must earn its further parameters"),
-            false => format!("{does} (probability {:.0} %)", 100.0 * rival.probability),
-        });
+        lines.push(format!("{does} (probability {:.0} %)", 100.0 * rival.probability));
     };
     tell(false, "the next best name");
     tell(true, "the same at another place,");

@@ -109,7 +109,9 @@ pub fn find(id: &str) -> Option<&'static Effect> {
 pub fn meant(asked: &str) -> String {
     let asked = asked.to_lowercase();
     let words: Vec<&str> = asked.split(|c: char| !c.is_ascii_alphanumeric()).collect();
-    let has = |id: &str| words.iter().any(|w| w.len() > 2 && id.contains(w));
+    let has = |id: &str| {
+        words.iter().any(|w| w.len() > 2 && id.contains(w) || id.split('_').any(|part| part == *w))
+    };
     let near: Vec<&str> = ALL.iter().map(|e| e.id).filter(|id| has(id)).collect();
     match near.is_empty() {
         true => format!("there are {}", ALL.iter().map(|e| e.id).collect::<Vec<_>>().join(", ")),

@@ -16,7 +16,7 @@ use super::order::Order;
 use super::run::ImportError;
 use super::sheet::{Hint, Joint, Recording, Sheet};
 use super::units::{MOST_RAD, is_slide, unit_at, unit_by_size, unit_of_slide};
-use super::words::{COMMANDS, Words, joint_called};
+use super::words::{COMMANDS, SUPPLIES, Words, joint_called};
 
 /// Words in the names of grippers, which some give as a share of their range when all else is an angle.
 const GRIPPERS: [&str; 3] = ["gripper", "jaw", "claw"];
@@ -339,9 +339,10 @@ impl Draft<'_> {
                     joint_called(self.robot, &words.whole).or(self.order.joint(&words, self.robot))
                 };
                 let kind = words.kind_in(file.filter(|_| joint().is_some()));
-                // `bus_mV`: what is in volts and of no joint is the supply
+                // `bus_mV` is in volts and of no joint: the supply
                 let of_robot = || joint_called(self.robot, &words.whole).is_none();
-                let supply = matches!(words.unit, Some("V" | "mV")) && of_robot();
+                let of_supply = words.has(SUPPLIES) && !words.says(COMMANDS);
+                let supply = matches!(words.unit, Some("V" | "mV")) && of_supply && of_robot();
                 kind.or(self.by_numbers.get(column).copied()).or(supply.then_some("volt"))
             }
         };

@@ -23,6 +23,8 @@ const KIND_WORDS: &[(&str, &str)] = &[
     ),
 ];
 pub(super) const COMMANDS: &str = "goal goals action actions qcmd cmd command commands commanded target targets desired des setpoint sp reference ref soll consigne consigna";
+/// With a unit of voltage these say that a column is the supply.
+pub(super) const SUPPLIES: &str = "bus batt battery pack rail";
 /// What is on or off is no signal that a draft takes, whatever it switches …
 const NO_SIGNAL: &str = "enable enabled enabling flag freigabe";
 /// A torque of which these say that it is fed forward is a command of its own.

@@ -161,23 +161,22 @@ fn two_that_are_one_robot_with_another_two_are_in_its_answer_set() {
 }
 
 #[test]
-fn what_made_up_for_a_wrong_name_goes_with_it() {
+fn beside_play_a_displaced_centre_is_in_an_answer_set() {
     let root = tempfile::tempdir().unwrap();
-    // a mass on the link explains a displaced centre but for a little, which less friction takes off
+    // teeth that bounce leave it open whether the centre is displaced or a mass hangs there, with less friction
     const SEED: u64 = 12_952_229_155_965_646_331;
     let effects = ["link_com", "gear_backlash"].map(|id| (find(id).unwrap(), 0, 4.0)).to_vec();
     let plan = Plan { effects, ..Plan::new(Block::Pair, "pendulum", SEED, Amount::Full) };
     generate::make("case", &plan, root.path()).unwrap();
     let report = diagnosed(&root.path().join("case"));
-    let [one, other] = report.causes.as_slice() else {
-        panic!("{}: {}", report.summary, in_words(&report.causes));
-    };
-    let (play, link) = if one.effect == "gear_backlash" { (one, other) } else { (other, one) };
-    assert!(play.effect == "gear_backlash" && play.confidence > CONFIDENT, "{}", report.summary);
-    // teeth that bounce hide which of the two it is: both change the moment of gravity and the inertia
-    let names = [&[link.effect.clone()][..], &link.alternatives].concat();
-    assert!(names.iter().any(|n| n == "link_com"), "{names:?}");
-    assert!(names.iter().all(|n| ["link_com", "point_mass"].contains(&n.as_str())), "{names:?}");
+    let (play, others): (Vec<&Cause>, Vec<&Cause>) =
+        report.causes.iter().partition(|c| c.effect == "gear_backlash");
+    let sure = |c: &&Cause| c.confidence > CONFIDENT && c.alternatives.is_empty();
+    assert!(play.iter().any(sure), "{}", report.summary);
+    assert!(!others.iter().any(sure), "{}", report.summary);
+    let has_centre =
+        |c: &&Cause| c.effect == "link_com" || c.alternatives.iter().any(|a| a == "link_com");
+    assert!(others.iter().any(has_centre), "{}", report.summary);
 }
 
 #[test]
