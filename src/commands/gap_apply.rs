@@ -35,8 +35,7 @@ pub fn run(args: &ApplyArgs) -> Result<(), Failure> {
     let (robot_toml, mjcf_name, mjcf) = robot_files(&args.robot)?;
     let extended = args.diagnosis.join(EXTENDED);
     if args.diagnosis.join(REPORT).is_file() && !extended.is_file() {
-        let message =
-            "this diagnosis found no model that is nearer than the robot as given: take that one";
+        let message = "this diagnosis refused its data, or found no model that is nearer than the robot as given: take that one";
         return Err(Failure::message(ExitCode::NoInput, message));
     }
     let found = files::robot(&extended)?;

@@ -65,7 +65,7 @@ pub fn run(args: &StatusArgs) -> Result<(), Failure> {
     let page = fetch(&address).or_exit_with(ExitCode::Unavailable, silent).map_err(|failure| {
         failure.hint_if(folder.as_deref().map(|folder: &Path| {
             let folder = folder.display();
-            format!("the run did not say that it ended: if it was killed, go on with caudata train --resume --out {folder}")
+            format!("the run did not say that it ended: if it was killed, go on with caudata train --resume --out {folder}, or with caudata up as before")
         }))
     })?;
     let status = Status::of(&page);

@@ -264,7 +264,7 @@ pub fn print(report: &Report) {
     ));
     if let Some(actors) = &report.policy.actors {
         say::line(format!(
-            "actors ran versions up to {}, of which sha256 {} ({}{})",
+            "actors ran version {}, sha256 {} ({}{})",
             actors.version,
             actors.actors,
             if actors.same { "as the learner made it" } else { "NOT as it was made" },
