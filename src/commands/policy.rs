@@ -112,10 +112,14 @@ fn list(server: &ServerArgs, limit: u32, json: bool) -> Result<(), Failure> {
         let mut client = server.client()?;
         let page = client.list(stream.as_ref(), limit, None).await?;
         let overview = client.overview(stream.as_ref()).await?;
-        let all = client.overview(None).await?;
+        let all = match &stream {
+            Some(_) => Some(client.overview(None).await?),
+            None => None,
+        };
         Ok((page, overview, all))
     })?;
-    let mut streams: Vec<String> = all.labels.iter().map(|s| s.stream.to_string()).collect();
+    let all = &all.as_ref().unwrap_or(&overview).labels;
+    let mut streams: Vec<String> = all.iter().map(|s| s.stream.to_string()).collect();
     streams.sort();
     streams.dedup();
     let streams = streams.join(", ");

@@ -401,6 +401,7 @@ mod tests {
     fn a_time_has_a_unit() {
         assert_eq!(seconds("90s"), Ok(90.0));
         assert_eq!(seconds("3min"), Ok(180.0));
+        assert_eq!(seconds("3m"), Ok(180.0));
         assert_eq!(seconds("0.5 h"), Ok(1800.0));
         for wrong in ["3", "min", "-1s", "0s", "3 weeks"] {
             assert!(seconds(wrong).is_err(), "{wrong}");

@@ -118,3 +118,16 @@ pub fn meant(asked: &str) -> String {
         false => format!("did you mean {}? `caudata gap effects` lists all", near.join(" or ")),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_misses_an_effect_by_a_word_is_told_which_have_it() {
+        assert!(meant("backlash").starts_with("did you mean gear_backlash?"));
+        assert!(meant("kd").starts_with("did you mean kd_error?"));
+        // of nothing known all are listed
+        assert!(meant("gremlins").starts_with("there are encoder_offset, "));
+    }
+}
